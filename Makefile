@@ -1,0 +1,34 @@
+# Two commands do everything: `make demo` and `make test`. Both set up .venv first, with the pins of constraints.txt.
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+INSTALLED := $(VENV)/.installed
+VIRTUALENV := .cache/virtualenv
+
+.PHONY: demo test setup clean
+
+# Train the robot to stand, then play the policy for one episode and print how it stood.
+demo: setup
+	$(BIN)/wheelleg train task=stand
+	$(BIN)/wheelleg play latest
+
+# Everything that continuous integration runs.
+test: setup
+	$(BIN)/nox --sessions lint typecheck repro
+	$(BIN)/nox --sessions tests
+
+setup: $(INSTALLED)
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "wheelleg_exp needs Python 3.11 or later; set PYTHON=/path/to/python3.11"; exit 1; }
+	@echo "setting up $(VENV) (a few hundred MB of packages, once)"
+	@$(PYTHON) -m venv $(VENV) 2>/dev/null && $(BIN)/python -m pip --version >/dev/null 2>&1 \
+		|| { rm -rf $(VENV); $(PYTHON) -m pip install --quiet --target $(VIRTUALENV) virtualenv \
+			&& PYTHONPATH=$(VIRTUALENV) $(PYTHON) -m virtualenv --quiet $(VENV); }
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $(INSTALLED)
+
+clean:
+	rm -rf $(VENV) .nox .cache .pytest_cache .mypy_cache .ruff_cache build *.egg-info

@@ -1,0 +1,43 @@
+"""Development sessions. They share the one environment that `make setup` makes: run them as `.venv/bin/nox`."""
+
+import importlib.util
+import sys
+
+import nox
+
+nox.needs_version = ">=2025.5"
+nox.options.sessions = ["lint", "typecheck", "repro", "tests"]
+nox.options.default_venv_backend = "none"
+nox.options.error_on_external_run = False
+
+
+def _python(session: nox.Session, *words: str) -> None:
+    """Run a module with this interpreter; a missing environment is said in one line."""
+    if importlib.util.find_spec("wheelleg_exp") is None:
+        session.error("the package is not installed here: run `make setup`, then `.venv/bin/nox`")
+    session.run(sys.executable, "-m", *words)
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """Run the test suite."""
+    _python(session, "pytest", "-m", "not repro", *session.posargs)
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Check style and formatting."""
+    _python(session, "ruff", "check", ".")
+    _python(session, "ruff", "format", "--check", ".")
+
+
+@nox.session
+def typecheck(session: nox.Session) -> None:
+    """Check types."""
+    _python(session, "mypy")
+
+
+@nox.session
+def repro(session: nox.Session) -> None:
+    """Prove that runs repeat to the bit, on small sizes: one named check a line."""
+    _python(session, "pytest", "-m", "repro", "--no-header", "-v", "tests/repro", *session.posargs)

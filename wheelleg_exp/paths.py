@@ -1,0 +1,61 @@
+"""Where the stock configs and assets are, in a checkout and in an installed package alike."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from wheelleg_exp.errors import AssetError
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def _locate(name: str) -> Path:
+    for candidate in (_PACKAGE / name, _PACKAGE.parent / name):
+        if candidate.is_dir():
+            return candidate
+    raise AssetError(f"the package's '{name}' folder is missing", expected=f"{_PACKAGE / name}")
+
+
+def configs_dir() -> Path:
+    """Return the folder of the stock configs."""
+    return _locate("configs")
+
+
+def assets_dir() -> Path:
+    """Return the folder of the stock assets."""
+    return _locate("assets")
+
+
+def cache_dir() -> Path:
+    """Return the folder for files that can be made again (``WHEELLEG_CACHE``, or the user's cache folder)."""
+    root = os.environ.get("WHEELLEG_CACHE")
+    if root:
+        return Path(root)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "wheelleg_exp"
+
+
+def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None) -> Path:
+    """Return the file that a config's relative asset path names.
+
+    Args:
+        name: path as written in the config; a relative one is looked up below each root, then below the
+            stock assets.
+        roots: folders of the user's own assets, searched first.
+        key: config key that holds the path, for the message.
+
+    Raises:
+        AssetError: no such file, with the places that were searched.
+    """
+    path = Path(name)
+    if path.is_absolute():
+        candidates = [path]
+    else:
+        candidates = [root / path for root in (*roots, assets_dir())]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    searched = ", ".join(str(c) for c in candidates)
+    raise AssetError(f"there is no file '{name}'", key=key, expected=f"a robot file at one of: {searched}")
