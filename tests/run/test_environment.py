@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib import metadata
+
+from packaging.requirements import Requirement
+
+from wheelleg_exp.run import environment
+
+CPUINFO = """processor\t: 0
+vendor_id\t: AuthenticAMD
+cpu family\t: 26
+model\t\t: 2
+model name\t: AMD EPYC
+stepping\t: 1
+flags\t\t: fpu sse2 fma avx avx2 avx512_bf16 rdrand
+
+processor\t: 1
+model name\t: another
+"""
+
+
+def test_every_distribution_stands_with_its_version_sorted():
+    lines = environment.distributions()
+    found = {Requirement(line.split("  #")[0]).name: line for line in lines}
+    assert f"mujoco=={metadata.version('mujoco')}" in lines
+    for distribution in metadata.distributions():
+        assert distribution.metadata["Name"] in found
+    names = [name.lower().replace("_", "-").replace(".", "-") for name in found]
+    assert names == sorted(names)
+
+
+def test_local_versions_and_origins_are_kept(tmp_path, monkeypatch):
+    folder = tmp_path / "zz_demo-1.0+cpu.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: zz_demo\nVersion: 1.0+cpu\n")
+    origin = {"url": "https://me:pw@host.org/a.git", "vcs_info": {"vcs": "git", "commit_id": "abc"}}
+    (folder / "direct_url.json").write_text(json.dumps(origin))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "zz_demo==1.0+cpu  # https://host.org/a.git abc" in environment.distributions()
+
+
+def test_the_first_of_two_installations_counts(tmp_path, monkeypatch):
+    folder = tmp_path / "NumPy-0.0.1.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: NumPy\nVersion: 0.0.1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    lines = [line for line in environment.distributions() if line.lower().startswith("numpy==")]
+    assert lines == ["NumPy==0.0.1"]
+
+
+def test_the_text_is_the_same_twice_and_reads_as_requirements():
+    text = environment.environment_text({"torch": 2})
+    assert text == environment.environment_text({"torch": 2})
+    assert "#   torch: 2\n" in text
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            Requirement(line.split("  #")[0])
+
+
+def test_variables_that_change_numbers_are_kept_and_others_are_not():
+    environ = {
+        "MKL_CBWR": "AVX2",
+        "OMP_NUM_THREADS": "1",
+        "ATEN_CPU_CAPABILITY": "avx2",
+        "PYTHONHASHSEED": "0",
+    }
+    other = {"HOME": "/x", "AWS_SECRET_ACCESS_KEY": "k", "WHEELLEG_TOKEN": "t", "MY_OMP_X": "1"}
+    assert environment.variables({**environ, **other}) == dict(sorted(environ.items()))
+
+
+def test_hardware_comes_from_the_system():
+    facts = environment.hardware()
+    assert facts["cores"] == os.cpu_count()
+    assert facts["cpu"]
+    json.dumps(facts)
+
+
+def test_the_cpu_is_read_from_the_first_block():
+    facts = environment.parse_cpuinfo(CPUINFO)
+    assert facts["cpu"] == "AMD EPYC"
+    assert (facts["cpu_family"], facts["cpu_model"], facts["cpu_stepping"]) == ("26", "2", "1")
+    assert facts["cpu_flags"] == ["avx", "avx2", "avx512_bf16", "fma"]
+    assert environment.parse_cpuinfo("") == {}
+
+
+def test_an_absent_distribution_has_no_version(monkeypatch):
+    monkeypatch.setattr(environment, "_DISTRIBUTIONS", ("wheelleg_exp", "no-such-thing"))
+    found = environment.versions()
+    assert found["no-such-thing"] is None
+    assert found["wheelleg_exp"]
+
+
+def test_the_part_loads_neither_torch_nor_mujoco():
+    code = "import sys, wheelleg_exp.run.snapshot, wheelleg_exp.run.listing, wheelleg_exp.run.restore\n"
+    code += "print([m for m in ('torch', 'mujoco', 'numpy', 'hydra') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
+from wheelleg_exp.run import files
+
+
+def test_a_file_and_its_missing_folders_are_written(tmp_path):
+    path = tmp_path / "a" / "b" / "c.txt"
+    files.write_text(path, "größe\n")
+    assert path.read_bytes() == "größe\n".encode()
+
+
+def test_a_file_is_replaced_and_no_temporary_file_stays(tmp_path):
+    path = tmp_path / "c.bin"
+    files.write_bytes(path, b"old")
+    files.write_bytes(path, memoryview(b"new"))
+    assert path.read_bytes() == b"new"
+    assert [p.name for p in tmp_path.iterdir()] == ["c.bin"]
+
+
+def test_a_failed_write_leaves_the_old_file_whole_and_no_temporary_file(tmp_path):
+    path = tmp_path / "model.pt"
+    files.write_bytes(path, b"old")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(
+        resource.RLIMIT_FSIZE, (1_000_000, hard)
+    )  # the kernel refuses larger files, like a full disk
+    try:
+        with pytest.raises(SimulationFailure, match=r"cannot write '.*model\.pt'") as caught:
+            files.write_bytes(path, bytes(2_000_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert caught.value.exit_code == 3
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["model.pt"]
+
+
+def test_the_data_is_on_the_disk_before_the_name_points_to_it(tmp_path, monkeypatch):
+    order = []
+    fsync, replace = os.fsync, Path.replace
+    monkeypatch.setattr(os, "fsync", lambda fd: (order.append("sync"), fsync(fd))[1])
+    monkeypatch.setattr(Path, "replace", lambda a, b: (order.append("replace"), replace(a, b))[1])
+    files.write_bytes(tmp_path / "x", b"1")
+    assert order[:2] == ["sync", "replace"]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_fails_the_run(code):
+    error = files.file_error(Path("x"), OSError(code, "no"))
+    assert isinstance(error, SimulationFailure)
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EROFS, errno.EPERM])
+def test_a_place_without_permission_is_wrong_input(code):
+    error = files.file_error(Path("x"), OSError(code, "no"))
+    assert isinstance(error, RunDirectoryError)
+    assert error.exit_code == 2
+
+
+def test_a_file_where_a_folder_should_be_is_told_to_people(tmp_path):
+    (tmp_path / "runs").write_text("a file")
+    with pytest.raises(RunDirectoryError, match="cannot write"):
+        files.write_text(tmp_path / "runs" / "x" / "y.txt", "")
+
+
+def test_json_takes_numpy_scalars_arrays_and_paths(tmp_path):
+    value = {
+        "a": np.float32(0.5),
+        "b": np.arange(3),
+        "c": Path("x/y"),
+        "d": np.int64(7),
+        "e": (1, 2),
+    }
+    files.write_json(tmp_path / "x.json", value)
+    read = json.loads((tmp_path / "x.json").read_text())
+    assert read == {"a": 0.5, "b": [0, 1, 2], "c": "x/y", "d": 7, "e": [1, 2]}
+
+
+def test_json_has_no_nan_that_other_readers_refuse(tmp_path):
+    files.write_json(tmp_path / "x.json", [float("nan"), float("inf"), -np.float64("inf")])
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    read = json.loads((tmp_path / "x.json").read_text(), parse_constant=refuse)
+    assert read == ["nan", "inf", "-inf"]
+
+
+def test_json_keeps_a_file_name_that_is_no_utf8(tmp_path):
+    name = os.fsdecode(b"\xff.txt")
+    files.write_json(tmp_path / "x.json", [name])
+    assert files.read_json(tmp_path / "x.json") == [name]
+
+
+def test_json_refuses_what_it_cannot_say():
+    with pytest.raises(TypeError, match="object"):
+        files.dump_json({"a": object()})
+
+
+def test_broken_json_is_told_with_its_line(tmp_path):
+    (tmp_path / "x.json").write_text('{\n "a": 1,\n oops\n}')
+    with pytest.raises(RunDirectoryError, match=r"broken JSON.*x\.json:3"):
+        files.read_json(tmp_path / "x.json")
+
+
+def test_broken_yaml_is_told_with_its_line(tmp_path):
+    (tmp_path / "x.yaml").write_text("a: 1\nb: [1, 2\nc: 3\n")
+    with pytest.raises(RunDirectoryError, match=r"broken YAML.*x\.yaml:3"):
+        files.read_yaml(tmp_path / "x.yaml")
+
+
+def test_sha256_is_that_of_the_content(tmp_path):
+    (tmp_path / "x").write_bytes(b"abc")
+    # FIPS 180-2, appendix B.1
+    assert files.sha256(tmp_path / "x") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    (tmp_path / "big").write_bytes(bytes(3_000_000))
+    assert files.sha256(tmp_path / "big") == hashlib.sha256(bytes(3_000_000)).hexdigest()

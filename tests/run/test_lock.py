@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run import lock
+from wheelleg_exp.run.lock import RunLock
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from wheelleg_exp.run.lock import RunLock
+RunLock(Path(sys.argv[1])).acquire()
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """Another process that holds the lock."""
+    process = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+@pytest.fixture(params=["flock", "existence"])
+def kind(request, monkeypatch):
+    if request.param == "existence":
+        monkeypatch.setattr(lock, "fcntl", None)
+    return request.param
+
+
+def test_a_second_process_is_refused_with_the_pid_of_the_first(tmp_path, holder):
+    with (
+        pytest.raises(RunDirectoryError, match=f"is being written by process {holder.pid} "),
+        RunLock(tmp_path),
+    ):
+        pass
+
+
+def test_a_killed_process_leaves_no_lock_behind(tmp_path, holder, kind):
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    with RunLock(tmp_path, timeout_s=1.0):
+        pass
+
+
+def test_one_process_cannot_take_it_twice(tmp_path, kind):
+    with RunLock(tmp_path):
+        with pytest.raises(RunDirectoryError, match=f"process {os.getpid()} "):
+            RunLock(tmp_path).acquire()
+        with pytest.raises(RunDirectoryError, match="being written"):
+            RunLock(tmp_path, timeout_s=0.05).acquire()
+
+
+def test_it_can_be_taken_again_after_release(tmp_path, kind):
+    held = RunLock(tmp_path)
+    for _ in range(2):
+        with held:
+            pass
+    with RunLock(tmp_path):
+        pass
+
+
+def test_two_names_are_two_locks(tmp_path, kind):
+    with RunLock(tmp_path), RunLock(tmp_path, name=".manifest.lock"):
+        pass
+
+
+def test_a_directory_that_is_not_there_is_told_to_people(tmp_path):
+    with pytest.raises(RunDirectoryError, match="cannot write"):
+        RunLock(tmp_path / "missing").acquire()

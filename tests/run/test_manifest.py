@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import threading
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.manifest import Manifest
+
+
+def begin(directory, **keywords):
+    facts = {"task": "walk", "seed": 3, "command": ["wheelleg", "train"], "threads": {"torch": 2}}
+    return Manifest.begin(directory, **{**facts, **keywords})
+
+
+def on_disk(directory):
+    return json.loads((directory / "manifest.json").read_text())
+
+
+def test_a_run_begins_as_running_with_all_that_made_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("MKL_CBWR", "AVX2,STRICT")
+    monkeypatch.setenv("WHEELLEG_API_TOKEN", "hidden")
+    begin(tmp_path)
+    data = on_disk(tmp_path)
+    assert data["format"] == 1
+    assert data["status"] == "running"
+    assert data["command"] == ["wheelleg", "train"]
+    assert data["seeds"] == [3]
+    assert data["threads"] == {"torch": 2}
+    assert data["process"]["pid"] == os.getpid()
+    assert data["environment_variables"]["MKL_CBWR"] == "AVX2,STRICT"
+    assert "hidden" not in json.dumps(data)
+    assert data["versions"]["mujoco"].startswith("4.")
+    assert data["ended"] is None
+    started = datetime.fromisoformat(data["started"])
+    assert started.utcoffset() == timedelta(0)
+    assert abs(datetime.now(UTC) - started) < timedelta(minutes=1)
+
+
+def test_a_second_run_cannot_begin_in_the_same_directory(tmp_path):
+    begin(tmp_path)
+    with pytest.raises(RunDirectoryError, match="holds a run already"):
+        begin(tmp_path)
+
+
+def test_the_end_lists_every_other_file_with_its_digest(tmp_path):
+    (tmp_path / "params").mkdir()
+    (tmp_path / "params" / "env.yaml").write_bytes(b"a: 1\n")
+    manifest = begin(tmp_path)
+    (tmp_path / "model_9.pt").write_bytes(b"weights")
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_bytes(b"")
+    (tmp_path / ".model_19.pt.0123.tmp").write_bytes(b"half")
+    (tmp_path / ".lock").write_bytes(b"{}")
+    manifest.finish("finished", {"reward": 1.5})
+    data = on_disk(tmp_path)
+    assert data["status"] == "finished"
+    assert data["results"] == {"reward": 1.5}
+    assert data["ended"] >= data["started"]
+    assert data["files"] == {
+        ".hydra/config.yaml": {"sha256": hashlib.sha256(b"").hexdigest(), "size": 0},
+        "model_9.pt": {"sha256": hashlib.sha256(b"weights").hexdigest(), "size": 7},
+        "params/env.yaml": {"sha256": hashlib.sha256(b"a: 1\n").hexdigest(), "size": 5},
+    }
+
+
+def test_what_is_there_at_the_beginning_is_listed_at_once(tmp_path):
+    (tmp_path / "environment.txt").write_bytes(b"x")
+    begin(tmp_path)
+    assert list(on_disk(tmp_path)["files"]) == ["environment.txt"]
+
+
+def test_a_failed_run_says_why(tmp_path):
+    begin(tmp_path).finish("failed", error=ValueError("qacc is not finite"))
+    assert on_disk(tmp_path)["error"] == {"type": "ValueError", "message": "qacc is not finite"}
+
+
+def test_a_run_does_not_end_as_running(tmp_path):
+    with pytest.raises(ValueError, match="running"):
+        begin(tmp_path).finish("running")
+
+
+@pytest.mark.parametrize(
+    ("raised", "status"), [(KeyboardInterrupt(), "interrupted"), (OSError("x"), "failed")]
+)
+def test_the_end_is_written_however_the_run_ends(tmp_path, raised, status):
+    manifest = begin(tmp_path)
+
+    def run():
+        with manifest.finishing() as results:
+            results["iterations"] = 4
+            raise raised
+
+    with pytest.raises(type(raised)):
+        run()
+    assert on_disk(tmp_path)["status"] == status
+    assert on_disk(tmp_path)["results"] == {"iterations": 4}
+
+
+def test_a_run_that_ends_well_is_finished(tmp_path):
+    with begin(tmp_path).finishing() as results:
+        results["iterations"] = 4
+    assert on_disk(tmp_path)["status"] == "finished"
+
+
+def test_the_first_error_is_kept_when_the_end_cannot_be_written(tmp_path, monkeypatch):
+    manifest = begin(tmp_path)
+    monkeypatch.setattr(
+        "wheelleg_exp.run.manifest.write_json", lambda *_: (_ for _ in ()).throw(OSError("disk"))
+    )
+    with pytest.raises(ValueError, match="first") as caught, manifest.finishing():
+        raise ValueError("first")
+    assert "disk" in caught.value.__notes__[0]
+
+
+def test_a_later_command_gets_its_own_entry(tmp_path):
+    begin(tmp_path).finish("finished")
+    (tmp_path / "play").mkdir()
+    (tmp_path / "play" / "a.rrd").write_bytes(b"abc")
+    before = on_disk(tmp_path)
+    entry = Manifest.load(tmp_path).add(
+        "play", [tmp_path / "play" / "a.rrd"], {"survival": 1.0}, command=["wheelleg", "play"]
+    )
+    after = on_disk(tmp_path)
+    assert after["additions"] == [entry]
+    assert entry["kind"] == "play"
+    assert entry["command"] == ["wheelleg", "play"]
+    assert entry["files"] == {"play/a.rrd": {"sha256": hashlib.sha256(b"abc").hexdigest(), "size": 3}}
+    assert {k: v for k, v in after.items() if k != "additions"} == {
+        k: v for k, v in before.items() if k != "additions"
+    }
+
+
+def test_a_file_outside_the_run_cannot_be_added(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (tmp_path / "x").write_text("")
+    manifest = begin(run)
+    with pytest.raises(RunDirectoryError, match="outside"):
+        manifest.add("play", [tmp_path / "x"])
+    with pytest.raises(RunDirectoryError, match="cannot read"):
+        manifest.add("play", [run / "missing"])
+    assert on_disk(run)["additions"] == []
+
+
+def test_additions_at_the_same_time_all_arrive(tmp_path):
+    begin(tmp_path)
+    threads = [threading.Thread(target=lambda i=i: Manifest.load(tmp_path).add(f"k{i}")) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(entry["kind"] for entry in on_disk(tmp_path)["additions"]) == [f"k{i}" for i in range(8)]
+
+
+def test_the_end_keeps_what_another_command_added_meanwhile(tmp_path):
+    manifest = begin(tmp_path)
+    Manifest.load(tmp_path).add("play")
+    manifest.finish("finished")
+    assert [entry["kind"] for entry in on_disk(tmp_path)["additions"]] == ["play"]
+
+
+def test_a_changed_a_missing_and_an_unlisted_file_are_found(tmp_path):
+    for name in ("a", "b", "c"):
+        (tmp_path / name).write_text(name)
+    manifest = begin(tmp_path)
+    manifest.finish("finished")
+    assert not manifest.compare_files()
+    (tmp_path / "a").write_text("A")
+    (tmp_path / "b").unlink()
+    (tmp_path / "d").write_text("d")
+    found = Manifest.load(tmp_path).compare_files()
+    assert (found.changed, found.missing, found.unlisted) == (["a"], ["b"], ["d"])
+
+
+def test_a_file_made_again_is_held_against_its_newest_record(tmp_path):
+    manifest = begin(tmp_path)
+    manifest.finish("finished")
+    for content in ("one", "two"):
+        (tmp_path / "policy.onnx").write_text(content)
+        manifest.add("export", [tmp_path / "policy.onnx"])
+    assert not manifest.compare_files()
+    manifest.restart(command=["wheelleg", "resume"], threads={})
+    (tmp_path / "policy.onnx").write_text("three")
+    manifest.finish("finished")
+    assert not manifest.compare_files()
+
+
+def test_a_resume_keeps_what_the_run_was_before(tmp_path):
+    (tmp_path / "params").mkdir()
+    (tmp_path / "params" / "env.yaml").write_text("a: 1\n")
+    manifest = begin(tmp_path)
+    (tmp_path / "iterations.jsonl").write_text("{}\n")
+    manifest.finish("interrupted", {"iterations": 5})
+    first = on_disk(tmp_path)
+    manifest.restart(command=["wheelleg", "resume", "x"], threads={"torch": 1}, from_iteration=4)
+    data = on_disk(tmp_path)
+    assert data["status"] == "running"
+    assert data["ended"] is None
+    assert data["started"] == first["started"]
+    assert list(data["files"]) == ["params/env.yaml"]  # the other one grows again
+    (resume,) = data["resumes"]
+    assert resume["from_iteration"] == 4
+    assert resume["command"] == ["wheelleg", "resume", "x"]
+    assert resume["before"]["status"] == "interrupted"
+    assert resume["before"]["files"] == first["files"]
+    assert resume["before"]["threads"] == {"torch": 2}

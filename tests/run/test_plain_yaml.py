@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import enum
+import math
+import random
+import struct
+
+import numpy as np
+import pytest
+import yaml
+from omegaconf import OmegaConf
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.plain_yaml import dump_yaml
+
+FLOATS = [1e-5, 0.008333333333333333, 1e16, 1e22, -2.5e-300, 5e-324, 0.1 + 0.2, 1e20, -0.0, 1.0]
+FLOATS += [math.inf, -math.inf]
+TEXTS = ["1e-5", "1e5", "1.0", "yes", "no", "null", "~", "", " x ", "a: b", "# c", "1:30", "0x1f", "0o17"]
+TEXTS += ["1_000", "2026-01-31", ".*_wheel", "[a]", "{b}", "*", "&a", "!t", "%", "@", "`", "a\nb\n", "\ttab"]
+TEXTS += ["ünï", "\x85", "a\u2028b", "a\rb", "a\r\n", "\ufeff", "-", "inf", ".inf", "nan", ".nan", "on", "="]
+TEXTS += ["<<", "'", '"', "x" * 300, "true", "+1.", ".5", "1.e3", "word " * 60, "\x00\x07", "😀"]
+
+
+@pytest.mark.parametrize("value", FLOATS)
+def test_a_float_survives_to_the_last_bit(value):
+    read = yaml.safe_load(dump_yaml({"x": value}))["x"]
+    assert type(read) is float
+    assert struct.pack("d", read) == struct.pack("d", value)
+
+
+def test_random_floats_survive_to_the_last_bit():
+    draw = random.Random(0)
+    values = [struct.unpack("d", draw.randbytes(8))[0] for _ in range(2000)]
+    values = [v for v in values if not math.isnan(v)]
+    assert yaml.safe_load(dump_yaml(values)) == values
+
+
+def test_nan_survives():
+    assert math.isnan(yaml.safe_load(dump_yaml([float("nan")]))[0])
+
+
+@pytest.mark.parametrize("value", [None, True, False, 0, -7, 10**20, [], {}, [[], {}], [None, [True]]])
+def test_other_plain_values_survive_with_their_types(value):
+    read = yaml.safe_load(dump_yaml({"x": value}))["x"]
+    assert read == value
+    assert type(read) is type(value)
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_text_stays_text(text):
+    assert yaml.safe_load(dump_yaml({"x": text, text: 1})) == {"x": text, text: 1}
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_text_stays_text_for_omegaconf_too(text):
+    assert OmegaConf.to_container(OmegaConf.create(dump_yaml({"x": text}))) == {"x": text}
+
+
+def test_the_order_of_keys_is_kept():
+    value = {"z": 1, "a": {"y": 1, "b": 2}, "m": 3}
+    read = yaml.safe_load(dump_yaml(value))
+    assert list(read) == ["z", "a", "m"]
+    assert list(read["a"]) == ["y", "b"]
+
+
+def test_a_value_used_twice_is_written_twice():
+    shared = {"k": [1, 2]}
+    text = dump_yaml({"a": shared, "b": shared})
+    assert "&" not in text
+    assert "*" not in text
+
+
+class Colour(enum.StrEnum):
+    RED = "red"
+
+
+@pytest.mark.parametrize(
+    "value", [np.float64(1.0), np.arange(2), (1, 2), {1}, object(), Colour.RED, OmegaConf.create({"a": 1})]
+)
+def test_what_is_not_plain_is_refused_with_its_key(value):
+    with pytest.raises(RunDirectoryError, match=r"env\.x\[1\]: .* cannot be kept as plain YAML"):
+        dump_yaml({"env": {"x": [0, value]}})
+
+
+@pytest.mark.parametrize("key", [True, None, 1.5, (1,)])
+def test_a_key_that_is_not_plain_is_refused(key):
+    with pytest.raises(RunDirectoryError, match=r"env: the key .* is neither text nor an integer"):
+        dump_yaml({"env": {key: 1}})

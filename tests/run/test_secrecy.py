@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import pytest
+
+from wheelleg_exp.run.secrecy import secret_content, secret_name, without_credentials
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        ".env",
+        "a/.env.local",
+        "id_rsa",
+        "keys/id_ed25519",
+        "server.PEM",
+        "x.key",
+        "hf_token",
+        "api_token.txt",
+        "secrets.yaml",
+        "credentials.json",
+        ".netrc",
+        ".git-credentials",
+        "passwords.csv",
+        "prod.env",
+    ],
+)
+def test_names_of_keys_and_tokens_are_known(path):
+    assert secret_name(path)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["tokenizer.py", "token/readme.md", ".env.example", "id_rsa.pub", "code.py", "keys.md", "env.yaml"],
+)
+def test_names_of_program_text_are_not_taken_for_keys(path):
+    assert secret_name(path) is None
+
+
+@pytest.mark.parametrize("kind", ["", "RSA ", "OPENSSH ", "EC ", "ENCRYPTED "])
+def test_a_private_key_is_known_by_its_header(kind):
+    assert secret_content(b"x\n" + f"-----BEGIN {kind}PRIVATE".encode() + b" KEY-----\nMII")
+
+
+def test_an_access_token_is_known_by_its_form():
+    assert secret_content(b"url = https://gh" + b"p_" + b"a1" * 18 + b"@host")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"-----BEGIN PUBLIC KEY-----", b"a PRIVATE KEY here", bytes(range(256))]
+)
+def test_other_content_is_not_taken_for_a_key(content):
+    assert secret_content(content) is None
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("https://user:token@host.org/a/b.git", "https://host.org/a/b.git"),
+        ("https://token@host.org:8443/a.git?access_token=1#x", "https://host.org:8443/a.git"),
+        ("ssh://git:pw@host.org:22/a.git", "ssh://git@host.org:22/a.git"),
+        ("git@host.org:a/b.git", "git@host.org:a/b.git"),
+        ("/srv/git/a.git", "/srv/git/a.git"),
+        ("file:///srv/git/a.git", "file:///srv/git/a.git"),
+    ],
+)
+def test_an_address_is_kept_without_its_credentials(url, shown):
+    assert without_credentials(url) == shown

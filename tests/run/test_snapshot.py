@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+import yaml
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.params import load_params, write_params
+from wheelleg_exp.run.snapshot import begin
+
+PARAMS = {
+    "env": {
+        "decimation": 4,
+        "sim": {"dt": 0.008333333333333333},
+        "rewards": {"b": {"weight": -5e-5}, "a": None},
+    },
+    "agent": {"lr": 1e-5, "clip": float("inf"), "flag": True, "name": "1e5"},
+}
+
+
+@pytest.fixture
+def run(tmp_path, repository, git):
+    """A run below the repository itself, as users have it."""
+    directory = RunDirectory.create(repository / "runs", "walk", 7)
+    (repository / "package" / "new.py").write_text("y = 2\n")
+    manifest = begin(
+        directory,
+        command=["wheelleg", "train", "task=walk"],
+        params=PARAMS,
+        hydra_files={"config": "a: 1\n", "overrides.yaml": "- task=walk\n"},
+        source_roots=[repository / "package"],
+        seed=7,
+        task="walk",
+        threads={"torch": 2},
+    )
+    return directory, manifest
+
+
+def test_everything_stands_before_the_first_step(run):
+    directory, _ = run
+    files = {p.relative_to(directory.path).as_posix() for p in directory.path.rglob("*") if p.is_file()}
+    assert files == {
+        "manifest.json",
+        ".manifest.lock",
+        "params/env.yaml",
+        "params/agent.yaml",
+        ".hydra/config.yaml",
+        ".hydra/overrides.yaml",
+        "source/git.json",
+        "source/source.patch",
+        "environment.txt",
+    }
+    assert (directory.hydra / "overrides.yaml").read_text() == "- task=walk\n"
+
+
+def test_the_manifest_lists_the_snapshot_and_says_running(run):
+    directory, manifest = run
+    data = json.loads((directory.path / "manifest.json").read_text())
+    assert data == manifest.data
+    assert data["status"] == "running"
+    assert len(data["files"]) == 7
+    assert data["source"]["dirty"] is True
+    assert data["source"]["tree"]
+    assert not manifest.compare_files()
+
+
+def test_the_source_holds_the_change_and_not_the_run_itself(run):
+    directory, _ = run
+    record = json.loads((directory.source / "git.json").read_text())
+    assert record["untracked"] == ["package/new.py"]
+    assert record["folders"] == ["package"]
+
+
+def test_the_parameters_read_back_equal_in_their_order(run):
+    directory, _ = run
+    env, agent = load_params(directory)
+    assert env == PARAMS["env"]
+    assert list(env["rewards"]) == ["b", "a"]
+    assert agent == PARAMS["agent"]
+    assert yaml.safe_load((directory.params / "agent.yaml").read_text()) == PARAMS["agent"]
+
+
+def test_parameters_that_are_not_plain_write_nothing(tmp_path):
+    with pytest.raises(RunDirectoryError, match="tuple cannot be kept"):
+        write_params(tmp_path, {"env": {"a": 1}, "agent": {"b": (1, 2)}})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_part_is_an_error(tmp_path):
+    with pytest.raises(RunDirectoryError, match="env and agent"):
+        write_params(tmp_path, {"env": {}})
+
+
+def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
+    with pytest.raises(RunDirectoryError, match=r"there is no '.*params/env\.yaml'"):
+        load_params(tmp_path)
+    write_params(tmp_path, PARAMS)
+    (tmp_path / "params" / "agent.yaml").write_text("a: 1\nb: ]\n")
+    with pytest.raises(RunDirectoryError, match=r"agent\.yaml:2"):
+        load_params(tmp_path)
+    (tmp_path / "params" / "agent.yaml").write_text("- 1\n")
+    with pytest.raises(RunDirectoryError, match="a list, not parameters"):
+        load_params(tmp_path)
+
+
+def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):
+    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
+    params = {"env": {"a": (1, 2)}, "agent": {}}
+    with pytest.raises(RunDirectoryError, match="tuple cannot be kept"):
+        begin(
+            directory,
+            command=[],
+            params=params,
+            hydra_files={},
+            source_roots=[],
+            seed=7,
+            task="walk",
+            threads={},
+        )
+    assert directory.manifest().status == "failed"
+    assert "tuple cannot be kept" in directory.manifest().data["error"]["message"]
+
+
+def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypatch):
+    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
+    seen = []
+
+    def look(*arguments, **keywords):
+        seen.append(directory.manifest().status)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("wheelleg_exp.run.snapshot.snapshot_source", look)
+    with pytest.raises(KeyboardInterrupt):
+        begin(
+            directory,
+            command=[],
+            params=PARAMS,
+            hydra_files={},
+            source_roots=[],
+            seed=7,
+            task="walk",
+            threads={},
+        )
+    assert seen == ["running"]
+    assert directory.manifest().status == "interrupted"
+
+
+def test_a_hydra_file_cannot_leave_its_folder(tmp_path, repository, git):
+    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
+    with pytest.raises(RunDirectoryError, match="no file name"):
+        begin(
+            directory,
+            command=[],
+            params=PARAMS,
+            hydra_files={"../config": ""},
+            source_roots=[],
+            seed=7,
+            task="walk",
+            threads={},
+        )

@@ -1,0 +1,189 @@
+"""What the numbers depend on besides the source: distributions, hardware, and environment variables.
+
+Nothing here imports torch or MuJoCo: versions come from the installed metadata.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import wheelleg_exp
+from wheelleg_exp.run.secrecy import without_credentials
+
+# The distributions whose version can change a number or a file of a run.
+_DISTRIBUTIONS = (
+    "wheelleg_exp",
+    "mujoco",
+    "torch",
+    "rsl-rl-lib",
+    "numpy",
+    "tensordict",
+    "gymnasium",
+    "hydra-core",
+    "omegaconf",
+    "usd-core",
+    "rerun-sdk",
+    "tensorboard",
+    "onnx",
+)
+
+# The variables that change floating-point results, threads or devices.
+_VARIABLES = re.compile(
+    r"(MKL|OMP|GOMP|KMP|OPENBLAS|BLIS|VECLIB|NUMEXPR|ATEN|ONEDNN|DNNL|TORCH|PYTORCH|CUDA|CUBLAS|MUJOCO|WHEELLEG)_\w+"
+    r"|PYTHONHASHSEED|LD_PRELOAD|CUDA_VISIBLE_DEVICES"
+)
+_PRIVATE = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY", re.IGNORECASE)
+
+_CPU_FLAGS = re.compile(r"(avx|fma|amx|f16c|sse4|bf16|asimd|sve)\w*")
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions of Python and of the distributions that matter, None for one that is absent."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    found["wheelleg_exp"] = found["wheelleg_exp"] or wheelleg_exp.__version__
+    return found
+
+
+def hardware() -> dict[str, Any]:
+    """Return the CPU's model, its vector instructions, cores and memory, and the platform.
+
+    ``cores_usable`` are those that this process may run on. ``torch_cpu_capability`` is there only when
+    torch has been imported already.
+    """
+    facts: dict[str, Any] = {
+        "cpu": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "cores_usable": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_gib": _memory_gib(),
+        "machine": platform.machine(),
+        "platform": platform.platform(),
+        "python_implementation": platform.python_implementation(),
+    }
+    facts.update(_cpu_facts())
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        facts["torch_cpu_capability"] = torch.backends.cpu.get_cpu_capability()
+    return facts
+
+
+def variables(environ: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the environment variables that change numbers, sorted; those that hold secrets are left out."""
+    environ = os.environ if environ is None else environ
+    return {k: environ[k] for k in sorted(environ) if _VARIABLES.fullmatch(k) and not _PRIVATE.search(k)}
+
+
+def distributions() -> list[str]:
+    """Return ``name==version`` of every installed distribution, sorted, local versions kept.
+
+    One that was not installed from an index carries a comment that says from where.
+    """
+    found: dict[str, str] = {}
+    for distribution in metadata.distributions():
+        name = distribution.metadata["Name"]
+        if not name:
+            continue  # remains of a broken installation: a folder without metadata
+        key = re.sub(r"[-_.]+", "-", name).lower()
+        # The first on the path is the one that is imported.
+        found.setdefault(key, f"{name}=={distribution.version}{_origin(distribution)}")
+    return [found[key] for key in sorted(found)]
+
+
+def environment_text(threads: Mapping[str, Any]) -> str:
+    """Return the text of ``environment.txt``: the machine's facts as comments, then the distributions.
+
+    pip reads it as a requirements file. Equal environments give equal texts.
+
+    Args:
+        threads: the thread policy of the run.
+    """
+    sections: dict[str, Mapping[str, Any]] = {
+        "python": {"version": sys.version.replace("\n", " ")},
+        "hardware": {k: v for k, v in hardware().items() if k != "torch_cpu_capability"},
+        "threads": threads,
+        "environment variables": variables(),
+    }
+    lines: list[str] = []
+    for title, facts in sections.items():
+        lines.append(f"# {title}")
+        lines += [f"#   {key}: {_one_line(value)}" for key, value in facts.items()] or ["#   none"]
+    return "\n".join([*lines, *distributions()]) + "\n"
+
+
+def _one_line(value: Any) -> str:
+    text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+    return " ".join(text.splitlines())
+
+
+def _origin(distribution: metadata.Distribution) -> str:
+    """Return a comment for a distribution that came from a folder, an archive or a repository (PEP 610)."""
+    text = distribution.read_text("direct_url.json")
+    if not text:
+        return ""
+    try:
+        origin = json.loads(text)
+        url = without_credentials(str(origin["url"]))
+        commit = origin.get("vcs_info", {}).get("commit_id")
+        editable = origin.get("dir_info", {}).get("editable", False)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return ""
+    parts = ["editable"] if editable else []
+    return "  # " + " ".join([*parts, url, *([commit] if commit else [])])
+
+
+def _cpu_facts() -> dict[str, Any]:
+    if sys.platform == "darwin":
+        name = _output("sysctl", "-n", "machdep.cpu.brand_string")
+        return {"cpu": name} if name else {}
+    return parse_cpuinfo(_read("/proc/cpuinfo"))
+
+
+def parse_cpuinfo(text: str) -> dict[str, Any]:
+    """Return model, family, stepping and vector instructions of the first CPU in ``/proc/cpuinfo``."""
+    block: dict[str, str] = {}
+    for line in text.strip().split("\n\n")[0].splitlines():
+        key, _, value = line.partition(":")
+        block[key.strip()] = value.strip()
+    facts: dict[str, Any] = {}
+    names = {
+        "model name": "cpu",
+        "cpu family": "cpu_family",
+        "model": "cpu_model",
+        "stepping": "cpu_stepping",
+    }
+    facts.update({new: block[old] for old, new in names.items() if block.get(old)})
+    flags = block.get("flags") or block.get("Features") or ""
+    chosen = sorted({flag for flag in flags.split() if _CPU_FLAGS.fullmatch(flag) or "bf16" in flag})
+    return {**facts, "cpu_flags": chosen} if chosen else facts
+
+
+def _memory_gib() -> float | None:
+    match = re.search(r"^MemTotal:\s+(\d+) kB", _read("/proc/meminfo"), re.MULTILINE)
+    return round(int(match.group(1)) / 2**20, 1) if match else None
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def _output(*command: str) -> str:
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=False).stdout.strip()
+    except (OSError, subprocess.TimeoutExpired):
+        return ""

@@ -1,0 +1,160 @@
+"""Asking git about a repository without changing it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_TIMEOUT_S = 300
+
+# Variables that would send a command to another repository or index (set inside a git hook, for one).
+_MISLEADING = (
+    "GIT_DIR",
+    "GIT_WORK_TREE",
+    "GIT_INDEX_FILE",
+    "GIT_COMMON_DIR",
+    "GIT_OBJECT_DIRECTORY",
+    "GIT_ALTERNATE_OBJECT_DIRECTORIES",
+    "GIT_PREFIX",
+    "GIT_NAMESPACE",
+    "GIT_EXTERNAL_DIFF",
+    "GIT_DIFF_OPTS",
+    "GIT_LITERAL_PATHSPECS",
+    "GIT_GLOB_PATHSPECS",
+    "GIT_NOGLOB_PATHSPECS",
+    "GIT_ICASE_PATHSPECS",
+)
+
+# Settings under which a command would write into the repository, or run a program of the user's.
+_SETTINGS = {
+    "core.fsmonitor": "false",
+    "core.splitIndex": "false",
+    "core.untrackedCache": "false",
+    "core.hooksPath": os.devnull,
+    "core.safecrlf": "false",
+    "gc.auto": "0",
+}
+
+
+class GitError(Exception):
+    """git is missing, or said no; the text is git's own."""
+
+
+@dataclass(frozen=True)
+class Repository:
+    """A working tree, and the environment in which git is asked about it.
+
+    Args:
+        top: the working tree's top folder.
+        environ: variables beside the process's own, such as another index.
+    """
+
+    top: Path
+    environ: dict[str, str] = field(default_factory=dict)
+
+    def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
+        """Run one git command in the working tree and return what it prints.
+
+        Raises:
+            GitError: git is missing, fails, or takes too long.
+        """
+        return run_git(self.top, *arguments, stdin=stdin, environ=self.environ)
+
+    def text(self, *arguments: str) -> str:
+        """Run one git command and return its output as text without the last newline."""
+        return os.fsdecode(self.run(*arguments)).removesuffix("\n")
+
+    def maybe(self, *arguments: str) -> str | None:
+        """Run one git command whose failure means that there is no answer."""
+        try:
+            return self.text(*arguments) or None
+        except GitError:
+            return None
+
+    def paths(self, *arguments: str) -> list[str]:
+        """Run one git command that prints paths ended by NUL, and return them (odd names are kept)."""
+        return split_nul(self.run(*arguments))
+
+    def blobs(self, ids: Iterable[str]) -> dict[str, bytes]:
+        """Return the contents of blobs by id, asked in one command."""
+        wanted = list(dict.fromkeys(ids))
+        output = self.run("cat-file", "--batch", stdin="".join(f"{i}\n" for i in wanted).encode())
+        found: dict[str, bytes] = {}
+        at = 0
+        for blob in wanted:
+            # "<id> blob <size>\n<content>\n" each; "<id> missing\n" has no size (git-cat-file(1)).
+            head, at = output[at : output.index(b"\n", at)], output.index(b"\n", at) + 1
+            if head.endswith(b" missing"):
+                raise GitError(f"object {blob} is missing")
+            size = int(head.rsplit(b" ", 1)[1])
+            found[blob] = output[at : at + size]
+            at += size + 1
+        return found
+
+
+def run_git(folder: Path, *arguments: str, stdin: bytes = b"", environ: dict[str, str] | None = None) -> bytes:
+    """Run git in ``folder`` (see ``Repository.run``)."""
+    settings = [word for key, value in _SETTINGS.items() for word in ("-c", f"{key}={value}")]
+    kept = {k: v for k, v in os.environ.items() if k not in _MISLEADING}
+    kept.update({"LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"})
+    kept.update(environ or {})
+    try:
+        done = subprocess.run(
+            ["git", *settings, *arguments],
+            cwd=folder,
+            input=stdin,
+            capture_output=True,
+            env=kept,
+            timeout=_TIMEOUT_S,
+            check=False,
+        )
+    except FileNotFoundError:
+        raise GitError("git is not installed" if folder.is_dir() else f"there is no folder '{folder}'") from None
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise GitError(f"git did not answer: {error}") from error
+    if done.returncode != 0:
+        raise GitError(_complaint(done.stderr) or f"git {arguments[0]} ended with {done.returncode}")
+    return done.stdout
+
+
+def split_nul(output: bytes) -> list[str]:
+    """Return the NUL-ended names in git's output; bytes that are no UTF-8 survive as surrogates."""
+    return [os.fsdecode(part) for part in output.split(b"\0") if part]
+
+
+def join_nul(names: Iterable[str]) -> bytes:
+    """Return names as git's NUL-ended input."""
+    return b"".join(os.fsencode(name) + b"\0" for name in names)
+
+
+@contextmanager
+def scratch_index(repository: Repository) -> Iterator[Repository]:
+    """Yield the same working tree with a copy of its index and an object store of its own.
+
+    Whatever is added there, the user's index and the contents of the object store stay as they are. Both
+    copies are gone afterwards.
+    """
+    index = repository.top / repository.text("rev-parse", "--git-path", "index")
+    objects = repository.top / repository.text("rev-parse", "--git-path", "objects")
+    with tempfile.TemporaryDirectory(prefix="wheelleg-git-") as folder:
+        scratch = Path(folder)
+        (scratch / "objects" / "info").mkdir(parents=True)
+        alternates = os.fsencode(objects.resolve()) + b"\n"
+        (scratch / "objects" / "info" / "alternates").write_bytes(alternates)
+        if index.is_file():
+            # With its times: git takes an entry for unchanged by comparing them with the index's own.
+            shutil.copy2(index, scratch / "index")
+        environ = {"GIT_INDEX_FILE": str(scratch / "index"), "GIT_OBJECT_DIRECTORY": str(scratch / "objects")}
+        yield Repository(repository.top, {**repository.environ, **environ})
+
+
+def _complaint(stderr: bytes) -> str:
+    lines = stderr.decode("utf-8", "replace").strip().splitlines()
+    fatal = [line for line in lines if line.startswith(("fatal:", "error:"))]
+    return (fatal or lines or [""])[0].removeprefix("fatal: ").removeprefix("error: ")

@@ -1,0 +1,99 @@
+"""The files of a run directory: size and sha256 of each, and how they differ from what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TypedDict
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.files import TEMPORARY_SUFFIX, for_people, sha256
+from wheelleg_exp.run.lock import MANIFEST_LOCK, RUN_LOCK
+
+MANIFEST_NAME = "manifest.json"
+_OWN_FILES = {MANIFEST_NAME, RUN_LOCK, MANIFEST_LOCK}
+
+
+class FileRecord(TypedDict):
+    """What the manifest says of a file: content digest and size in bytes."""
+
+    sha256: str
+    size: int
+
+
+@dataclass
+class FileFindings:
+    """How a run's files differ from what its manifest recorded, as sorted relative paths."""
+
+    missing: list[str] = field(default_factory=list)
+    changed: list[str] = field(default_factory=list)
+    unlisted: list[str] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        """Return whether anything differs."""
+        return bool(self.missing or self.changed or self.unlisted)
+
+
+def inventory(directory: Path) -> dict[str, FileRecord]:
+    """Return the record of every file at or below ``directory``, by relative path with forward slashes.
+
+    The manifest itself, lock files and unfinished temporary files are left out.
+    """
+    return record_files(directory, _files(directory))
+
+
+def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord]:
+    """Return the records of ``paths``, sorted by relative path.
+
+    Raises:
+        RunDirectoryError: a path is no file, or is not below ``directory``.
+    """
+    names = {relative_name(directory, path) for path in paths}
+    return {name: _record(directory / name) for name in sorted(names)}
+
+
+def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFindings:
+    """Hold the files of ``directory`` against their records."""
+    present = inventory(directory)
+    return FileFindings(
+        missing=sorted(set(recorded) - set(present)),
+        changed=sorted(name for name, entry in recorded.items() if name in present and present[name] != entry),
+        unlisted=sorted(set(present) - set(recorded)),
+    )
+
+
+def relative_name(directory: Path, path: Path) -> str:
+    """Return ``path`` relative to ``directory``, with forward slashes.
+
+    A relative path counts from the working directory when that leads below ``directory``, else from
+    ``directory`` itself.
+
+    Raises:
+        RunDirectoryError: the path lies outside.
+    """
+    base = directory.resolve()
+    for full in (path.resolve(), (base / path).resolve()):
+        if full.is_relative_to(base):
+            return full.relative_to(base).as_posix()
+    raise RunDirectoryError(f"'{path}' lies outside the run directory", expected=f"a path below '{directory}'")
+
+
+def is_inside(name: str) -> bool:
+    """Return whether a recorded relative name stays below its directory."""
+    path = PurePosixPath(name)
+    return bool(name) and not path.is_absolute() and ".." not in path.parts and "\\" not in name
+
+
+def _record(path: Path) -> FileRecord:
+    digest = sha256(path)
+    with for_people(path, "read"):
+        return {"sha256": digest, "size": path.stat().st_size}
+
+
+def _files(directory: Path) -> Iterator[Path]:
+    for path in directory.rglob("*"):
+        own = path.parent == directory and path.name in _OWN_FILES
+        unfinished = path.name.startswith(".") and path.name.endswith(TEMPORARY_SUFFIX)
+        if path.is_file() and not path.is_symlink() and not own and not unfinished:
+            yield path

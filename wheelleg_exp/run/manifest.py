@@ -1,0 +1,295 @@
+"""``manifest.json``: what a run is, how it went, and the digest of every file that it left."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run import environment
+from wheelleg_exp.run.files import read_json, write_json
+from wheelleg_exp.run.inventory import (
+    MANIFEST_NAME,
+    FileFindings,
+    FileRecord,
+    compare_files,
+    inventory,
+    record_files,
+)
+from wheelleg_exp.run.lock import MANIFEST_LOCK, RunLock
+from wheelleg_exp.run.manifest_format import FORMAT, STATUSES, require_manifest
+from wheelleg_exp.run.process import this_process
+from wheelleg_exp.run.timestamps import parse_utc, utc_now, utc_text
+
+Ended = Literal["finished", "interrupted", "failed"]
+
+# What is written before the first step and never again; everything else may grow while the run goes on.
+_FIXED = (".hydra/", "params/", "source/", "asset/", "environment.txt")
+
+# What a resume replaces, and keeps beside.
+_OF_ONE_PROCESS = (
+    "status",
+    "error",
+    "ended",
+    "process",
+    "versions",
+    "hardware",
+    "threads",
+    "environment_variables",
+    "files",
+)
+
+_LOCK_TIMEOUT_S = 20.0
+
+
+@dataclass
+class Manifest:
+    """The manifest of one run directory. Every change reads, changes and replaces the file under a lock.
+
+    Args:
+        path: the manifest file.
+        data: its content as last read or written.
+    """
+
+    path: Path
+    data: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def begin(
+        cls,
+        directory: Path,
+        *,
+        task: str,
+        seed: int | Sequence[int],
+        command: Sequence[str],
+        threads: Mapping[str, Any],
+        now: datetime | None = None,
+    ) -> Manifest:
+        """Write the first manifest of a run, with status ``running`` and the files that are there by now.
+
+        Raises:
+            RunDirectoryError: the directory has a manifest already.
+        """
+        path = directory / MANIFEST_NAME
+        if path.exists():
+            raise RunDirectoryError(f"'{directory}' holds a run already", expected="a new run directory")
+        manifest = cls(path)
+        manifest.data = {
+            "format": FORMAT,
+            "id": directory.name,
+            "task": task,
+            "status": "running",
+            "error": None,
+            "command": list(command),
+            "working_directory": str(Path.cwd()),
+            "started": utc_text(now or utc_now()),
+            "ended": None,
+            "seeds": [seed] if isinstance(seed, int) else list(seed),
+            "process": this_process(),
+            "versions": environment.versions(),
+            "hardware": environment.hardware(),
+            "threads": dict(threads),
+            "environment_variables": environment.variables(),
+            "source": {},
+            "results": {},
+            "resumes": [],
+            "additions": [],
+            "files": inventory(directory),
+        }
+        write_json(path, manifest.data)
+        return manifest
+
+    @classmethod
+    def load(cls, directory: os.PathLike[str]) -> Manifest:
+        """Read the manifest of a run directory.
+
+        Raises:
+            RunDirectoryError: there is none, it is broken, or its format is not known here.
+        """
+        path = Path(directory) / MANIFEST_NAME
+        if not path.is_file():
+            raise RunDirectoryError(f"'{path.parent}' is not a run directory: it has no {MANIFEST_NAME}")
+        data = read_json(path)
+        require_manifest(data, path)
+        return cls(path, data)
+
+    @property
+    def directory(self) -> Path:
+        """The run directory."""
+        return self.path.parent
+
+    @property
+    def status(self) -> str:
+        """One of ``STATUSES``, as recorded; a run that was killed still says ``running`` here."""
+        return str(self.data["status"])
+
+    @property
+    def started(self) -> datetime:
+        """When the run started."""
+        return parse_utc(self.data["started"])
+
+    @property
+    def results(self) -> dict[str, Any]:
+        """The run's results."""
+        return self.data["results"]
+
+    def snapshot_taken(self, source: Mapping[str, Any]) -> None:
+        """Record that all that decides the run is written: the source, and the files there are now."""
+
+        def change(data: dict[str, Any]) -> None:
+            data["source"] = dict(source)
+            data["files"] = inventory(self.directory)
+
+        self._update(change)
+
+    def finish(
+        self,
+        status: Ended,
+        results: Mapping[str, Any] | None = None,
+        error: BaseException | str | None = None,
+        *,
+        now: datetime | None = None,
+    ) -> None:
+        """Write how the run ended, and the digests of all its files. Close the growing ones before.
+
+        Args:
+            status: ``finished``, ``interrupted`` or ``failed``.
+            results: added to the results there are.
+            error: why the run failed.
+            now: the time of the end, by default the present.
+
+        Raises:
+            ValueError: the status is not one of the three.
+        """
+        if status not in STATUSES[1:]:
+            raise ValueError(f"a run does not end as '{status}'")
+
+        def change(data: dict[str, Any]) -> None:
+            data["status"] = status
+            data["error"] = _describe(error)
+            data["ended"] = utc_text(now or utc_now())
+            data["results"] = {**data["results"], **(results or {})}
+            data["files"] = inventory(self.directory)
+
+        self._update(change)
+
+    def restart(
+        self, *, command: Sequence[str], threads: Mapping[str, Any], now: datetime | None = None, **facts: Any
+    ) -> None:
+        """Write that the run goes on: status ``running``, in this process, with this machine's facts.
+
+        What the run was before stands in ``resumes``: status, error, end, process, versions, hardware,
+        threads and digests.
+
+        Args:
+            command: the command line that resumes it.
+            threads: the thread policy of this process.
+            now: the time of the resume, by default the present.
+            facts: what else the resume knows, such as the iteration that it starts from.
+        """
+
+        def change(data: dict[str, Any]) -> None:
+            before = {key: data.get(key) for key in _OF_ONE_PROCESS}
+            entry = {"when": utc_text(now or utc_now()), "command": list(command), **facts, "before": before}
+            data["resumes"].append(entry)
+            data.update(status="running", error=None, ended=None, process=this_process(), threads=dict(threads))
+            data.update(versions=environment.versions(), hardware=environment.hardware())
+            data["environment_variables"] = environment.variables()
+            data["files"] = {k: v for k, v in data["files"].items() if k.startswith(_FIXED)}
+
+        self._update(change)
+
+    def add(
+        self,
+        kind: str,
+        files: Iterable[Path] = (),
+        results: Mapping[str, Any] | None = None,
+        *,
+        command: Sequence[str] | None = None,
+        now: datetime | None = None,
+    ) -> dict[str, Any]:
+        """Record what a later command adds to the run, and return the entry.
+
+        Args:
+            kind: what it is, such as ``play``, ``evaluation`` or ``export``.
+            files: the files that it wrote, below the run directory.
+            results: what it found.
+            command: its command line, by default this process's.
+            now: the time of the addition, by default the present.
+
+        Raises:
+            RunDirectoryError: a file is missing or lies outside the run directory.
+        """
+        entry: dict[str, Any] = {
+            "kind": kind,
+            "when": utc_text(now or utc_now()),
+            "command": list(sys.argv if command is None else command),
+            "files": record_files(self.directory, files),
+            "results": dict(results or {}),
+        }
+        self._update(lambda data: data["additions"].append(entry))
+        return self.data["additions"][-1]
+
+    def recorded_files(self) -> dict[str, FileRecord]:
+        """Return the newest record of every file, those of additions included."""
+        additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
+        ended = parse_utc(self.data["ended"]) if self.data["ended"] else self.started
+        records: dict[str, FileRecord] = {}
+        for entry in additions:
+            if parse_utc(entry["when"]) <= ended:
+                records.update(entry["files"])
+        records.update(self.data["files"])
+        for entry in additions:
+            if parse_utc(entry["when"]) > ended:
+                records.update(entry["files"])
+        return records
+
+    def compare_files(self) -> FileFindings:
+        """Hold the files on the disk against their newest records."""
+        return compare_files(self.directory, self.recorded_files())
+
+    @contextlib.contextmanager
+    def finishing(self) -> Iterator[dict[str, Any]]:
+        """Write the end of the run however the body ends; the body fills the yielded results.
+
+        Ctrl-C gives ``interrupted``, any other exception ``failed``; both go on to the caller, even when the
+        manifest itself can no longer be written.
+        """
+        results: dict[str, Any] = {}
+        with self.failing(results):
+            yield results
+        self.finish("finished", results)
+
+    @contextlib.contextmanager
+    def failing(self, results: Mapping[str, Any] | None = None) -> Iterator[None]:
+        """Write the end of the run only when the body raises (see ``finishing``)."""
+        try:
+            yield
+        except BaseException as error:
+            status: Ended = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+            try:
+                self.finish(status, results, error)
+            except Exception as second:
+                error.add_note(f"the manifest could not be finished: {second}")
+            raise
+
+    def _update(self, change: Callable[[dict[str, Any]], None]) -> None:
+        with RunLock(self.directory, name=MANIFEST_LOCK, timeout_s=_LOCK_TIMEOUT_S):
+            data = Manifest.load(self.directory).data
+            change(data)
+            write_json(self.path, data)
+            self.data = data
+
+
+def _describe(error: BaseException | str | None) -> dict[str, str] | None:
+    if error is None:
+        return None
+    if isinstance(error, str):
+        return {"type": "error", "message": error}
+    return {"type": type(error).__name__, "message": str(error)}

@@ -1,0 +1,20 @@
+"""What may stand under ``run.`` in the config."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass
+class RunOptions:
+    """Where a run is written, and how much of the source tree it keeps.
+
+    Args:
+        root: folder in which run directories are made; a relative one is below the working directory.
+        name: last part of the run directory's name; letters, digits, ``.``, ``_`` and ``-``.
+        max_patch_mb: largest source patch that is kept, in megabytes (10^6 bytes).
+    """
+
+    root: str = "runs"
+    name: str | None = None
+    max_patch_mb: float = 50.0

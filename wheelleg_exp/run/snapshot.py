@@ -1,0 +1,72 @@
+"""What stands in a run directory before the first step: everything that decides what will happen."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.environment import environment_text
+from wheelleg_exp.run.files import write_text
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.options import RunOptions
+from wheelleg_exp.run.params import write_params
+from wheelleg_exp.run.source import snapshot_source
+
+_HYDRA_NAME = re.compile(r"[A-Za-z0-9_-]+(\.yaml)?")
+_SUMMARY = ("status", "root", "commit", "branch", "tree", "dirty", "note")
+
+
+def begin(
+    directory: RunDirectory,
+    *,
+    command: Sequence[str],
+    params: Mapping[str, dict[str, Any]],
+    hydra_files: Mapping[str, str],
+    source_roots: Sequence[Path],
+    seed: int | Sequence[int],
+    task: str,
+    threads: Mapping[str, Any],
+    max_patch_mb: float | None = None,
+) -> Manifest:
+    """Write the manifest (status ``running``) of a run that is about to start, then its snapshot.
+
+    A run that is killed while its source is read can thus be seen, and a snapshot that fails says so.
+
+    Args:
+        directory: a directory that was just created.
+        command: the command line.
+        params: plain ``env`` and ``agent`` parameters.
+        hydra_files: text by file name (``config``, ``hydra``, ``overrides``, with or without ``.yaml``).
+        source_roots: folders whose source matters, the package's own first.
+        seed: the seed or seeds.
+        task: the task's name.
+        threads: the thread policy, and what torch says of the CPU.
+        max_patch_mb: see ``RunOptions``.
+
+    Returns:
+        The manifest, to be finished by the caller.
+
+    Raises:
+        RunDirectoryError: a parameter is not plain, or the directory holds a run already.
+    """
+    cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
+    hydra_paths = {directory.hydra / _hydra_name(name): text for name, text in hydra_files.items()}
+    manifest = Manifest.begin(directory.path, task=task, seed=seed, command=command, threads=threads)
+    with manifest.failing():
+        write_params(directory.path, params)
+        for path, text in hydra_paths.items():
+            write_text(path, text)
+        source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
+        write_text(directory.environment, environment_text(threads))
+        manifest.snapshot_taken({key: source[key] for key in _SUMMARY})
+    return manifest
+
+
+def _hydra_name(name: str) -> str:
+    if not _HYDRA_NAME.fullmatch(name):
+        raise RunDirectoryError(f"'{name}' is no file name for .hydra", expected="config, hydra or overrides")
+    return name if name.endswith(".yaml") else f"{name}.yaml"

@@ -1,0 +1,156 @@
+"""What of a working tree is kept: all but ignored files, runs, and what looks like a key or a token."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from wheelleg_exp.run.git import Repository, join_nul
+from wheelleg_exp.run.secrecy import secret_content, secret_name
+
+_GITLINK = "160000"
+_NONE = "000000"
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A file whose state is not kept, and why."""
+
+    path: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Change:
+    """How one path of the index differs from the base: modes and blob ids, zeros for none."""
+
+    path: str
+    old_mode: str
+    old_id: str
+    new_mode: str
+    new_id: str
+
+    def blobs(self) -> list[str]:
+        """Return the ids of the contents before and after, as far as there are any."""
+        sides = ((self.old_mode, self.old_id), (self.new_mode, self.new_id))
+        return [blob for mode, blob in sides if mode not in (_NONE, _GITLINK)]
+
+
+def untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[Refused]]:
+    """Return the untracked files to keep, and those refused; ignored files and runs are in neither."""
+    kept: list[str] = []
+    refused: list[Refused] = []
+    runs = _relative_to_top(repository, runs_root)
+    for path in repository.paths("ls-files", "--others", "--exclude-standard", "-z"):
+        if runs is not None and Path(path).is_relative_to(runs):
+            continue
+        reason = _reason_against(repository, path)
+        if reason is None:
+            kept.append(path)
+        else:
+            refused.append(Refused(path, reason))
+    return kept, refused
+
+
+def file_sizes(repository: Repository, paths: list[str]) -> dict[str, int]:
+    """Return the sizes in bytes; 0 for a file that is gone by now."""
+    sizes = {}
+    for path in paths:
+        try:
+            sizes[path] = (repository.top / path).lstat().st_size
+        except OSError:
+            sizes[path] = 0
+    return sizes
+
+
+def add_everything(scratch: Repository, untracked: list[str]) -> None:
+    """Bring a scratch index to the state of the working tree."""
+    _forget_promises(scratch)
+    scratch.run("add", "-u")
+    # --remove, because a file may be gone again by now.
+    scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=join_nul(untracked))
+
+
+def changes_from(scratch: Repository, base: str) -> list[Change]:
+    """Return how the index differs from a commit or tree."""
+    parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", base)
+    changes = []
+    for facts, path in zip(parts[::2], parts[1::2], strict=True):
+        old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
+        changes.append(Change(path, old_mode, old_id, new_mode, new_id))
+    return changes
+
+
+def refuse_secrets(scratch: Repository, changes: list[Change]) -> list[Refused]:
+    """Set changes that would show a key or a token back to the base, and return them.
+
+    Both sides of a change count, because a removed line stands in a patch as well.
+    """
+    contents = scratch.blobs([blob for change in changes for blob in change.blobs()])
+    refused: list[Refused] = []
+    lines = []
+    for change in changes:
+        shown = (secret_content(contents[blob]) for blob in change.blobs())
+        reason = secret_name(change.path) or next(filter(None, shown), None)
+        if reason is not None:
+            refused.append(Refused(change.path, reason))
+            # Mode 0 removes the path from the index.
+            mode = "0" if change.old_mode == _NONE else change.old_mode
+            lines.append(f"{mode} {change.old_id}\t{change.path}")
+    if lines:
+        scratch.run("update-index", "-z", "--index-info", stdin=join_nul(lines))
+    return refused
+
+
+def new_sizes(scratch: Repository, changes: list[Change]) -> dict[str, int]:
+    """Return the sizes in bytes of the changed files' new contents."""
+    present = {c.path: c.new_id for c in changes if c.new_mode not in (_NONE, _GITLINK)}
+    contents = scratch.blobs(list(present.values()))
+    return {path: len(contents[blob]) for path, blob in present.items()}
+
+
+def patch_from(scratch: Repository, base: str) -> bytes:
+    """Return the patch that makes the index's tree from ``base``, whatever the user's diff settings are."""
+    options = ["--cached", "-p", "--binary", "--full-index", "--no-renames", "--no-color", "--no-ext-diff"]
+    options += ["--no-textconv", "--src-prefix=a/", "--dst-prefix=b/", "--submodule=short"]
+    options += ["--ignore-submodules=none", "--no-relative", "-U3"]
+    return scratch.run("diff-index", *options, base)
+
+
+def submodules(scratch: Repository) -> list[dict[str, str]]:
+    """Return path and commit of every submodule and nested repository in the index."""
+    found = []
+    for entry in scratch.paths("ls-files", "--stage", "-z"):
+        facts, path = entry.split("\t", 1)
+        mode, commit, _ = facts.split(" ")
+        if mode == _GITLINK:
+            found.append({"path": path, "commit": commit})
+    return found
+
+
+def _relative_to_top(repository: Repository, folder: Path | None) -> Path | None:
+    if folder is None:
+        return None
+    full, top = folder.resolve(), repository.top.resolve()
+    return full.relative_to(top) if full != top and full.is_relative_to(top) else None
+
+
+def _reason_against(repository: Repository, path: str) -> str | None:
+    if path.endswith("/"):
+        return "it is a repository of its own"
+    full = repository.top / path
+    if not full.is_symlink() and full.exists() and not os.access(full, os.R_OK):
+        return "it cannot be read"
+    return secret_name(path)
+
+
+def _forget_promises(scratch: Repository) -> None:
+    """Look again at files that the user told git to take for unchanged (assume-unchanged, skip-worktree)."""
+    tagged = [(entry[0], entry[2:]) for entry in scratch.paths("ls-files", "-v", "-z")]
+    here = [(tag, path) for tag, path in tagged if os.path.lexists(scratch.top / path)]
+    assumed = [path for tag, path in here if tag.islower()]
+    skipped = [path for tag, path in here if tag in "Ss"]
+    for flag, paths in (("--no-assume-unchanged", assumed), ("--no-skip-worktree", skipped)):
+        if paths:
+            scratch.run("update-index", flag, "-z", "--stdin", stdin=join_nul(paths))
