@@ -1,0 +1,142 @@
+"""Commands: what the robot is asked to do, resampled at random times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.term import TermBase
+
+
+class CommandTerm(TermBase):
+    """A command with a resampling timer and error metrics.
+
+    Args:
+        env: the environment.
+        resampling_time_range: shortest and longest time between two draws, s.
+        metric_names: names of the term's metrics.
+        generator: the term's random stream.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        resampling_time_range: Sequence[float],
+        metric_names: Sequence[str],
+        generator: torch.Generator,
+    ) -> None:
+        n = env.num_envs
+        if len(resampling_time_range) != 2 or not 0.0 < resampling_time_range[0] <= resampling_time_range[1]:
+            raise ConfigError(
+                f"is {list(resampling_time_range)}",
+                key="resampling_time_range",
+                expected="[shortest, longest] in seconds, above 0",
+            )
+        self._env = env
+        self._generator = generator
+        self._time_range = (float(resampling_time_range[0]), float(resampling_time_range[1]))
+        self.metric_names = list(metric_names)
+        self.metrics = torch.zeros(len(self.metric_names), n)
+        self.error_sums = torch.zeros(len(self.metric_names), n)
+        self.steps = torch.zeros(n)
+        self.time_left = torch.zeros(n)
+        self.command_counter = torch.zeros(n, dtype=torch.long)
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The present command, (N, k)."""
+        raise NotImplementedError
+
+    def errors(self) -> torch.Tensor:
+        """Return this step's error of each metric, (M, N)."""
+        raise NotImplementedError
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw new commands for ``env_ids``."""
+        raise NotImplementedError
+
+    def post_process(self) -> None:
+        """Derive the command from what was drawn, every step."""
+
+    def compute(self, dt: float) -> None:
+        """Sample the metrics, resample where the time is up, post-process."""
+        errors = self.errors()
+        self.error_sums += errors
+        # As in Isaac Lab, divided by the longest time between two draws, not by the episode.
+        self.metrics += errors * (dt / self._time_range[1])
+        self.steps += 1
+        self.time_left -= dt
+        expired = self.time_left <= 0.0
+        if expired.any():
+            self._resample(expired.nonzero().squeeze(1))
+        self.post_process()
+
+    def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the metrics' means over ``env_ids``, zero them, and draw anew."""
+        steps = self.steps[env_ids].clamp(min=1)
+        means = self.metrics[:, env_ids].mean(dim=1)
+        per_step = (self.error_sums[:, env_ids] / steps).mean(dim=1)
+        self.metrics[:, env_ids] = 0.0
+        self.error_sums[:, env_ids] = 0.0
+        self.steps[env_ids] = 0.0
+        self.command_counter[env_ids] = 0
+        self._resample(env_ids)
+        log = dict(zip(self.metric_names, means.unbind(), strict=True))
+        return log | {f"{n}_per_step": v for n, v in zip(self.metric_names, per_step.unbind(), strict=True)}
+
+    def _resample(self, env_ids: torch.Tensor) -> None:
+        low, high = self._time_range
+        draw = torch.rand(len(env_ids), generator=self._generator)
+        self.time_left[env_ids] = low + (high - low) * draw
+        self.draw(env_ids)
+        self.command_counter[env_ids] += 1
+
+
+class CommandManager(ManagerBase):
+    """Holds the command terms by name."""
+
+    kind = "commands"
+
+    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+        super().__init__(nodes, env)
+        self._command_terms: dict[str, CommandTerm] = {}
+        for name, term in self._terms.items():
+            if not isinstance(term.func, CommandTerm):
+                raise ConfigError(f"'{term.target}' is no command term", key=term.path, expected="a command term")
+            self._command_terms[name] = term.func
+
+    def get_command(self, name: str) -> torch.Tensor:
+        """Return the present command of a term, (N, k)."""
+        return self.get_command_term(name).command
+
+    def get_command_term(self, name: str) -> CommandTerm:
+        """Return a command term by name."""
+        if name not in self._command_terms:
+            self.get_term(name)
+        return self._command_terms[name]
+
+    def compute(self, dt: float) -> None:
+        """Advance every term by one control step."""
+        for term in self._command_terms.values():
+            term.compute(dt)
+
+    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+        """Draw new commands and return the metrics of the episodes that ended."""
+        log = {}
+        for name, term in self._command_terms.items():
+            for metric, value in term.finish_episode(env_ids).items():
+                group = "Episode_Metrics" if metric.endswith("_per_step") else "Metrics"
+                log[f"{group}/{name}/{metric}"] = value
+        return log
+
+    def __str__(self) -> str:
+        rows = [
+            (i, name, tuple(term.command.shape[1:]), self._terms[name].target.rsplit(".", 1)[-1])
+            for i, (name, term) in enumerate(self._command_terms.items())
+        ]
+        return table(f"Commands: {len(rows)}", ("index", "name", "shape", "term"), rows)

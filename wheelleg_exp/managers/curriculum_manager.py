@@ -1,0 +1,54 @@
+"""Curricula: terms that change the task as training goes on, run at each reset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.manager_base import ManagerBase, table
+
+
+class CurriculumManager(ManagerBase):
+    """Calls each term with the environments that are about to reset; logs what the terms return."""
+
+    kind = "curriculum"
+
+    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+        super().__init__(nodes, env)
+        self._state: dict[str, Any] = {name: None for name in self._terms}
+
+    def compute(self, env_ids: torch.Tensor) -> None:
+        """Run every term on the episodes that end now, before anything is reset."""
+        for name, term in self._terms.items():
+            self._state[name] = term.func(self._env, env_ids, **term.params)
+
+    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+        """Return ``Curriculum/<term>`` (or ``Curriculum/<term>/<key>``): the last returned states."""
+        log: dict[str, Any] = {}
+        for name, state in self._state.items():
+            if isinstance(state, Mapping):
+                log |= {f"Curriculum/{name}/{key}": _number(value) for key, value in state.items()}
+            elif state is not None:
+                log[f"Curriculum/{name}"] = _number(state)
+        self._reset_terms(env_ids)
+        return log
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the last returned states and the terms' states."""
+        return {**super().state_dict(), "last": dict(self._state)}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        self._state = dict(saved["last"])
+
+    def __str__(self) -> str:
+        rows = [(i, name, term.target.rsplit(".", 1)[-1]) for i, (name, term) in enumerate(self._terms.items())]
+        return table(f"Curriculum: {len(rows)}", ("index", "name", "term"), rows)
+
+
+def _number(value: Any) -> Any:
+    return value.item() if isinstance(value, torch.Tensor) and value.ndim == 0 else value

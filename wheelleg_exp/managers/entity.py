@@ -1,0 +1,67 @@
+"""Which member of the scene a term looks at, and which of its joints and bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.sim.scene import Scene
+
+Ids = torch.Tensor | slice
+
+
+@dataclass
+class SceneEntityCfg:
+    """A member of the scene, with joints and bodies by expression.
+
+    Args:
+        name: the member's name, ``robot`` or a sensor's.
+        joint_names: joint expressions; null is all.
+        body_names: body expressions; null is all.
+        preserve_order: order by expression (True) or by the asset (False).
+    """
+
+    name: str
+    joint_names: str | Sequence[str] | None = None
+    body_names: str | Sequence[str] | None = None
+    preserve_order: bool = False
+    joint_ids: Ids = field(default_factory=lambda: slice(None), init=False)
+    body_ids: Ids = field(default_factory=lambda: slice(None), init=False)
+
+    def resolve(self, scene: Scene, path: str) -> None:
+        """Find the indices in the scene.
+
+        Args:
+            scene: the scene.
+            path: config key of this entity, for messages.
+
+        Raises:
+            ConfigError: no such member, or an expression matches nothing.
+        """
+        if self.name not in list(scene):
+            raise ConfigError(
+                f"the scene has no '{self.name}'",
+                key=f"{path}.name",
+                expected="one of " + ", ".join(scene),
+                nearest=nearest_name(self.name, scene),
+            )
+        entity = scene[self.name]
+        if self.joint_names is not None:
+            if not hasattr(entity, "find_joints"):
+                raise ConfigError(f"'{self.name}' has no joints", key=f"{path}.joint_names", expected="body_names only")
+            found = entity.find_joints(
+                _listed(self.joint_names), key=f"{path}.joint_names", preserve_order=self.preserve_order
+            )
+            self.joint_ids = torch.tensor(found[0])
+        if self.body_names is not None:
+            found = entity.find_bodies(
+                _listed(self.body_names), key=f"{path}.body_names", preserve_order=self.preserve_order
+            )
+            self.body_ids = torch.tensor(found[0])
+
+
+def _listed(names: str | Sequence[str]) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)

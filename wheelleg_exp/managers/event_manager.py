@@ -1,0 +1,172 @@
+"""Events: randomisation and disturbances, by the moment at which they happen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.term import Term, instantiate_term
+
+
+class EventManager(ManagerBase):
+    """Runs terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, or any name that a caller applies.
+
+    Built before the scene is compiled, so that ``prestartup`` terms may edit ``env.scene.spec``.
+    """
+
+    kind = "events"
+
+    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+        super().__init__(nodes, env, instantiate=False)
+        self._modes: dict[str, dict[str, Term]] = {}
+        self._time_left: dict[str, torch.Tensor] = {}
+        self._last_step: dict[str, torch.Tensor] = {}
+        self._fired_once: dict[str, torch.Tensor] = {}
+        self.fired: dict[str, torch.Tensor] = {}
+        for name, term in self._terms.items():
+            mode = term.fields.get("mode")
+            if not isinstance(mode, str):
+                raise ConfigError(
+                    "an event needs a mode",
+                    key=f"{term.path}.mode",
+                    expected="prestartup, startup, reset, interval, or a name of your own",
+                )
+            self._modes.setdefault(mode, {})[name] = term
+            if mode == "prestartup":
+                instantiate_term(term, env)
+            if mode == "interval":
+                self._start_timer(name, term)
+            elif mode == "reset":
+                self._start_counter(name, term)
+
+    def play(self) -> None:
+        """Make the term objects, now that the simulations run."""
+        for term in self._terms.values():
+            instantiate_term(term, self._env)
+
+    @property
+    def available_modes(self) -> list[str]:
+        """Modes that some term has."""
+        return list(self._modes)
+
+    def apply(self, mode: str, env_ids: torch.Tensor | None = None, global_env_step_count: int | None = None) -> None:
+        """Run the terms of ``prestartup``, ``startup``, ``reset``, or a mode of the caller's own.
+
+        Args:
+            mode: the mode; one that no term has does nothing.
+            env_ids: environments, or None for all.
+            global_env_step_count: control steps so far; needed for ``reset``.
+
+        Raises:
+            ValueError: ``interval`` (see ``apply_interval``), or ``reset`` without a step count.
+        """
+        if mode == "interval":
+            raise ValueError("interval events are applied by apply_interval(dt)")
+        for name, term in self._modes.get(mode, {}).items():
+            ids = env_ids
+            if mode == "reset":
+                if global_env_step_count is None:
+                    raise ValueError("reset events need global_env_step_count")
+                ids = self._due(name, term, self._all_ids(env_ids), global_env_step_count)
+                if not len(ids):
+                    continue
+            term.func(self._env, ids, **term.params)
+
+    def apply_interval(self, dt: float) -> None:
+        """Advance the timers by ``dt`` seconds and run the terms whose time is up."""
+        for name, term in self._modes.get("interval", {}).items():
+            time_left = self._time_left[name]
+            time_left -= dt
+            due = time_left < 1e-6
+            self.fired[name] = due
+            if not due.any():
+                continue
+            if term.fields.get("is_global_time", False):
+                self._draw_timer(name, term, torch.zeros(1, dtype=torch.long))
+                term.func(self._env, None, **term.params)
+            else:
+                ids = due.nonzero().squeeze(1)
+                self._draw_timer(name, term, ids)
+                term.func(self._env, ids, **term.params)
+
+    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+        """Redraw the per-environment timers of ``env_ids``."""
+        for name, term in self._modes.get("interval", {}).items():
+            if not term.fields.get("is_global_time", False):
+                self._draw_timer(name, term, env_ids)
+        self._reset_terms(env_ids)
+        return {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return timers, counters and the terms' states."""
+        return {
+            **super().state_dict(),
+            "time_left": {k: v.clone() for k, v in self._time_left.items()},
+            "last_step": {k: v.clone() for k, v in self._last_step.items()},
+            "fired_once": {k: v.clone() for k, v in self._fired_once.items()},
+        }
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        for own, kept in (
+            (self._time_left, saved["time_left"]),
+            (self._last_step, saved["last_step"]),
+            (self._fired_once, saved["fired_once"]),
+        ):
+            for name, value in kept.items():
+                own[name].copy_(value)
+
+    def _all_ids(self, env_ids: torch.Tensor | None) -> torch.Tensor:
+        return torch.arange(self._num_envs) if env_ids is None else env_ids
+
+    def _start_timer(self, name: str, term: Term) -> None:
+        interval = term.fields.get("interval_range_s")
+        if interval is None or len(interval) != 2 or interval[0] > interval[1]:
+            raise ConfigError(
+                "an interval event needs its range",
+                key=f"{term.path}.interval_range_s",
+                expected="[shortest, longest] in seconds",
+            )
+        count = 1 if term.fields.get("is_global_time", False) else self._num_envs
+        self._time_left[name] = torch.zeros(count)
+        self._draw_timer(name, term, torch.arange(count))
+
+    def _draw_timer(self, name: str, term: Term, ids: torch.Tensor) -> None:
+        low, high = term.fields["interval_range_s"]
+        generator = self._env.streams.get(f"{term.path}.interval")
+        self._time_left[name][ids] = low + (high - low) * torch.rand(len(ids), generator=generator)
+
+    def _start_counter(self, name: str, term: Term) -> None:
+        if term.fields.get("min_step_count_between_reset", 0) < 0:
+            raise ConfigError(
+                "must not be negative",
+                key=f"{term.path}.min_step_count_between_reset",
+                expected="control steps >= 0",
+            )
+        self._last_step[name] = torch.zeros(self._num_envs, dtype=torch.long)
+        self._fired_once[name] = torch.zeros(self._num_envs, dtype=torch.bool)
+
+    def _due(self, name: str, term: Term, ids: torch.Tensor, step: int) -> torch.Tensor:
+        """Return those of ``ids`` for which enough steps have passed since the term last ran."""
+        wait = term.fields.get("min_step_count_between_reset", 0)
+        if wait == 0:
+            return ids
+        last, once = self._last_step[name], self._fired_once[name]
+        ids = ids[(step - last[ids] >= wait) | ~once[ids]]
+        last[ids] = step
+        once[ids] = True
+        return ids
+
+    def __str__(self) -> str:
+        rows = [
+            (mode, name, term.fields.get("interval_range_s", "-"), term.target.rsplit(".", 1)[-1])
+            for mode, terms in self._modes.items()
+            for name, term in terms.items()
+        ]
+        return table(f"Events: {len(rows)}", ("mode", "name", "interval (s)", "term"), rows)

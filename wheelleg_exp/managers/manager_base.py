@@ -1,0 +1,79 @@
+"""What the managers of terms share: binding, listing, printing and state."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import torch
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.term import Term, bind_terms
+
+
+class ManagerBase:
+    """A manager of one section of the config.
+
+    Args:
+        nodes: the section's terms by name.
+        env: the environment under construction.
+        instantiate: whether to make term objects now.
+    """
+
+    kind: ClassVar[str]
+
+    def __init__(self, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True) -> None:
+        self._env = env
+        self._num_envs = env.num_envs
+        self._terms: dict[str, Term] = bind_terms(self.kind, f"env.{self.kind}", nodes, env, instantiate=instantiate)
+
+    @property
+    def active_terms(self) -> list[str]:
+        """Names of the terms, in declaration order."""
+        return list(self._terms)
+
+    def get_term(self, name: str) -> Term:
+        """Return the bound term; ConfigError when there is none of that name."""
+        if name not in self._terms:
+            raise ConfigError(
+                f"there is no term '{name}'",
+                key=f"env.{self.kind}",
+                expected="one of " + (", ".join(self._terms) or "(no terms)"),
+                nearest=nearest_name(name, self._terms),
+            )
+        return self._terms[name]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the manager and of its terms."""
+        return {"terms": {n: t.stateful.state_dict() for n, t in self._terms.items() if t.stateful is not None}}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for name, state in saved["terms"].items():
+            stateful = self._terms[name].stateful
+            if stateful is not None:
+                stateful.load_state_dict(state)
+
+    def _reset_terms(self, env_ids: torch.Tensor) -> None:
+        for term in self._terms.values():
+            if term.stateful is not None:
+                term.stateful.reset(env_ids)
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return a plain-text table with a title."""
+    grid = Table(title=title, title_justify="left", box=SIMPLE, title_style="")
+    for column in columns:
+        grid.add_column(column)
+    for row in rows:
+        grid.add_row(*(str(cell) for cell in row))
+    console = Console(file=io.StringIO(), width=120, color_system=None)
+    console.print(grid)
+    stream = console.file
+    assert isinstance(stream, io.StringIO)
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()).strip("\n")

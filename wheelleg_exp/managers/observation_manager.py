@@ -1,0 +1,259 @@
+"""Observations: groups of terms, each modified, corrupted, clipped, scaled and kept as history."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers.buffers import HistoryBuffer
+from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.manager_base import table
+from wheelleg_exp.managers.term import Term, bind_terms
+
+_GROUP_KEYS = ("terms", "concatenate_terms", "enable_corruption", "history_length", "flatten_history_dim")
+
+Group = torch.Tensor | dict[str, torch.Tensor]
+
+
+class ObservationTerm:
+    """One term of a group: ``func -> modifiers -> noise -> clip -> scale -> history``.
+
+    Args:
+        term: the bound term.
+        env: the environment.
+        corrupt: whether the group lets noise act.
+        history_length: samples kept; 0 is none.
+        flatten: whether the history is flattened, oldest first.
+    """
+
+    def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:
+        self.term = term
+        self._env = env
+        self._modifiers: list[Any] = list(term.fields.get("modifiers") or [])
+        self._noise: Any = term.fields.get("noise") if corrupt else None
+        self._generator = env.streams.get(f"{term.path}.noise")
+        self._clip: Sequence[float] | None = term.fields.get("clip")
+        self._flatten = flatten
+        sample = term.func(env, **term.params)
+        if sample.ndim != 2 or sample.shape[0] != env.num_envs:
+            raise ConfigError(
+                f"'{term.target}' returned shape {tuple(sample.shape)}",
+                key=term.path,
+                expected=f"({env.num_envs}, width)",
+            )
+        self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[1])
+        for modifier in self._modifiers:
+            modifier.start(sample)
+        self.history = HistoryBuffer(env.num_envs, history_length, sample.shape[1:]) if history_length > 0 else None
+        self.width = int(sample.shape[1])
+        self.shape = (
+            (self.width,)
+            if not self.history
+            else ((self.width * history_length,) if flatten else (history_length, self.width))
+        )
+
+    def compute(self) -> torch.Tensor:
+        """Draw noise, advance modifiers and history, and return the term's observation."""
+        value = self._sample(draw=True)
+        if self.history is None:
+            return value.clone()
+        self.history.append(value)
+        samples = self.history.samples
+        # Cloned, because the buffer is written again in the next step.
+        return samples.flatten(1).clone() if self._flatten else samples.clone()
+
+    def peek(self) -> torch.Tensor:
+        """Return what ``compute`` would, without noise and without changing any state."""
+        owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
+        kept = [owner.state_dict() for owner in owners]
+        stream = None if self.term.generator is None else self.term.generator.get_state()
+        value = self._sample(draw=False).clone()
+        for owner, state in zip(owners, kept, strict=True):
+            owner.load_state_dict(state)
+        if self.term.generator is not None and stream is not None:
+            self.term.generator.set_state(stream)
+        if self.history is None:
+            return value
+        samples = self.history.appended(value)
+        return samples.flatten(1) if self._flatten else samples
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Reset the term object, modifiers, noise and history of ``env_ids``."""
+        if self.term.stateful is not None:
+            self.term.stateful.reset(env_ids)
+        for modifier in self._modifiers:
+            modifier.reset(env_ids)
+        if hasattr(self._noise, "reset"):
+            self._noise.reset(env_ids, self._generator)
+        if self.history is not None:
+            self.history.reset(env_ids)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of everything that survives a step."""
+        state: dict[str, Any] = {"modifiers": [m.state_dict() for m in self._modifiers]}
+        if self.term.stateful is not None:
+            state["term"] = self.term.stateful.state_dict()
+        if hasattr(self._noise, "state_dict"):
+            state["noise"] = self._noise.state_dict()
+        if self.history is not None:
+            state["history"] = self.history.state_dict()
+        return state
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
+            modifier.load_state_dict(state)
+        if self.term.stateful is not None:
+            self.term.stateful.load_state_dict(saved["term"])
+        if "noise" in saved and self._noise is not None:
+            self._noise.load_state_dict(saved["noise"])
+        if self.history is not None:
+            self.history.load_state_dict(saved["history"])
+
+    def _sample(self, *, draw: bool) -> torch.Tensor:
+        value = self.term.func(self._env, **self.term.params)
+        for modifier in self._modifiers:
+            value = modifier(value)
+        if draw and self._noise is not None:
+            value = self._noise(value, self._generator)
+        if self._clip is not None:
+            value = value.clip(self._clip[0], self._clip[1])
+        return value if self._scale is None else value * self._scale
+
+    def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
+        if scale is None or isinstance(scale, (int, float)):
+            return scale
+        if len(scale) != width:
+            raise ConfigError(
+                f"has {len(scale)} numbers for a term of width {width}",
+                key=f"{self.term.path}.scale",
+                expected=f"one number or {width}",
+            )
+        return torch.tensor(scale, dtype=torch.float32)
+
+
+class ObservationManager:
+    """Groups of observation terms; ``obs_buf`` holds what ``compute`` returned last.
+
+    Args:
+        nodes: the groups by name.
+        env: the environment under construction.
+    """
+
+    def __init__(self, nodes: Mapping[str, Any], env: Env) -> None:
+        self._groups: dict[str, dict[str, ObservationTerm]] = {}
+        self._concatenate: dict[str, bool] = {}
+        for group, node in nodes.items():
+            if node is not None:
+                self._add_group(group, node, env)
+        self.obs_buf: dict[str, Group] = {}
+        everything = torch.arange(env.num_envs)
+        for terms in self._groups.values():
+            for term in terms.values():
+                term.reset(everything)
+
+    @property
+    def active_terms(self) -> dict[str, list[str]]:
+        """Names of the terms of each group, in order."""
+        return {group: list(terms) for group, terms in self._groups.items()}
+
+    @property
+    def group_obs_concatenate(self) -> dict[str, bool]:
+        """Whether a group is one tensor."""
+        return dict(self._concatenate)
+
+    @property
+    def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:
+        """Shape of each term of each group, without the environments."""
+        return {group: [term.shape for term in terms.values()] for group, terms in self._groups.items()}
+
+    @property
+    def group_obs_dim(self) -> dict[str, tuple[int, ...] | list[tuple[int, ...]]]:
+        """Shape of each group: one shape where it is concatenated, else one a term."""
+        dims: dict[str, tuple[int, ...] | list[tuple[int, ...]]] = {}
+        for group, shapes in self.group_obs_term_dim.items():
+            width = sum(shape[-1] for shape in shapes)
+            dims[group] = (*shapes[0][:-1], width) if self._concatenate[group] else shapes
+        return dims
+
+    def term_slices(self, group: str) -> dict[str, slice]:
+        """Return where each term of a concatenated group lies in the last dimension."""
+        slices, start = {}, 0
+        for name, term in self._groups[group].items():
+            slices[name] = slice(start, start + term.shape[-1])
+            start += term.shape[-1]
+        return slices
+
+    def compute(self) -> dict[str, Group]:
+        """Return every group's observation; advances noise, modifiers and histories."""
+        self.obs_buf = {
+            group: self._joined(group, {name: term.compute() for name, term in terms.items()})
+            for group, terms in self._groups.items()
+        }
+        return self.obs_buf
+
+    def peek(self) -> dict[str, Group]:
+        """Return what ``compute`` would, without noise and without changing any state."""
+        return {
+            group: self._joined(group, {name: term.peek() for name, term in terms.items()})
+            for group, terms in self._groups.items()
+        }
+
+    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+        """Reset every term of ``env_ids``."""
+        for terms in self._groups.values():
+            for term in terms.values():
+                term.reset(env_ids)
+        return {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of every term and the last observation."""
+        terms = {g: {n: t.state_dict() for n, t in ts.items()} for g, ts in self._groups.items()}
+        return {"groups": terms, "obs_buf": dict(self.obs_buf)}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for group, terms in self._groups.items():
+            for name, term in terms.items():
+                term.load_state_dict(saved["groups"][group][name])
+        self.obs_buf = dict(saved["obs_buf"])
+
+    def _add_group(self, group: str, node: Mapping[str, Any], env: Env) -> None:
+        path = f"env.observations.{group}"
+        for key in node:
+            if key not in _GROUP_KEYS:
+                raise ConfigError(
+                    "unknown key",
+                    key=f"{path}.{key}",
+                    expected=", ".join(_GROUP_KEYS),
+                    nearest=nearest_name(key, _GROUP_KEYS),
+                )
+        terms = bind_terms("observations", f"{path}.terms", node.get("terms"), env)
+        if not terms:
+            raise ConfigError("the group has no terms", key=f"{path}.terms", expected="at least one term")
+        corrupt = bool(node.get("enable_corruption", False))
+        self._concatenate[group] = bool(node.get("concatenate_terms", True))
+        self._groups[group] = {}
+        for name, term in terms.items():
+            length, flatten = node.get("history_length"), node.get("flatten_history_dim", True)
+            if length is None:  # a group's own history setting overrides its terms'
+                length = term.fields.get("history_length", 0)
+                flatten = term.fields.get("flatten_history_dim", True)
+            self._groups[group][name] = ObservationTerm(term, env, corrupt, int(length), bool(flatten))
+
+    def _joined(self, group: str, values: dict[str, torch.Tensor]) -> Group:
+        return torch.cat(list(values.values()), dim=-1) if self._concatenate[group] else values
+
+    def __str__(self) -> str:
+        parts = []
+        for group, terms in self._groups.items():
+            rows = [
+                (i, name, term.shape, term.term.fields.get("scale", "-"), term.term.target.rsplit(".", 1)[-1])
+                for i, (name, term) in enumerate(terms.items())
+            ]
+            title = f"Observations '{group}': {self.group_obs_dim[group]}"
+            parts.append(table(title, ("index", "name", "shape", "scale", "term"), rows))
+        return "\n".join(parts)

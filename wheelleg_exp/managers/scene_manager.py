@@ -1,0 +1,91 @@
+"""Builds the scene from the ``env.sim``, ``env.scene`` and ``env.robot`` sections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers.manager_base import table
+from wheelleg_exp.managers.term import build
+from wheelleg_exp.sim.actuators import ActuatorBase
+from wheelleg_exp.sim.contact import ContactSensor
+from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
+from wheelleg_exp.sim.scene import Scene
+
+_Options = TypeVar("_Options", SimOptions, SceneOptions, RobotOptions)
+
+
+class SceneManager:
+    """The scene and what it was built from.
+
+    Args:
+        cfg: the composed ``env`` section.
+        mjcf: the robot's MJCF file.
+        num_envs: number of environments.
+
+    Raises:
+        ConfigError: a section lacks a key or holds an unknown one, or a node is wrong.
+    """
+
+    def __init__(self, cfg: Mapping[str, Any], mjcf: Path, num_envs: int) -> None:
+        sim = read_options(SimOptions, cfg["sim"], "env.sim")
+        scene = read_options(SceneOptions, cfg["scene"], "env.scene")
+        robot = read_options(RobotOptions, cfg["robot"], "env.robot")
+        actuators = _built(robot.actuators, "env.robot.actuators", ActuatorBase)
+        sensors = _built(scene.sensors, "env.scene.sensors", ContactSensor)
+        self.scene = Scene(mjcf, num_envs, sim, scene, robot, actuators, sensors)
+
+    def __str__(self) -> str:
+        robot = self.scene.robot
+        joints = table(
+            f"Robot ({robot.options.profile}): {len(robot.body_names)} bodies, {len(robot.joint_names)} joints",
+            ("index", "joint", "default (rad)", "limits (rad)", "actuators"),
+            [
+                (
+                    index,
+                    name,
+                    f"{robot.default_joint_pos[index]:.4f}",
+                    "[{:.3g}, {:.3g}]".format(*robot.joint_pos_limits[index].tolist()),
+                    ", ".join(g for g, a in robot.actuators.items() if name in a.joint_names) or "-",
+                )
+                for index, name in enumerate(robot.joint_names)
+            ],
+        )
+        sensors = table(
+            f"Scene: {self.scene.num_envs} environments",
+            ("sensor", "class", "bodies"),
+            [(n, type(s).__name__, ", ".join(s.body_names)) for n, s in self.scene.sensors.items()],
+        )
+        return f"{joints}\n{sensors}"
+
+
+def read_options(kind: type[_Options], section: Mapping[str, Any], path: str) -> _Options:
+    """Return a section as its dataclass.
+
+    Raises:
+        ConfigError: a key is missing or unknown.
+    """
+    known = [f.name for f in fields(kind)]
+    for name in section:
+        if name not in known:
+            raise ConfigError(
+                "unknown key",
+                key=f"{path}.{name}",
+                expected=", ".join(known),
+                nearest=nearest_name(name, known),
+            )
+    missing = [name for name in known if name not in section]
+    if missing:
+        raise ConfigError(f"'{missing[0]}' is missing", key=path, expected=", ".join(known))
+    return kind(**section)
+
+
+def _built(nodes: Mapping[str, Any], path: str, kind: type) -> dict[str, Any]:
+    built = {name: build(node, f"{path}.{name}") for name, node in nodes.items() if node is not None}
+    for name, value in built.items():
+        if not isinstance(value, kind):
+            raise ConfigError(f"is no {kind.__name__}", key=f"{path}.{name}", expected=f"a _target_ of {kind.__name__}")
+    return built

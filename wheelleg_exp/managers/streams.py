@@ -1,0 +1,50 @@
+"""Named random streams: each term draws from its own, so adding a term changes no other term's draws."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+
+def stream_seed(seed: int, path: str) -> int:
+    """Return the 63-bit seed of the stream ``path``: the first bytes of SHA-256 over ``seed`` and ``path``."""
+    digest = hashlib.sha256(f"{seed}/{path}".encode()).digest()
+    return int.from_bytes(digest[:8], "little") & (2**63 - 1)
+
+
+class Streams:
+    """The random streams of one environment.
+
+    Args:
+        seed: the run's seed.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._generators: dict[str, torch.Generator] = {}
+
+    def get(self, path: str) -> torch.Generator:
+        """Return the generator of the stream named by a term's config path."""
+        if path not in self._generators:
+            self._generators[path] = torch.Generator().manual_seed(stream_seed(self._seed, path))
+        return self._generators[path]
+
+    def reseed(self, seed: int) -> None:
+        """Start every stream anew from ``seed``."""
+        self._seed = seed
+        for path, generator in self._generators.items():
+            generator.manual_seed(stream_seed(seed, path))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the seed and the state of each stream by name."""
+        generators = {path: generator.get_state() for path, generator in sorted(self._generators.items())}
+        return {"seed": self._seed, "generators": generators}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._seed = saved["seed"]
+        for path, state in saved["generators"].items():
+            self.get(path).set_state(state)

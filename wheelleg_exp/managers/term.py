@@ -1,0 +1,153 @@
+"""Binding term nodes to their targets, once, when the environment is built."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import hydra.utils
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.entity import SceneEntityCfg
+from wheelleg_exp.managers.face import Env
+from wheelleg_exp.terms import (
+    TermNode,
+    check_parameters,
+    resolve_target,
+    split_node,
+    walk_targets,
+)
+
+
+class TermBase:
+    """A term with state of its own. Subclasses take ``env``, their parameters and, to draw, ``generator``."""
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Reset the state of ``env_ids``."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the term's state: by default every tensor that is its own attribute."""
+        return {k: v.clone() for k, v in vars(self).items() if isinstance(v, torch.Tensor)}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for name, value in saved.items():
+            getattr(self, name).copy_(value)
+
+
+@dataclass
+class Term:
+    """A bound term: ``func(env, **params)`` for functions, ``func(env)`` for term objects.
+
+    Attributes:
+        name: the term's name.
+        path: its config key.
+        target: dotted name of the function or class.
+        func: the function, or the term object.
+        params: the keyword arguments of every call; empty for term objects.
+        fields: the manager's own settings.
+        generator: the term's random stream, where it draws.
+    """
+
+    name: str
+    path: str
+    target: str
+    func: Callable[..., Any]
+    params: dict[str, Any] = field(default_factory=dict)
+    fields: dict[str, Any] = field(default_factory=dict)
+    generator: torch.Generator | None = None
+
+    @property
+    def stateful(self) -> TermBase | None:
+        """The term object, or None for a plain function."""
+        return self.func if isinstance(self.func, TermBase) else None
+
+
+def bind_terms(
+    kind: str, section: str, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True
+) -> dict[str, Term]:
+    """Bind every term of a section, in declaration order; null terms are skipped.
+
+    Args:
+        kind: a key of ``terms.RESERVED``.
+        section: config key of the section, such as ``env.rewards``.
+        nodes: the composed terms by name.
+        env: the environment under construction.
+        instantiate: whether to make term objects now; else ``instantiate_term`` does it later.
+
+    Raises:
+        ConfigError: a node, a target or a parameter is wrong.
+    """
+    terms = {
+        name: bind_term(kind, split_node(kind, f"{section}.{name}", node), env)
+        for name, node in (nodes or {}).items()
+        if node is not None
+    }
+    if instantiate:
+        for term in terms.values():
+            instantiate_term(term, env)
+    return terms
+
+
+def bind_term(kind: str, node: TermNode, env: Env) -> Term:
+    """Bind one node: import its target, hold its parameters against the signature, resolve what they name."""
+    target = resolve_target(node.target, node.path)
+    check_parameters(kind, node, target)
+    params = {name: build(value, f"{node.path}.{name}") for name, value in node.params.items()}
+    for name, value in params.items():
+        if isinstance(value, SceneEntityCfg):
+            value.resolve(env.scene, f"{node.path}.{name}")
+    fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
+    term = Term(node.name, node.path, node.target, target, params, fields)
+    if "generator" in inspect.signature(target).parameters:
+        term.generator = env.streams.get(node.path)
+        term.params["generator"] = term.generator
+    return term
+
+
+def instantiate_term(term: Term, env: Env) -> None:
+    """Make the term object of a class term; functions are left as they are."""
+    kind: Any = term.func
+    if not inspect.isclass(kind):
+        return
+    if not issubclass(kind, TermBase):
+        raise ConfigError(
+            f"'{term.target}' is not a term class",
+            key=term.path,
+            expected="a subclass of TermBase or a function",
+        )
+    try:
+        made: Any = cast(Any, kind)(env=env, **term.params)
+    except ConfigError as error:
+        error.key = f"{term.path}.{error.key}" if error.key else term.path
+        raise
+    except (TypeError, ValueError, KeyError, IndexError) as error:
+        raise ConfigError(
+            f"'{term.target}' refuses its parameters: {type(error).__name__}: {error}",
+            key=term.path,
+            expected="the parameters that its documentation names",
+        ) from error
+    term.func, term.params = made, {}
+
+
+def build(value: Any, path: str) -> Any:
+    """Instantiate the ``_target_`` nodes inside a parameter, after holding them against the allow-list.
+
+    Raises:
+        ConfigError: a target is not allowed, or it refuses its arguments.
+    """
+    targets = list(walk_targets(value, path))
+    if not targets:
+        return value
+    for where, target in targets:
+        resolve_target(target, where)
+    try:
+        return hydra.utils.instantiate(value, _convert_="all")
+    except Exception as error:
+        cause = error.__cause__ or error
+        if isinstance(cause, ConfigError):
+            raise cause from error
+        raise ConfigError(str(cause).splitlines()[0], key=path, expected="arguments that the target takes") from error

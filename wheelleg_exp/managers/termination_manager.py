@@ -1,0 +1,84 @@
+"""Terminations: when an episode ends, and whether it failed or its time was up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.manager_base import ManagerBase, table
+
+
+class TerminationManager(ManagerBase):
+    """``time_out`` terms truncate, all others terminate; both may fire in one step."""
+
+    kind = "terminations"
+
+    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+        super().__init__(nodes, env)
+        is_time_out = [bool(term.fields.get("time_out", False)) for term in self._terms.values()]
+        self._time_out_rows = torch.tensor(is_time_out, dtype=torch.bool).unsqueeze(1)
+        self._fired = torch.zeros(len(self._terms), self._num_envs, dtype=torch.bool)
+        self._last_episode = torch.zeros_like(self._fired)
+        self.terminated = torch.zeros(self._num_envs, dtype=torch.bool)
+        self.time_outs = torch.zeros(self._num_envs, dtype=torch.bool)
+
+    @property
+    def dones(self) -> torch.Tensor:
+        """Which environments ended their episode in this step, (N,) bool."""
+        return self.terminated | self.time_outs
+
+    def get_fired(self, name: str) -> torch.Tensor:
+        """Return where a term fired in this step, (N,) bool."""
+        self.get_term(name)
+        return self._fired[self.active_terms.index(name)]
+
+    def compute(self) -> torch.Tensor:
+        """Evaluate every term and return which environments are done, (N,) bool."""
+        for row, term in zip(self._fired, self._terms.values(), strict=True):
+            row.copy_(term.func(self._env, **term.params))
+        self.time_outs.copy_((self._fired & self._time_out_rows).any(dim=0))
+        self.terminated.copy_((self._fired & ~self._time_out_rows).any(dim=0))
+        done = self.dones
+        if done.any():
+            torch.where(done, self._fired, self._last_episode, out=self._last_episode)
+        return done
+
+    def force(self, env_ids: torch.Tensor) -> torch.Tensor:
+        """End the episodes of ``env_ids`` as failed, whatever the terms say, and return all that are done."""
+        self.terminated[env_ids] = True
+        self._last_episode[:, env_ids] = self._fired[:, env_ids]
+        return self.dones
+
+    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+        """Return ``Episode_Termination/<term>``: share of all environments whose last episode it ended."""
+        shares = self._last_episode.float().mean(dim=1)
+        self._reset_terms(env_ids)
+        return {f"Episode_Termination/{n}": v for n, v in zip(self._terms, shares.unbind(), strict=True)}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what ended each environment's last episode, this step's outcome, and the terms' states."""
+        return {
+            **super().state_dict(),
+            "last_episode": self._last_episode.clone(),
+            "fired": self._fired.clone(),
+            "terminated": self.terminated.clone(),
+            "time_outs": self.time_outs.clone(),
+        }
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        self._last_episode.copy_(saved["last_episode"])
+        self._fired.copy_(saved["fired"])
+        self.terminated.copy_(saved["terminated"])
+        self.time_outs.copy_(saved["time_outs"])
+
+    def __str__(self) -> str:
+        rows = [
+            (i, name, bool(term.fields.get("time_out", False)), term.target.rsplit(".", 1)[-1])
+            for i, (name, term) in enumerate(self._terms.items())
+        ]
+        return table(f"Terminations: {len(rows)}", ("index", "name", "time-out", "term"), rows)

@@ -1,0 +1,180 @@
+"""Action terms on joints. Raw actions become targets by scale, then offset, then clip, as in Isaac Lab."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import ActionTerm, Env
+from wheelleg_exp.sim.names import match_names, values_by_name
+
+
+class JointAction(ActionTerm):
+    """An affine action on joints: ``processed = clip(raw * scale + offset)``.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: factor on the raw action; a number, or one by joint expression.
+        offset: added after scaling; a number, or one by joint expression.
+        clip: bounds of the processed action by joint expression, [low, high].
+        preserve_order: order of the expressions (True) or of the robot (False).
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: str | Sequence[str],
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Sequence[float]] | None = None,
+        preserve_order: bool = False,
+    ) -> None:
+        self._robot = env.scene.robot
+        names = [joint_names] if isinstance(joint_names, str) else list(joint_names)
+        indices, self.joint_names = match_names(
+            names, self._robot.joint_names, key="joint_names", what="joint", preserve_order=preserve_order
+        )
+        self.action_dim = len(indices)
+        self._ids = torch.tensor(indices)
+        self._scale = self._spread(scale, 1.0, "scale")
+        self._offset = self._spread(offset, 0.0, "offset").expand(env.num_envs, -1).clone()
+        self._low, self._high = self._bounds(clip)
+        self.raw_actions = torch.zeros(env.num_envs, self.action_dim)
+        self.processed_actions = torch.zeros_like(self.raw_actions)
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        """Scale, offset and clip raw actions (N, action_dim)."""
+        self.raw_actions.copy_(actions)
+        torch.addcmul(self._offset, actions, self._scale, out=self.processed_actions)
+        if self._low is not None:
+            torch.clamp(self.processed_actions, self._low, self._high, out=self.processed_actions)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Zero the raw actions of ``env_ids``; processed actions are left, as in Isaac Lab."""
+        self.raw_actions[env_ids] = 0.0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the raw and processed actions."""
+        return {"raw_actions": self.raw_actions.clone(), "processed_actions": self.processed_actions.clone()}
+
+    def _spread(self, values: float | Mapping[str, float], default: float, name: str) -> torch.Tensor:
+        spread = values_by_name(values, self.joint_names, default, key=name, what="joint")
+        return torch.tensor(spread, dtype=torch.float32)
+
+    def _bounds(self, clip: Mapping[str, Sequence[float]] | None) -> tuple[torch.Tensor | None, torch.Tensor | None]:
+        if clip is None:
+            return None, None
+        if not isinstance(clip, Mapping):
+            raise ConfigError("must name joints", key="clip", expected="a mapping, {expression: [low, high]}")
+        none = (-torch.inf, torch.inf)
+        spread = values_by_name(clip, self.joint_names, none, key="clip", what="joint")
+        bounds = torch.tensor(spread, dtype=torch.float32)
+        return bounds[:, 0], bounds[:, 1]
+
+
+class JointPositionAction(JointAction):
+    """Position targets, rad.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: rad per unit of action.
+        offset: rad; ignored with ``use_default_offset``.
+        clip: bounds of the target by joint expression, rad. It bounds the target, not the raw action.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        use_default_offset: take the default joint positions as the offset.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: str | Sequence[str],
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Sequence[float]] | None = None,
+        preserve_order: bool = False,
+        use_default_offset: bool = True,
+    ) -> None:
+        super().__init__(env, joint_names, scale, offset, clip, preserve_order)
+        if use_default_offset:
+            self._offset.copy_(self._robot.data.default_joint_pos[:, self._ids])
+
+    def apply_actions(self) -> None:
+        """Set the position targets."""
+        self._robot.set_joint_position_target(self.processed_actions, self._ids)
+
+
+class RelativeJointPositionAction(JointAction):
+    """Position targets relative to the present joint positions, which are read anew at each physics step.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: rad per unit of action.
+        offset: rad; ignored with ``use_zero_offset``.
+        clip: bounds of the relative target by joint expression, rad.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        use_zero_offset: take no offset.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: str | Sequence[str],
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Sequence[float]] | None = None,
+        preserve_order: bool = False,
+        use_zero_offset: bool = True,
+    ) -> None:
+        super().__init__(env, joint_names, scale, 0.0 if use_zero_offset else offset, clip, preserve_order)
+
+    def apply_actions(self) -> None:
+        """Set the position targets from the present positions."""
+        self._robot.set_joint_position_target(
+            self._robot.data.joint_pos[:, self._ids] + self.processed_actions, self._ids
+        )
+
+
+class JointVelocityAction(JointAction):
+    """Velocity targets, rad/s; beyond the actuator's velocity limit they are clipped to it.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: rad/s per unit of action.
+        offset: rad/s; ignored with ``use_default_offset``.
+        clip: bounds of the target by joint expression, rad/s. It bounds the target, not the raw action.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        use_default_offset: take the default joint velocities as the offset.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: str | Sequence[str],
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Sequence[float]] | None = None,
+        preserve_order: bool = False,
+        use_default_offset: bool = True,
+    ) -> None:
+        super().__init__(env, joint_names, scale, offset, clip, preserve_order)
+        if use_default_offset:
+            self._offset.copy_(self._robot.data.default_joint_vel[:, self._ids])
+
+    def apply_actions(self) -> None:
+        """Set the velocity targets."""
+        self._robot.set_joint_velocity_target(self.processed_actions, self._ids)
+
+
+class JointEffortAction(JointAction):
+    """Feed-forward efforts, N·m."""
+
+    def apply_actions(self) -> None:
+        """Set the effort targets."""
+        self._robot.set_joint_effort_target(self.processed_actions, self._ids)

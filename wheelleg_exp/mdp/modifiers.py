@@ -1,0 +1,126 @@
+"""Modifiers of observations, applied before noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+
+class Modifier:
+    """A function of the observation, perhaps with a memory."""
+
+    def start(self, sample: torch.Tensor) -> None:
+        """Allocate the memory for observations of the sample's shape."""
+
+    def __call__(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the modified observation (N, width)."""
+        raise NotImplementedError
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget the memory of ``env_ids``."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the memory."""
+        return {k: v.clone() for k, v in vars(self).items() if isinstance(v, torch.Tensor)}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for name, value in saved.items():
+            getattr(self, name).copy_(value)
+
+
+class Scale(Modifier):
+    """Multiply by ``multiplier``."""
+
+    def __init__(self, multiplier: float) -> None:
+        self._multiplier = multiplier
+
+    def __call__(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the scaled observation."""
+        return value * self._multiplier
+
+
+class Bias(Modifier):
+    """Add ``value``."""
+
+    def __init__(self, value: float) -> None:
+        self._value = value
+
+    def __call__(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the shifted observation."""
+        return value + self._value
+
+
+class Clip(Modifier):
+    """Clip to ``bounds``."""
+
+    def __init__(self, bounds: Sequence[float]) -> None:
+        self._bounds = (float(bounds[0]), float(bounds[1]))
+
+    def __call__(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the clipped observation."""
+        return value.clip(*self._bounds)
+
+
+class DigitalFilter(Modifier):
+    """y_i = sum_{j>=0} B_j x_{i-j} - sum_{k>=1} A_k y_{i-k}.
+
+    Args:
+        A: feedback coefficients A_1, A_2, ...
+        B: feed-forward coefficients B_0, B_1, ...
+    """
+
+    def __init__(self, A: Sequence[float], B: Sequence[float]) -> None:
+        # A tuple, because tensors among the attributes are state.
+        self._coefficients = (torch.tensor(A, dtype=torch.float32), torch.tensor(B, dtype=torch.float32))
+
+    def start(self, sample: torch.Tensor) -> None:
+        """Allocate past inputs and outputs, newest first."""
+        feedback, forward = self._coefficients
+        self._inputs = torch.zeros(*sample.shape, len(forward))
+        self._outputs = torch.zeros(*sample.shape, len(feedback))
+
+    def __call__(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the filtered observation."""
+        self._inputs[..., 1:] = self._inputs[..., :-1].clone()
+        self._inputs[..., 0] = value
+        feedback, forward = self._coefficients
+        filtered = self._inputs @ forward - self._outputs @ feedback
+        if self._outputs.shape[-1]:
+            self._outputs[..., 1:] = self._outputs[..., :-1].clone()
+            self._outputs[..., 0] = filtered
+        return filtered
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget past inputs and outputs."""
+        self._inputs[env_ids] = 0.0
+        self._outputs[env_ids] = 0.0
+
+
+class Integrator(Modifier):
+    """Trapezoidal integral: I += (x + x_previous) / 2 * dt.
+
+    Args:
+        dt: time between two observations, s.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+
+    def start(self, sample: torch.Tensor) -> None:
+        """Allocate the integral and the previous sample."""
+        self._integral = torch.zeros_like(sample)
+        self._previous = torch.zeros_like(sample)
+
+    def __call__(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the integral up to now."""
+        self._integral += (value + self._previous) / 2 * self._dt
+        self._previous.copy_(value)
+        return self._integral.clone()
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Start from zero."""
+        self._integral[env_ids] = 0.0
+        self._previous[env_ids] = 0.0

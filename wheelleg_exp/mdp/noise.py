@@ -1,0 +1,122 @@
+"""Noise on observations: constant, uniform and Gaussian, and a bias that is redrawn at each reset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import torch
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+Operation = Literal["add", "scale", "abs"]
+
+
+def _require(operation: str) -> None:
+    if operation not in get_args(Operation):
+        raise ConfigError(
+            f"unknown operation '{operation}'",
+            key="operation",
+            expected=", ".join(get_args(Operation)),
+            nearest=nearest_name(operation, get_args(Operation)),
+        )
+
+
+def _apply(value: torch.Tensor, drawn: torch.Tensor | float, operation: Operation) -> torch.Tensor:
+    if operation == "add":
+        return value + drawn
+    if operation == "scale":
+        return value * drawn
+    return torch.zeros_like(value) + drawn
+
+
+@dataclass
+class ConstantNoise:
+    """A constant ``bias``."""
+
+    bias: float = 0.0
+    operation: Operation = "add"
+
+    def __post_init__(self) -> None:
+        _require(self.operation)
+
+    def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """Return the value with the noise."""
+        del generator
+        return _apply(value, self.bias, self.operation)
+
+
+@dataclass
+class UniformNoise:
+    """U(n_min, n_max) per component."""
+
+    n_min: float = -1.0
+    n_max: float = 1.0
+    operation: Operation = "add"
+
+    def __post_init__(self) -> None:
+        _require(self.operation)
+
+    def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """Return the value with the noise."""
+        drawn = self.n_min + (self.n_max - self.n_min) * torch.rand(value.shape, generator=generator)
+        return _apply(value, drawn, self.operation)
+
+
+@dataclass
+class GaussianNoise:
+    """N(mean, std^2) per component."""
+
+    mean: float = 0.0
+    std: float = 1.0
+    operation: Operation = "add"
+
+    def __post_init__(self) -> None:
+        _require(self.operation)
+
+    def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """Return the value with the noise."""
+        drawn = self.mean + self.std * torch.randn(value.shape, generator=generator)
+        return _apply(value, drawn, self.operation)
+
+
+Noise = ConstantNoise | UniformNoise | GaussianNoise
+
+
+class NoiseModelWithAdditiveBias:
+    """Noise plus a bias per component that is drawn anew at each reset.
+
+    Args:
+        noise_cfg: the noise of every step.
+        bias_noise_cfg: what the bias is drawn from; its operation must be ``abs``, so that biases do not add up
+            over resets.
+    """
+
+    def __init__(self, noise_cfg: Noise, bias_noise_cfg: Noise) -> None:
+        if bias_noise_cfg.operation != "abs":
+            raise ConfigError(
+                f"the bias noise has operation '{bias_noise_cfg.operation}'",
+                key="noise.bias_noise_cfg.operation",
+                expected="abs, or the bias would add up over resets",
+            )
+        self._noise, self._bias_noise = noise_cfg, bias_noise_cfg
+        self._bias: torch.Tensor | None = None
+
+    def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """Return the value with noise and bias."""
+        if self._bias is None:
+            self._bias = self._bias_noise(torch.zeros_like(value), generator)
+        return self._noise(value, generator) + self._bias
+
+    def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:
+        """Draw new biases for ``env_ids``."""
+        if self._bias is not None:
+            self._bias[env_ids] = self._bias_noise(self._bias[env_ids], generator)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the biases."""
+        return {"bias": None if self._bias is None else self._bias.clone()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._bias = None if saved["bias"] is None else saved["bias"].clone()

@@ -1,0 +1,80 @@
+"""Termination terms, (N,) bool."""
+
+from __future__ import annotations
+
+import torch
+
+from wheelleg_exp.managers import Env, SceneEntityCfg
+
+_ROBOT = SceneEntityCfg("robot")
+
+
+def time_out(env: Env) -> torch.Tensor:
+    """The episode has reached its longest length."""
+    return env.episode_length_buf >= env.max_episode_length
+
+
+def command_resample(env: Env, command_name: str, num_resamples: int = 1) -> torch.Tensor:
+    """The command is about to be resampled after ``num_resamples`` draws."""
+    command = env.command_manager.get_command_term(command_name)
+    return (command.time_left <= env.step_dt) & (command.command_counter == num_resamples)
+
+
+def bad_orientation(env: Env, limit_angle: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """The root is tilted by more than ``limit_angle`` (rad) from upright.
+
+    Unlike Isaac Lab's, the argument of acos is clamped, so that upside down always terminates.
+    """
+    upright = -env.scene[asset_cfg.name].data.projected_gravity_b[:, 2]
+    return torch.acos(upright.clamp(-1.0, 1.0)) > limit_angle
+
+
+def root_height_below_minimum(env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """The root link is below ``minimum_height`` (m) in the world; for flat ground."""
+    return env.scene[asset_cfg.name].data.root_pos_w[:, 2] < minimum_height
+
+
+def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Some joint is outside its soft limits."""
+    data = env.scene[asset_cfg.name].data
+    q = data.joint_pos[:, asset_cfg.joint_ids]
+    low, high = data.soft_joint_pos_limits[asset_cfg.joint_ids].unbind(dim=1)
+    return ((q < low) | (q > high)).any(dim=1)
+
+
+def joint_pos_out_of_manual_limit(
+    env: Env, bounds: tuple[float, float], asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """Some joint is outside ``bounds``, rad."""
+    q = env.scene[asset_cfg.name].data.joint_pos[:, asset_cfg.joint_ids]
+    return ((q < bounds[0]) | (q > bounds[1])).any(dim=1)
+
+
+def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Some joint is faster than its actuator's velocity limit."""
+    data = env.scene[asset_cfg.name].data
+    speed = data.joint_vel[:, asset_cfg.joint_ids].abs()
+    return (speed > data.soft_joint_vel_limits[asset_cfg.joint_ids]).any(dim=1)
+
+
+def joint_vel_out_of_manual_limit(env: Env, max_velocity: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Some joint is faster than ``max_velocity``, rad/s."""
+    return (env.scene[asset_cfg.name].data.joint_vel[:, asset_cfg.joint_ids].abs() > max_velocity).any(dim=1)
+
+
+def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Some joint's torque was clipped by its effort limit."""
+    data = env.scene[asset_cfg.name].data
+    computed = data.computed_torque[:, asset_cfg.joint_ids].abs()
+    return (computed > data.joint_effort_limits[asset_cfg.joint_ids]).any(dim=1)
+
+
+def illegal_contact(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+    """Some listed body's contact force exceeded ``threshold`` (N) within the sensor's history."""
+    force = env.scene[sensor_cfg.name].max_force_norm()[:, sensor_cfg.body_ids]
+    return (force > threshold).any(dim=1)
+
+
+def non_finite_state(env: Env) -> torch.Tensor:
+    """The engine found NaN or huge values in this simulation and has reset it."""
+    return env.scene.sim.unstable()

@@ -1,0 +1,1 @@
+"""N simulations on MuJoCo: scene assembly, robot state, actuators and contact sensing."""

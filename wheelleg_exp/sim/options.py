@@ -1,0 +1,75 @@
+"""What may stand under ``env.sim``, ``env.scene`` and ``env.robot``; no defaults, so every number is in the config."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class SimOptions:
+    """The solver (``env.sim``), in MuJoCo's terms.
+
+    Attributes:
+        dt: physics time step, s.
+        gravity: world gravity, m/s^2.
+        integrator: MuJoCo integrator.
+        solver: constraint solver.
+        cone: friction cone.
+        iterations: most solver iterations of one step.
+        ls_iterations: most line-search iterations of one solver iteration.
+        tolerance: solver tolerance at which iterations end early.
+        impratio: frictional to normal constraint impedance.
+        nthread: physics threads; 0 takes every processor. It never changes a result.
+    """
+
+    dt: float
+    gravity: list[float]
+    integrator: Literal["euler", "rk4", "implicit", "implicitfast"]
+    solver: Literal["pgs", "cg", "newton"]
+    cone: Literal["pyramidal", "elliptic"]
+    iterations: int
+    ls_iterations: int
+    tolerance: float
+    impratio: float
+    nthread: int
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """The scene (``env.scene``).
+
+    Attributes:
+        env_spacing: distance between the origins of neighbouring environments, m.
+        ground: the ground plane: ``static_friction``, ``dynamic_friction``, ``restitution``.
+        sensors: one node a sensor, by name.
+    """
+
+    env_spacing: float
+    ground: dict[str, float]
+    sensors: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """The robot (``env.robot``).
+
+    Attributes:
+        profile: name of this set of numbers; results carry it.
+        asset: the robot's USD (or MJCF) file, relative to an asset folder.
+        base: whether the base is free.
+        init_state: ``pos`` (m), ``rot`` (w, x, y, z), ``joint_pos`` and ``joint_vel`` by joint expression.
+        joint_order: joint names in the order that terms see; null is breadth-first, as in PhysX.
+        soft_joint_pos_limit_factor: share of the joint range that the soft limits keep.
+        friction_source: which of a material's two coefficients MuJoCo's single one is taken from.
+        actuators: one node an actuator group, by name.
+    """
+
+    profile: str
+    asset: str
+    base: Literal["auto", "floating", "fixed"]
+    init_state: dict[str, Any]
+    joint_order: list[str] | None
+    soft_joint_pos_limit_factor: float
+    friction_source: Literal["static", "dynamic"]
+    actuators: dict[str, Any]

@@ -1,0 +1,293 @@
+"""The robot: its names, limits, actuators, and the writing of state, targets and wrenches."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.actuators import ActuatorBase
+from wheelleg_exp.sim.data import RobotData
+from wheelleg_exp.sim.names import match_names, values_by_name
+from wheelleg_exp.sim.options import RobotOptions
+from wheelleg_exp.sim.simulation import Simulation
+
+
+class Robot:
+    """The robot of the scene: names, limits, actuators, and writing of state, targets and wrenches.
+
+    Args:
+        options: the ``env.robot`` section.
+        actuators: the actuator groups by name.
+        spec: the scene's spec, before compilation; the robot's actuators are added to it.
+        root_name: the robot's root body.
+    """
+
+    def __init__(
+        self,
+        options: RobotOptions,
+        actuators: Mapping[str, ActuatorBase],
+        spec: mujoco.MjSpec,
+        root_name: str,
+    ) -> None:
+        self.options = options
+        bodies = _breadth_first(spec.body(root_name))
+        self.body_names = [body.name for body in bodies]
+        self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
+        found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
+        self.joint_names = self._order(found)
+        self.actuators = dict(actuators)
+        for name, actuator in self.actuators.items():
+            actuator.resolve(self.joint_names, f"env.robot.actuators.{name}")
+        self._require_disjoint()
+        for actuator in self.actuators.values():
+            actuator.add_to(spec)
+        names = [j for a in self.actuators.values() for j in a.joint_names]
+        self.actuator_ids = torch.tensor([self.joint_names.index(j) for j in names], dtype=torch.long)
+        self._defaults()
+
+    def connect(self, sim: Simulation) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled."""
+        self._sim = sim
+        self._limits(sim.model)
+        self.data = RobotData(self, sim)
+        self._ctrl = sim.view("ctrl")
+        self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
+        sim.view("actuator_force")
+        model = sim.model
+        self.qpos_ids = torch.tensor([int(model.joint(j).qposadr[0]) for j in self.joint_names])
+        self.dof_ids = torch.tensor([int(model.joint(j).dofadr[0]) for j in self.joint_names])
+        self.body_ids = torch.tensor([int(model.body(b).id) for b in self.body_names])
+        self.stale = torch.zeros(sim.num_envs, dtype=torch.bool)
+        self._wrench_bodies: torch.Tensor | None = None
+        self._wrench = torch.zeros(sim.num_envs, len(self.body_names), 3, 2, dtype=torch.float64)
+
+    def find_joints(
+        self, expressions: str | list[str], *, key: str, preserve_order: bool = False
+    ) -> tuple[list[int], list[str]]:
+        """Return indices and names of the joints that match; ConfigError when an expression matches none."""
+        return match_names(expressions, self.joint_names, key=key, what="joint", preserve_order=preserve_order)
+
+    def find_bodies(
+        self, expressions: str | list[str], *, key: str, preserve_order: bool = False
+    ) -> tuple[list[int], list[str]]:
+        """Return indices and names of the bodies that match; ConfigError when an expression matches none."""
+        return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
+
+    def shape_ids(self, body_ids: torch.Tensor | slice) -> torch.Tensor:
+        """Return the model's ids of the colliding geoms of the bodies (indices into ``body_names``)."""
+        model = self._sim.model
+        solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+        chosen = np.isin(model.geom_bodyid, self.body_ids[body_ids].numpy()) & solid
+        return torch.from_numpy(np.flatnonzero(chosen))
+
+    def set_joint_position_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:
+        """Set position targets (N, k), rad."""
+        self.data.joint_pos_target[:, joint_ids] = target
+
+    def set_joint_velocity_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:
+        """Set velocity targets (N, k), rad/s, clipped to the actuators' velocity limits."""
+        limit = self.data.soft_joint_vel_limits[joint_ids]
+        self.data.joint_vel_target[:, joint_ids] = torch.clamp(target, -limit, limit)
+
+    def set_joint_effort_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:
+        """Set feed-forward efforts (N, k), N·m."""
+        self.data.joint_effort_target[:, joint_ids] = target
+
+    def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
+        """Set forces and torques (n, k, 6) at the CoM of the bodies, link axes, until the next reset of ``ids``."""
+        self._wrench[ids.unsqueeze(1), torch.tensor(body_ids)] = wrench.view(len(ids), -1, 2, 3).mT.double()
+        if self._wrench_bodies is None:
+            self._sim.view("xmat")
+            self._wrench_bodies = torch.tensor(sorted(body_ids))
+        else:
+            self._wrench_bodies = torch.tensor(sorted({*self._wrench_bodies.tolist(), *body_ids}))
+
+    def write_data_to_sim(self) -> None:
+        """Run the actuator models on the present state and apply permanent wrenches in world axes."""
+        data = self.data
+        data.before_step()
+        start = 0
+        for actuator in self.actuators.values():
+            stop = start + len(actuator.joint_names)
+            self._ctrl[:, start:stop] = actuator.control(data)
+            start = stop
+        if self._wrench_bodies is not None:
+            bodies, model_ids = self._wrench_bodies, self.body_ids[self._wrench_bodies]
+            matrix = self._sim.view("xmat")[:, model_ids].view(-1, len(bodies), 3, 3)
+            world = matrix @ self._wrench[:, bodies]
+            self._xfrc[:, model_ids] = world.mT.reshape(-1, len(bodies), 6)
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Forget wrenches and reported torques of ``ids``; state and targets are left to events and actions."""
+        if self._wrench_bodies is not None:
+            self._wrench[ids] = 0.0
+        self.data.reset(ids)
+        self.stale[ids] = True
+
+    def write_root_pose(self, ids: torch.Tensor, pos: torch.Tensor, quat: torch.Tensor) -> None:
+        """Set the root link's pose (n, 3), (n, 4) in the world."""
+        self._require_floating()
+        self._qpos[ids, 0:7] = torch.cat((pos, quat), dim=1).double()
+        self.mark_written(ids)
+
+    def write_root_com_velocity(self, ids: torch.Tensor, lin_vel: torch.Tensor, ang_vel: torch.Tensor) -> None:
+        """Set the velocity (n, 3), (n, 3) of the root body's CoM in world axes, at the present orientation."""
+        self._require_floating()
+        quat = torch.nn.functional.normalize(self._qpos[ids, 3:7], dim=-1)
+        matrix = rotation.quat_to_matrix(quat)
+        com_w = rotation.rotate(matrix, self.data.com_b[ids].double())
+        linear = lin_vel.double() - torch.linalg.cross(ang_vel.double(), com_w)
+        angular = rotation.rotate_inverse(matrix, ang_vel.double())
+        self._qvel[ids, 0:6] = torch.cat((linear, angular), dim=1)
+        self.mark_written(ids)
+
+    def write_joint_state(
+        self,
+        ids: torch.Tensor,
+        pos: torch.Tensor,
+        vel: torch.Tensor,
+        joint_ids: torch.Tensor | slice = slice(None),
+    ) -> None:
+        """Set joint positions and velocities (n, k); the joints' accelerations count from there."""
+        self._qpos[ids.unsqueeze(1), self.qpos_ids[joint_ids]] = pos.double()
+        self._qvel[ids.unsqueeze(1), self.dof_ids[joint_ids]] = vel.double()
+        self.data.set_velocity_before(ids, joint_ids, vel)
+        self.mark_written(ids)
+
+    def mark_written(self, ids: torch.Tensor) -> None:
+        """Note that state or model fields of ``ids`` were written: derived quantities are computed anew."""
+        self.stale[ids] = True
+        self.data.invalidate()
+
+    def _require_floating(self) -> None:
+        if not self.floating:
+            raise ConfigError(
+                "the robot's base is fixed, its root cannot be moved",
+                key="env.events",
+                expected="events that leave the root alone, or env.robot.base=floating",
+            )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return targets, wrenches and reported quantities that the simulation's state does not hold."""
+        data = self.data
+        bodies = self._wrench_bodies
+        return {
+            "joint_pos_target": data.joint_pos_target.clone(),
+            "joint_vel_target": data.joint_vel_target.clone(),
+            "joint_effort_target": data.joint_effort_target.clone(),
+            "default_joint_pos": data.default_joint_pos.clone(),
+            "com_b": data.com_b.clone(),
+            "joint_state_before": data._before.clone(),
+            "torque_valid": data._torque_valid.clone(),
+            "applied_torque": self._sim.view("actuator_force").clone(),
+            "wrench": self._wrench.clone(),
+            "wrench_bodies": [] if bodies is None else bodies.tolist(),
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        data = self.data
+        data.joint_pos_target.copy_(saved["joint_pos_target"])
+        data.joint_vel_target.copy_(saved["joint_vel_target"])
+        data.joint_effort_target.copy_(saved["joint_effort_target"])
+        data.default_joint_pos.copy_(saved["default_joint_pos"])
+        data.com_b.copy_(saved["com_b"])
+        data._before.copy_(saved["joint_state_before"])
+        data._torque_valid.copy_(saved["torque_valid"])
+        self._sim.view("actuator_force").copy_(saved["applied_torque"])
+        self._wrench.copy_(saved["wrench"])
+        if saved["wrench_bodies"]:
+            self._sim.view("xmat")
+            self._wrench_bodies = torch.tensor(saved["wrench_bodies"])
+        data.invalidate()
+
+    def _order(self, found: list[str]) -> list[str]:
+        wanted = self.options.joint_order
+        if wanted is None:
+            return found
+        for name in wanted:
+            if name not in found:
+                raise ConfigError(
+                    f"the robot has no joint '{name}'",
+                    key="env.robot.joint_order",
+                    expected="an order of " + ", ".join(found),
+                    nearest=nearest_name(name, found),
+                )
+        missing = [name for name in found if name not in wanted]
+        if missing or len(set(wanted)) != len(wanted):
+            raise ConfigError(
+                "must name each joint once" + (f", '{missing[0]}' is missing" if missing else ""),
+                key="env.robot.joint_order",
+                expected="an order of " + ", ".join(found),
+            )
+        return list(wanted)
+
+    def _require_disjoint(self) -> None:
+        owner: dict[str, str] = {}
+        for group, actuator in self.actuators.items():
+            for joint in actuator.joint_names:
+                if joint in owner:
+                    raise ConfigError(
+                        f"joint '{joint}' is driven by both '{owner[joint]}' and '{group}'",
+                        key=f"env.robot.actuators.{group}.joint_names_expr",
+                        expected="each joint in one actuator group",
+                    )
+                owner[joint] = group
+
+    def _defaults(self) -> None:
+        """Spread the initial state over the joints; a joint that no expression names starts at 0."""
+        init, names = self.options.init_state, self.joint_names
+        key = "env.robot.init_state"
+        for part, kind in (("pos", 3), ("rot", 4)):
+            if len(init[part]) != kind:
+                raise ConfigError(f"has {len(init[part])} numbers", key=f"{key}.{part}", expected=f"{kind} numbers")
+        pos = values_by_name(init["joint_pos"], names, 0.0, key=f"{key}.joint_pos", what="joint")
+        vel = values_by_name(init["joint_vel"], names, 0.0, key=f"{key}.joint_vel", what="joint")
+        self._default_positions = [float(value) for value in pos]
+        self.default_joint_pos = torch.tensor(self._default_positions)
+        self.default_joint_vel = torch.tensor(vel, dtype=torch.float32)
+        self.default_root_pos = torch.tensor(init["pos"], dtype=torch.float32)
+        self.default_root_quat = torch.nn.functional.normalize(torch.tensor(init["rot"], dtype=torch.float32), dim=0)
+
+    def _limits(self, model: mujoco.MjModel) -> None:
+        """Read hard limits from the compiled model, derive soft ones, and hold the defaults against them."""
+        ranges = []
+        for name, value in zip(self.joint_names, self._default_positions, strict=True):
+            index = model.joint(name).id
+            low, high = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-torch.inf, torch.inf)
+            if not low <= value <= high:
+                raise ConfigError(
+                    f"the default position {value} of joint '{name}' is outside its limits",
+                    key="env.robot.init_state.joint_pos",
+                    expected=f"a value in [{low:.6g}, {high:.6g}]",
+                )
+            ranges.append((low, high))
+        limits = torch.tensor(ranges, dtype=torch.float32)
+        middle, half = (
+            limits.mean(dim=1),
+            (limits[:, 1] - limits[:, 0]) / 2 * self.options.soft_joint_pos_limit_factor,
+        )
+        soft = torch.stack((middle - half, middle + half), dim=1)
+        self.joint_pos_limits = limits
+        self.soft_joint_pos_limits = torch.where(limits.isfinite(), soft, limits)
+        self.velocity_limits = torch.full((len(self.joint_names),), torch.inf)
+        self.effort_limits = torch.full((len(self.joint_names),), torch.inf)
+        for actuator in self.actuators.values():
+            self.velocity_limits[actuator.joint_ids] = actuator.velocity_limit
+            self.effort_limits[actuator.joint_ids] = actuator.effort_limit
+
+
+def _breadth_first(root: Any) -> list[Any]:
+    order, queue = [], deque([root])
+    while queue:
+        body = queue.popleft()
+        order.append(body)
+        queue.extend(body.bodies)
+    return order
