@@ -1,0 +1,118 @@
+"""When a conversion is taken from the cache, and when it is made again."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from wheelleg_exp.asset import convert, convert_cached, source_digest
+from wheelleg_exp.paths import find_asset
+
+LAYERS = {
+    "wheelleg.usda",
+    "configuration/wheelleg_base.usda",
+    "configuration/wheelleg_physics.usda",
+    "configuration/wheelleg_sensor.usda",
+}
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    stock = find_asset("wheelleg/wheelleg.usda")
+    folder = tmp_path / "robot"
+    shutil.copytree(stock.parent, folder)
+    return folder / stock.name
+
+
+def change(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_the_digest_names_every_layer_with_its_hash(robot):
+    digest = source_digest(robot)
+    assert set(digest) == LAYERS
+    for name, value in digest.items():
+        assert value == hashlib.sha256((robot.parent / name).read_bytes()).hexdigest()
+
+
+def test_the_second_time_nothing_is_converted(robot, tmp_path):
+    first = convert_cached(robot, cache_dir=tmp_path / "cache")
+    second = convert_cached(robot, cache_dir=tmp_path / "cache")
+    assert (first.fresh, second.fresh) == (True, False)
+    assert first.output == second.output
+    assert first.report == second.report
+
+
+def test_a_cached_model_is_the_converted_one(robot, tmp_path):
+    cached = convert_cached(robot, cache_dir=tmp_path / "cache")
+    direct = convert(robot, tmp_path / "model.xml")
+    assert cached.output.read_bytes() == direct.output.read_bytes()
+    assert cached.report == direct.report
+
+
+@pytest.mark.parametrize("layer", sorted(LAYERS))
+def test_a_change_in_any_layer_is_noticed(robot, tmp_path, layer):
+    first = convert_cached(robot, cache_dir=tmp_path / "cache")
+    change(robot.parent / layer, "upAxis", "# changed\n    upAxis")
+    second = convert_cached(robot, cache_dir=tmp_path / "cache")
+    assert second.fresh
+    assert second.key != first.key
+
+
+def test_a_changed_mass_reaches_the_model(robot, tmp_path):
+    convert_cached(robot, cache_dir=tmp_path / "cache")
+    physics = robot.parent / "configuration/wheelleg_physics.usda"
+    change(physics, "float physics:mass = 0.28", "float physics:mass = 0.38")
+    again = convert_cached(robot, cache_dir=tmp_path / "cache")
+    model = mujoco.MjModel.from_xml_path(str(again.output))
+    assert model.body_subtreemass[0] == pytest.approx(0.60)
+
+
+def test_the_same_bytes_elsewhere_are_the_same_entry(robot, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(robot.parent, elsewhere)
+    first = convert_cached(robot, cache_dir=tmp_path / "cache")
+    assert not convert_cached(elsewhere / robot.name, cache_dir=tmp_path / "cache").fresh
+    assert str(robot.parent) not in first.output.read_text() + first.report.to_json()
+
+
+def test_options_have_entries_of_their_own(robot, tmp_path):
+    keys = {
+        convert_cached(robot, cache_dir=tmp_path / "cache").key,
+        convert_cached(robot, base="fixed", cache_dir=tmp_path / "cache").key,
+        convert_cached(robot, variants={"Sensor": "None"}, cache_dir=tmp_path / "cache").key,
+    }
+    assert len(keys) == 3
+
+
+@pytest.mark.parametrize("file", ["model.xml", "report.json", "contents.json"])
+@pytest.mark.parametrize("damage", ["cut", "gone"])
+def test_a_damaged_entry_is_made_again(robot, tmp_path, file, damage):
+    first = convert_cached(robot, cache_dir=tmp_path / "cache")
+    whole = first.output.read_bytes()
+    victim = first.output.parent / file
+    victim.unlink() if damage == "gone" else victim.write_bytes(victim.read_bytes()[:-40])
+    second = convert_cached(robot, cache_dir=tmp_path / "cache")
+    assert second.fresh
+    assert second.output.read_bytes() == whole
+    assert not convert_cached(robot, cache_dir=tmp_path / "cache").fresh
+
+
+def _work(arguments: tuple[str, str]) -> bytes:
+    source, cache = arguments
+    return convert_cached(Path(source), cache_dir=Path(cache)).output.read_bytes()
+
+
+def test_several_processes_may_fill_one_cache(robot, tmp_path):
+    cache = tmp_path / "cache"
+    with ProcessPoolExecutor(2) as pool:
+        found = set(pool.map(_work, [(str(robot), str(cache))] * 4))
+    assert len(found) == 1
+    assert len(list(cache.iterdir())) == 1  # one entry, and nothing half made beside it

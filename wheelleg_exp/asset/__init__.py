@@ -1,0 +1,42 @@
+"""Reads robots from USD into a plain description, and writes MJCF from it.
+
+``convert`` makes one MJCF file; ``convert_cached`` keeps it in a cache, keyed by the content of every layer
+that the USD stage is made of.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.asset.description import BaseMode, RobotDescription
+from wheelleg_exp.asset.report import Report
+
+if TYPE_CHECKING:
+    from wheelleg_exp.asset.cache import CachedConversion, convert_cached, source_digest
+    from wheelleg_exp.asset.conversion import Conversion, convert
+
+_LAZY = {  # the USD and MuJoCo libraries are loaded with the first use
+    "Conversion": "conversion",
+    "convert": "conversion",
+    "CachedConversion": "cache",
+    "convert_cached": "cache",
+    "source_digest": "cache",
+}
+
+__all__ = [
+    "BaseMode",
+    "CachedConversion",
+    "Conversion",
+    "Report",
+    "RobotDescription",
+    "convert",
+    "convert_cached",
+    "source_digest",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

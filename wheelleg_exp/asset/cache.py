@@ -1,0 +1,149 @@
+"""Keeps conversions in a folder, keyed by the content of everything that went into them."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from wheelleg_exp.asset.conversion import convert
+from wheelleg_exp.asset.description import BaseMode
+from wheelleg_exp.asset.reader.stage import open_stage
+from wheelleg_exp.asset.report import Report
+from wheelleg_exp.errors import AssetError
+
+MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
+_ATTEMPTS = 3  # to put an entry in place while others do the same
+
+
+@dataclass(frozen=True)
+class CachedConversion:
+    """An MJCF in the cache.
+
+    ``sources`` maps each layer, as seen from the source's folder, to its sha256; ``fresh`` says that it was
+    converted now.
+    """
+
+    output: Path
+    report: Report
+    sources: dict[str, str]
+    key: str
+    fresh: bool
+
+    @property
+    def meshes(self) -> tuple[Path, ...]:
+        """Return the mesh files that belong to the MJCF."""
+        return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
+
+
+def source_digest(source: Path, variants: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the sha256 of every layer that the stage is made of, by path as seen from the source's folder.
+
+    Raises:
+        AssetError: the source cannot be read.
+    """
+    return open_stage(Path(source), variants or {}).layers
+
+
+def convert_cached(
+    source: Path, *, base: BaseMode = "auto", variants: Mapping[str, str] | None = None, cache_dir: Path
+) -> CachedConversion:
+    """Return the conversion of ``source``, from the cache when nothing that went into it has changed.
+
+    The key holds the bytes of every layer in use, the options, and this converter with the libraries that it
+    stands on. A damaged entry is made again; several processes may do this at once.
+
+    Raises:
+        AssetError: the source cannot be read or holds no robot, or the cache cannot be written.
+    """
+    source, chosen = Path(source), dict(variants or {})
+    sources = source_digest(source, chosen)
+    key = _key(source, sources, base, chosen)
+    entry = Path(cache_dir) / key
+    if (report := _read(entry)) is not None:
+        return CachedConversion(entry / MODEL, report, sources, key, fresh=False)
+    report = _make(source, base, chosen, entry)
+    return CachedConversion(entry / MODEL, report, sources, key, fresh=True)
+
+
+def _key(source: Path, sources: Mapping[str, str], base: BaseMode, variants: Mapping[str, str]) -> str:
+    parts = {
+        "source": source.name,
+        "sources": sources,
+        "base": base,
+        "variants": variants,
+        "converter": _converter_digest(),
+        "libraries": {name: metadata.version(name) for name in ("mujoco", "numpy", "usd-core")},
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+@functools.cache
+def _converter_digest() -> str:
+    """Return the sha256 of this package's code, so that a changed converter never meets its old results."""
+    digest = hashlib.sha256()
+    folder = Path(__file__).parent
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _read(entry: Path) -> Report | None:
+    """Return an entry's report, None when the entry is absent or damaged."""
+    try:
+        contents = json.loads((entry / CONTENTS).read_text(encoding="utf-8"))
+        if _hashes(entry) != contents:
+            return None
+        return Report.from_json((entry / REPORT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def _hashes(entry: Path) -> dict[str, str]:
+    files = sorted(path for path in entry.rglob("*") if path.is_file() and path.name != CONTENTS)
+    return {path.relative_to(entry).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path) -> Report:
+    try:
+        entry.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=entry.parent, prefix=".making.") as folder:
+            draft = Path(folder) / "entry"
+            report = convert(source, draft / MODEL, base=base, variants=variants).report
+            (draft / REPORT).write_text(report.to_json(), encoding="utf-8")
+            (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")
+            _publish(draft, entry, Path(folder))
+        return report
+    except OSError as error:
+        raise AssetError(f"cannot write the cache '{entry.parent}': {error.strerror}") from None
+
+
+def _publish(draft: Path, entry: Path, scratch: Path) -> None:
+    """Move a finished entry into place; when another process was faster with a whole one, keep that."""
+    for attempt in range(_ATTEMPTS):
+        try:
+            draft.rename(entry)
+            return
+        except OSError:
+            if _read(entry) is not None:
+                return
+            if attempt == _ATTEMPTS - 1:
+                raise
+            _move_away(entry, scratch / f"damaged_{attempt}")
+
+
+def _move_away(entry: Path, to: Path) -> None:
+    try:
+        entry.rename(to)
+    except FileNotFoundError:
+        return
+    except NotADirectoryError:
+        entry.unlink(missing_ok=True)
+        return
+    shutil.rmtree(to, ignore_errors=True)

@@ -1,0 +1,1 @@
+"""Reads USD into a robot description."""

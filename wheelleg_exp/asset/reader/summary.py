@@ -1,0 +1,54 @@
+"""Makes the report of a conversion."""
+
+from __future__ import annotations
+
+from wheelleg_exp.asset.description import RobotDescription
+from wheelleg_exp.asset.reader.stage import Stage
+from wheelleg_exp.asset.report import DofOrder, Report
+
+
+def summarise(stage: Stage, robot: RobotDescription) -> Report:
+    """Return the report of a stage and the robot read from it."""
+    mapped, assumed, left, warnings = stage.ledger.entries()
+    return Report(
+        source=stage.source.name,
+        model=robot.name,
+        root=str(stage.root.GetPath()),
+        base=base_of(robot),
+        stage={
+            "metersPerUnit": stage.units.meters,
+            "kilogramsPerUnit": stage.units.kilograms,
+            "upAxis": str(stage.units.up),
+        },
+        variants=stage.variants,
+        totals=totals(robot),
+        bodies={body.path: body.name for body in robot.bodies},
+        joints={dof.name: dof.path for dof in robot.dofs},
+        dof_order=DofOrder(robot.breadth_first_dofs, tuple(dof.name for dof in robot.dofs)),
+        velocity_limits={dof.name: dof.max_velocity for dof in robot.dofs if dof.max_velocity is not None},
+        mapped=mapped,
+        assumptions=assumed,
+        left_out=left,
+        warnings=warnings,
+        unresolved=stage.unresolved,
+        layers=stage.layers,
+    )
+
+
+def base_of(robot: RobotDescription) -> str:
+    """Return how the roots stand in the world: floating, fixed, or attached by a joint."""
+    roots = list(robot.children(None))
+    kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
+    return ", ".join(sorted(kinds))
+
+
+def totals(robot: RobotDescription) -> dict[str, float]:
+    """Return the counts and the mass (kg) that tell at a glance whether a conversion is right."""
+    return {
+        "bodies": len(robot.bodies),
+        "dofs": sum(3 if dof.kind == "ball" else 1 for dof in robot.dofs),
+        "mass": round(robot.mass, 9),
+        "colliders": len(robot.colliders),
+        "visuals": sum(not geom.collides for body in robot.bodies for geom in body.geoms),
+        "actuators": len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs),
+    }
