@@ -50,10 +50,7 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None)
         AssetError: no such file, with the places that were searched.
     """
     path = Path(name)
-    if path.is_absolute():
-        candidates = [path]
-    else:
-        candidates = [root / path for root in (*roots, assets_dir())]
+    candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]
     for candidate in candidates:
         if candidate.is_file():
             return candidate

@@ -118,7 +118,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     module_name, _, attribute = target.rpartition(".")
     try:
         module = __import__(module_name, fromlist=[attribute])
-    except ImportError as error:
+    except Exception as error:  # a user's module may fail in any way
         raise ConfigError(
             f"cannot import '{module_name}': {error}", key=f"{path}.{TARGET}", expected="package.module.name"
         ) from error
@@ -138,7 +138,8 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
 def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """Return the parameters of ``target`` that a config may set."""
     parameters = inspect.signature(target).parameters.values()
-    return {p.name: p for p in parameters if p.name not in INJECTED and p.name != "self"}
+    open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {p.name: p for p in parameters if p.name not in INJECTED and p.kind not in open_ended}
 
 
 def check_parameters(kind: str, node: TermNode, target: Callable[..., Any]) -> None:

@@ -53,9 +53,7 @@ def make_run(tmp_path: Path) -> Callable[..., RunDirectory]:
     def make(task: str = "walk", seed: int = 1, name: str | None = None, **keywords: Any) -> RunDirectory:
         now = keywords.pop("now", None)
         directory = RunDirectory.create(tmp_path / "runs", task, seed, name, now)
-        Manifest.begin(
-            directory.path, task=task, seed=seed, command=["wheelleg", "train"], threads={}, now=now
-        )
+        Manifest.begin(directory.path, task=task, seed=seed, command=["wheelleg", "train"], threads={}, now=now)
         return directory
 
     return make

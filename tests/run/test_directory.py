@@ -31,9 +31,7 @@ def test_a_taken_name_gets_a_number(tmp_path):
 
 def test_a_relative_root_gives_an_absolute_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert (
-        RunDirectory.create("runs", "walk", 0, now=NOW).path == tmp_path / "runs/walk/2026-01-31_17-05-09_0"
-    )
+    assert RunDirectory.create("runs", "walk", 0, now=NOW).path == tmp_path / "runs/walk/2026-01-31_17-05-09_0"
 
 
 def test_many_that_start_in_one_moment_get_a_directory_each(tmp_path):
@@ -148,15 +146,11 @@ def test_a_path_into_a_run_names_the_run(make_run, tmp_path):
 def test_an_id_of_two_tasks_is_ambiguous(make_run, tmp_path):
     run = make_run("walk", now=NOW)
     make_run("stand", now=NOW)
-    with pytest.raises(
-        RunDirectoryError, match=f"names 2 runs; expected one of stand/{run.id} and walk/{run.id}"
-    ):
+    with pytest.raises(RunDirectoryError, match=f"names 2 runs; expected one of stand/{run.id} and walk/{run.id}"):
         RunDirectory.open(run.id, tmp_path / "runs")
 
 
-@pytest.mark.parametrize(
-    "change", [{"format": 99}, {"files": {"../x": {"sha256": "", "size": 0}}}, {"status": "done"}]
-)
+@pytest.mark.parametrize("change", [{"format": 99}, {"files": {"../x": {"sha256": "", "size": 0}}}, {"status": "done"}])
 def test_a_manifest_that_cannot_be_believed_is_refused(make_run, tmp_path, change):
     run = make_run()
     path = run.path / "manifest.json"

@@ -32,9 +32,7 @@ def test_a_failed_write_leaves_the_old_file_whole_and_no_temporary_file(tmp_path
     path = tmp_path / "model.pt"
     files.write_bytes(path, b"old")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(
-        resource.RLIMIT_FSIZE, (1_000_000, hard)
-    )  # the kernel refuses larger files, like a full disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))  # the kernel refuses larger files, like a full disk
     try:
         with pytest.raises(SimulationFailure, match=r"cannot write '.*model\.pt'") as caught:
             files.write_bytes(path, bytes(2_000_000))

@@ -84,9 +84,7 @@ def test_a_run_does_not_end_as_running(tmp_path):
         begin(tmp_path).finish("running")
 
 
-@pytest.mark.parametrize(
-    ("raised", "status"), [(KeyboardInterrupt(), "interrupted"), (OSError("x"), "failed")]
-)
+@pytest.mark.parametrize(("raised", "status"), [(KeyboardInterrupt(), "interrupted"), (OSError("x"), "failed")])
 def test_the_end_is_written_however_the_run_ends(tmp_path, raised, status):
     manifest = begin(tmp_path)
 
@@ -109,9 +107,7 @@ def test_a_run_that_ends_well_is_finished(tmp_path):
 
 def test_the_first_error_is_kept_when_the_end_cannot_be_written(tmp_path, monkeypatch):
     manifest = begin(tmp_path)
-    monkeypatch.setattr(
-        "wheelleg_exp.run.manifest.write_json", lambda *_: (_ for _ in ()).throw(OSError("disk"))
-    )
+    monkeypatch.setattr("wheelleg_exp.run.manifest.write_json", lambda *_: (_ for _ in ()).throw(OSError("disk")))
     with pytest.raises(ValueError, match="first") as caught, manifest.finishing():
         raise ValueError("first")
     assert "disk" in caught.value.__notes__[0]
@@ -130,9 +126,7 @@ def test_a_later_command_gets_its_own_entry(tmp_path):
     assert entry["kind"] == "play"
     assert entry["command"] == ["wheelleg", "play"]
     assert entry["files"] == {"play/a.rrd": {"sha256": hashlib.sha256(b"abc").hexdigest(), "size": 3}}
-    assert {k: v for k, v in after.items() if k != "additions"} == {
-        k: v for k, v in before.items() if k != "additions"
-    }
+    assert {k: v for k, v in after.items() if k != "additions"} == {k: v for k, v in before.items() if k != "additions"}
 
 
 def test_a_file_outside_the_run_cannot_be_added(tmp_path):

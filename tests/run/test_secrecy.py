@@ -45,9 +45,7 @@ def test_an_access_token_is_known_by_its_form():
     assert secret_content(b"url = https://gh" + b"p_" + b"a1" * 18 + b"@host")
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"-----BEGIN PUBLIC KEY-----", b"a PRIVATE KEY here", bytes(range(256))]
-)
+@pytest.mark.parametrize("content", [b"", b"-----BEGIN PUBLIC KEY-----", b"a PRIVATE KEY here", bytes(range(256))])
 def test_other_content_is_not_taken_for_a_key(content):
     assert secret_content(content) is None
 

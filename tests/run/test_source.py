@@ -212,9 +212,7 @@ def test_keys_and_tokens_are_left_out_by_name_and_by_content(repository, git, tm
     assert b"hunter2" not in patch
     assert b"fine" in patch
     assert record["note"] == "left out: .env, notes.txt"
-    tree, _ = tree_by_plain_apply(
-        repository, git, tmp_path, tmp_path / "source" / "source.patch", record["commit"]
-    )
+    tree, _ = tree_by_plain_apply(repository, git, tmp_path, tmp_path / "source" / "source.patch", record["commit"])
     assert tree == record["tree"]
 
 
@@ -362,9 +360,7 @@ def test_nested_repositories_are_named(repository, git, tmp_path):
 def test_submodules_are_recorded_by_commit(repository, git, tmp_path):
     library = tmp_path / "library"
     shutil.copytree(repository, library)
-    git(
-        repository, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(library), "library"
-    )
+    git(repository, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(library), "library")
     git(repository, "commit", "-qm", "submodule")
     git(repository / "library", "commit", "-q", "--allow-empty", "-m", "next")
     record = snapshot(repository, tmp_path)

@@ -1,0 +1,204 @@
+"""The console script: finding commands, exit statuses, interrupts, and the order of words."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+
+import pytest
+
+from wheelleg_exp import __version__
+from wheelleg_exp.cli import main as script
+from wheelleg_exp.cli.common import add_overrides
+from wheelleg_exp.cli.main import Command, main
+from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.threads import VARIABLES, prepare_threads
+
+
+@pytest.fixture
+def probe(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Callable[..., None]]:
+    """Install a command ``probe`` whose ``run`` is the given function."""
+
+    def install(run: Callable[..., int], configure: Callable[..., None] = add_overrides) -> None:
+        module = types.ModuleType("wheelleg_exp.cli.probe")
+        module.run, module.configure = run, configure
+        monkeypatch.setitem(sys.modules, "wheelleg_exp.cli.probe", module)
+        monkeypatch.setitem(script.COMMANDS, "probe", Command("probe", "look at the arguments"))
+
+    return install
+
+
+@pytest.fixture(autouse=True)
+def _environment_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in VARIABLES:
+        monkeypatch.setenv(name, os.environ.get(name, "kept"))
+
+
+def test_options_may_stand_before_between_and_after_overrides(probe):
+    seen = {}
+    probe(lambda args: seen.update(vars(args)) or 0)
+    words = [
+        "probe",
+        "--config-dir",
+        "a",
+        "task=stand",
+        "--config-dir",
+        "b",
+        "~env.events.push",
+        "agent.x=-3",
+    ]
+    assert main(words) == 0
+    assert seen["overrides"] == ["task=stand", "~env.events.push", "agent.x=-3"]
+    assert [str(d) for d in seen["config_dirs"]] == ["a", "b"]
+
+
+def test_no_override_is_an_empty_list(probe):
+    seen = {}
+    probe(lambda args: seen.update(vars(args)) or 0)
+    assert main(["probe"]) == 0
+    assert seen["overrides"] == []
+    assert seen["config_dirs"] == []
+
+
+def test_repeated_calls_share_no_lists(probe):
+    lengths = []
+    probe(lambda args: lengths.append(len(args.config_dirs)) or 0)
+    main(["probe", "--config-dir", "a"])
+    main(["probe", "--config-dir", "b"])
+    assert lengths == [1, 1]
+
+
+def test_the_status_of_a_command_is_returned(probe):
+    probe(lambda args: 1)
+    assert main(["probe"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [(ConfigError("wrong", key="a.b"), 2), (SimulationFailure("gone"), 3), (OSError("full"), 3)],
+)
+def test_an_error_is_one_message_and_its_status(probe, capsys, error, status):
+    def run(args):
+        raise error
+
+    probe(run)
+    assert main(["probe"]) == status
+    captured = capsys.readouterr()
+    assert captured.err.startswith("wheelleg: error: ")
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize("words", [["--debug", "probe"], ["probe", "--debug"]])
+def test_debug_shows_the_traceback(probe, capsys, words):
+    def run(args):
+        raise ConfigError("wrong")
+
+    probe(run)
+    assert main(words) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_interrupt_is_130(probe):
+    def run(args):
+        raise KeyboardInterrupt
+
+    probe(run)
+    assert main(["probe"]) == 130
+
+
+def test_sigterm_is_an_interrupt_and_the_old_handler_comes_back(probe):
+    before = signal.getsignal(signal.SIGTERM)
+    cleaned = []
+
+    def run(args):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            signal.pause()
+        finally:
+            cleaned.append(True)
+        return 0
+
+    probe(run)
+    assert main(["probe"]) == 130
+    assert cleaned == [True]
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_an_unknown_command_is_told_with_the_nearest(capsys):
+    assert main(["trian"]) == 2
+    assert "did you mean 'train'?" in capsys.readouterr().err
+
+
+def test_a_missing_command_is_told(capsys):
+    assert main([]) == 2
+    assert "expected one of train, play" in capsys.readouterr().err
+
+
+def test_an_unknown_option_is_told_with_the_nearest(probe, capsys):
+    probe(lambda args: 0)
+    assert main(["probe", "--confg-dir", "x"]) == 2
+    assert "--confg-dir: unknown option" in capsys.readouterr().err
+    assert main(["probe", "--config-dirs=x"]) == 2
+    assert "did you mean '--config-dir'?" in capsys.readouterr().err
+
+
+def test_an_option_without_its_value_is_told(probe, capsys):
+    probe(lambda args: 0)
+    assert main(["probe", "--config-dir"]) == 2
+    assert "expected one argument" in capsys.readouterr().err
+
+
+def test_version_and_help(capsys, probe):
+    probe(lambda args: 0)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"wheelleg {__version__}\n"
+    assert main(["--help"]) == 0
+    assert all(name in capsys.readouterr().out or name for name in script.COMMANDS)
+    assert main(["probe", "--help"]) == 0
+    assert "--config-dir" in capsys.readouterr().out
+
+
+def test_the_help_names_every_command(capsys):
+    main(["--help"])
+    text = capsys.readouterr().out
+    assert [name for name in script.COMMANDS if name not in text] == []
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    code = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(['--help']))"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, env=environment
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_only_the_chosen_command_is_imported_and_it_stays_light():
+    code = (
+        "import sys; from wheelleg_exp.cli.main import main; main(['list', '--help']);"
+        "loaded = {m for m in sys.modules if m.startswith('wheelleg_exp.cli.')};"
+        "print(sorted(loaded), 'torch' in sys.modules, 'mujoco' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    expected = "['wheelleg_exp.cli.common', 'wheelleg_exp.cli.list', 'wheelleg_exp.cli.main'] False False"
+    assert done.stdout.splitlines()[-1] == expected
+
+
+def test_thread_variables_are_set_unless_they_are_set_already(monkeypatch):
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    monkeypatch.setenv("MKL_CBWR", "SSE4_2")
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert not prepare_threads()
+    assert os.environ["MKL_CBWR"] == "SSE4_2"
+    assert os.environ["OMP_WAIT_POLICY"] == "PASSIVE"
+    assert prepare_threads()

@@ -1,0 +1,56 @@
+"""The small tree stands in for the stock configs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import small_tree
+from options_stand_in import RobotOptions, RunOptions, SceneOptions, SimOptions
+
+from wheelleg_exp import terms
+from wheelleg_exp.config import loader, schema
+from wheelleg_exp.config.compose import Composed, compose
+
+STAND_INS = {"env.sim": SimOptions, "env.scene": SceneOptions, "env.robot": RobotOptions, "run": RunOptions}
+
+
+@pytest.fixture
+def stock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A small stock tree, found where the real one would be."""
+    folder = small_tree.write(tmp_path / "configs", small_tree.STOCK)
+    (tmp_path / "shelf_terms.py").write_text(small_tree.TARGETS, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(loader, "configs_dir", lambda: folder)
+    monkeypatch.setattr(terms, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms"))
+    monkeypatch.setattr(schema, "OPTIONS", {path: f"options_stand_in.{o.__name__}" for path, o in STAND_INS.items()})
+    return folder
+
+
+@pytest.fixture
+def user(tmp_path: Path) -> Path:
+    """A user's config folder, beside the stock one."""
+    return small_tree.write(tmp_path / "mine" / "configs", small_tree.USER)
+
+
+@pytest.fixture
+def edit(stock: Path) -> Callable[..., None]:
+    """Write or change files of the stock tree: ``edit("train.yaml", "old", "new")``, or the whole text."""
+
+    def change(name: str, *texts: str) -> None:
+        if len(texts) == 1:
+            small_tree.write(stock, {name: texts[0]})
+            return
+        before = (stock / name).read_text(encoding="utf-8")
+        assert texts[0] in before
+        (stock / name).write_text(before.replace(texts[0], texts[1]), encoding="utf-8")
+
+    return change
+
+
+@pytest.fixture
+def composed(stock: Path) -> Callable[..., Composed]:
+    """Compose on the small tree."""
+    return lambda *overrides, **named: compose(overrides, **named)

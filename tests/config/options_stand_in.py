@@ -1,0 +1,32 @@
+"""Stand-ins for the dataclasses that read the sections of the tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class SimOptions:
+    dt: float = field(metadata={"above": 0.0})
+    solver: Literal["newton", "cg"]
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    spacing: float
+    sensors: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    asset: str
+    joint_pos: dict[str, float] = field(default_factory=dict)
+    order: list[str] | None = None
+    length: float = 0.0
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    root: str
+    name: str | None

@@ -1,0 +1,225 @@
+"""A small stock tree, a user's tree and a module of targets, written into a folder for a test."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+TARGETS = '''
+"""Targets of the tests."""
+
+
+class Effort:
+    """An effort action."""
+
+    def __init__(self, env, joint_names: list[str], gain: float = 1.0):
+        pass
+
+
+def alive(env):
+    """One while the robot is up."""
+
+
+def height(env, target_height: float, sensor=None):
+    """Squared distance from a height."""
+
+
+def smooth(env, order: int = 1):
+    """Change of the action."""
+
+
+def takes_weight(env, weight: float):
+    """A target that uses the manager's name."""
+
+
+def fell(env, limit: float):
+    """True when the robot has fallen."""
+
+
+def push(env, env_ids, generator, velocity_range: tuple[float, float]):
+    """Push the robot."""
+
+
+def speed(env):
+    """Speed of the base, m/s."""
+
+
+def joints(env, entity: object = None):
+    """Joint positions, rad."""
+
+
+class Noise:
+    """Uniform noise."""
+
+    def __init__(self, low: float, high: float):
+        pass
+
+
+NOT_CALLABLE = 3
+'''
+
+STOCK = {
+    "train.yaml": """
+        defaults:
+          - task: stand
+          - run: default
+          - override hydra/job_logging: none
+          - override hydra/hydra_logging: none
+          - _self_
+        seed: 1
+        recording: {}
+    """,
+    "play.yaml": """
+        defaults:
+          - train
+          - _self_
+        seed: 7
+    """,
+    "task/stand.yaml": """
+        # @package _global_
+        # Stand still.
+        defaults:
+          - /robot: article
+          - /sim: mujoco
+          - /agent: ppo
+          - /action@env.actions: [effort]
+          - /observation@env.observations.policy.terms: [speed, joints]
+          - /observation@env.observations.critic.terms: [joints, speed]
+          - /event@env.events: [push]
+          - /reward@env.rewards: [alive, height]
+          - /termination@env.terminations: [fell]
+          - _self_
+        task:
+          name: stand
+        env:
+          num_envs: 8
+          episode_length_s: 5.0
+          decimation: 2
+          scene: {spacing: 2.0}
+          rewards:
+            height:
+              weight: -50.0
+          observations:
+            policy: {enable_corruption: true, history_length: 5}
+    """,
+    "task/walk.yaml": """
+        # @package _global_
+        # Walk along.
+        defaults:
+          - stand
+          - /reward@env.rewards: [smooth]
+          - _self_
+        task:
+          name: walk
+        env:
+          num_envs: ${seed}
+          rewards:
+            alive: null
+    """,
+    "robot/article.yaml": """
+        # @package env.robot
+        asset: robot.usda
+        joint_pos:
+          ".*_hip": 0.1
+          wheel: 0.0
+        order: [a, b]
+        length: ${env.sim.dt}
+    """,
+    "robot/physical.yaml": """
+        # @package env.robot
+        asset: real.usda
+    """,
+    "sim/mujoco.yaml": """
+        # @package env.sim
+        dt: 0.01
+        solver: newton
+    """,
+    "agent/ppo.yaml": """
+        # @package agent
+        num_steps_per_env: 24
+        max_iterations: 10
+        save_interval: 5
+        device: cpu
+        obs_groups: {actor: [policy], critic: [critic]}
+        algorithm: {class_name: PPO, gamma: 0.99}
+    """,
+    "run/default.yaml": """
+        # @package run
+        root: runs
+        name: null
+    """,
+    "action/effort.yaml": """
+        effort:
+          _target_: shelf_terms.Effort
+          joint_names: [a]
+    """,
+    "observation/speed.yaml": """
+        speed:
+          _target_: shelf_terms.speed
+          noise: {_target_: shelf_terms.Noise, low: -0.1, high: 0.1}
+    """,
+    "observation/joints.yaml": """
+        joints:
+          _target_: shelf_terms.joints
+    """,
+    "event/push.yaml": """
+        push:
+          _target_: shelf_terms.push
+          mode: interval
+          interval_range_s: [1.0, 2.0]
+          velocity_range: [-0.5, 0.5]
+    """,
+    "reward/alive.yaml": """
+        alive:
+          _target_: shelf_terms.alive
+          weight: 1.0
+    """,
+    "reward/height.yaml": """
+        # Keep the base at a height.
+        height:
+          _target_: shelf_terms.height
+          weight: 1.0
+          target_height: 0.07
+    """,
+    "reward/smooth.yaml": """
+        smooth:
+          _target_: shelf_terms.smooth
+          weight: -0.1
+    """,
+    "termination/fell.yaml": """
+        fell:
+          _target_: shelf_terms.fell
+          limit: 0.5
+    """,
+}
+
+USER = {
+    "task/hop.yaml": """
+        # @package _global_
+        # Hop, in a folder of the user's own.
+        defaults:
+          - stand
+          - override /reward@env.rewards: [alive, bounce]
+          - _self_
+        task:
+          name: hop
+        env:
+          rewards:
+            height: null
+    """,
+    "reward/bounce.yaml": """
+        bounce:
+          _target_: shelf_terms.height
+          weight: 3.0
+          target_height: 0.2
+    """,
+}
+
+
+def write(folder: Path, files: dict[str, str]) -> Path:
+    """Write the files below a folder, dedented, and return the folder."""
+    for name, text in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(textwrap.dedent(text).lstrip("\n"), encoding="utf-8")
+    return folder

@@ -1,0 +1,93 @@
+"""The checks that the table of mistakes does not show: what is right stays unreported."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.check import check, require_valid
+from wheelleg_exp.errors import ConfigError
+
+
+def test_a_right_config_has_no_mistakes(composed, user):
+    assert check(composed()) == []
+    assert check(composed("task=walk")) == []
+    assert check(composed("task=hop", config_dirs=[user])) == []
+    require_valid(composed())
+
+
+def test_a_removed_term_is_not_checked(composed):
+    assert check(composed("env.rewards.height=null")) == []
+
+
+def test_an_emptied_section_is_no_mistake(composed):
+    assert check(composed("event@env.events=[]")) == []
+
+
+def test_an_int_is_fine_where_a_float_is_read(composed):
+    assert check(composed("env.episode_length_s=5", "env.rewards.height.weight=-50")) == []
+
+
+def test_silenced_findings_are_read(composed):
+    assert check(composed("++check.silence.friction=known")) == []
+
+
+def test_classes_of_rsl_rl_and_of_allowed_packages_are_fine(composed):
+    names = ["PPO", "rsl_rl.algorithms.PPO", "rsl_rl.algorithms:PPO"]
+    for name in names:
+        assert check(composed(f"agent.algorithm.class_name={name}")) == []
+    for name in ("rsl_rl.utils.log_writer:LogWriter", "shelf_terms:Effort"):
+        assert check(composed(f"++agent.logger={{class_name: '{name}'}}")) == []
+
+
+def test_a_deep_class_outside_the_allowed_packages_is_a_mistake(composed):
+    text = "++agent.algorithm.symmetry_cfg={data_augmentation_func: 'os:system'}"
+    (error,) = check(composed(text))
+    assert error.key == "agent.algorithm.symmetry_cfg.data_augmentation_func"
+
+
+@pytest.mark.parametrize(
+    "name", ["rsl_rl.runners.on_policy_runner:os.system", "rsl_rl.utils.utils.importlib.import_module", "deque"]
+)
+def test_what_a_module_of_rsl_rl_has_only_imported_is_a_mistake(composed, name):
+    (error,) = check(composed(f"++agent.logger={{class_name: '{name}'}}"))
+    assert error.key == "agent.logger.class_name"
+
+
+def test_a_class_outside_the_allowed_packages_is_not_imported(composed, tmp_path):
+    (tmp_path / "stranger.py").write_text("raise SystemExit('imported')\n")
+    assert len(check(composed("agent.algorithm.class_name=stranger:X"))) == 1
+    assert len(check(composed("env.rewards.alive._target_=stranger.X"))) == 1
+
+
+def test_targets_in_lists_are_held_against_the_allow_list(composed):
+    errors = check(composed("++env.scene.sensors={a: [{_target_: os.system}]}"))
+    assert [error.key for error in errors] == ["env.scene.sensors.a[0]._target_"]
+    assert errors[0].where is not None
+
+
+def test_the_same_mistake_is_told_once(composed):
+    errors = check(composed("env.rewards.alive._target_=os.system"))
+    assert len(errors) == 1
+
+
+def test_several_mistakes_stand_one_a_line(composed):
+    with pytest.raises(ConfigError) as caught:
+        require_valid(composed("env.num_envs=0", "env.decimation=0"))
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith("  env.") for line in lines[1:])
+
+
+def test_the_keys_of_a_section_follow_its_dataclass():
+    @dataclasses.dataclass
+    class Options:
+        a: int
+        b: float = dataclasses.field(default=1.0, metadata={"above": 0.0})
+
+    keys = schema.keys_of(Options)
+    assert keys["a"].required
+    assert not keys["b"].required
+    assert keys["b"].limits == {"above": 0.0}

@@ -1,0 +1,424 @@
+"""Each mistake ends with status 2 and one message: the key, the place, and the nearest valid name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from wheelleg_exp import terms
+from wheelleg_exp.cli import compose as command_module
+from wheelleg_exp.cli import main as script
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.check import require_valid
+from wheelleg_exp.config.compose import compose
+
+# words of the command line -> what the message must hold
+OVERRIDES = {
+    "unknown task": (
+        ["task=stnd"],
+        ["task: 'stnd' is not an option", "override task=stnd", "stand, walk", "did you mean 'stand'"],
+    ),
+    "unknown option": (
+        ["robot=artcle"],
+        ["robot:", "override robot=artcle", "article, physical", "did you mean 'article'"],
+    ),
+    "unknown element of a list": (
+        ["reward@env.rewards=[alive,heigth]"],
+        [
+            "reward@env.rewards: 'heigth'",
+            "override reward@env.rewards=[alive,heigth]",
+            "did you mean 'height'",
+        ],
+    ),
+    "unknown appended element": (
+        ["+reward@env.rewards=smoth"],
+        ["reward@env.rewards: 'smoth'", "override +reward@env.rewards=smoth", "did you mean 'smooth'"],
+    ),
+    "unknown group with a mount": (
+        ["rewrd@env.rewards=[alive]"],
+        ["rewrd: there is no config group", "override rewrd@env.rewards", "did you mean 'reward'"],
+    ),
+    "unknown group without a mount": (
+        ["robt=physical"],
+        ["robt:", "override robt=physical", "did you mean 'robot'"],
+    ),
+    "group without its mount": (
+        ["reward=[alive]"],
+        [
+            "reward: this group is mounted nowhere under this name",
+            "override reward=[alive]",
+            "'reward@env.rewards'",
+        ],
+    ),
+    "misspelled leaf": (
+        ["env.rewards.heigth.weight=-30"],
+        [
+            "env.rewards.heigth.weight: there is no such key",
+            "override env.rewards.heigth.weight=-30",
+            "did you mean 'env.rewards.height.weight'",
+        ],
+    ),
+    "leaf without its prefix": (
+        ["rewards.height.weight=-30"],
+        ["rewards.height.weight:", "override rewards", "did you mean 'env.rewards.height.weight'"],
+    ),
+    "misspelled top key": (["sed=3"], ["sed: there is no such key", "override sed=3", "did you mean 'seed'"]),
+    "created key": (
+        ["+env.num_env=3"],
+        ["env.num_env: nothing reads this key", "override +env.num_env=3", "did you mean 'num_envs'"],
+    ),
+    "created key in a section": (
+        ["+env.sim.solvr=cg"],
+        ["env.sim.solvr: nothing reads this key", "override +env.sim.solvr=cg", "did you mean 'solver'"],
+    ),
+    "created key of a term": (
+        ["+env.rewards.height.target_heigth=1"],
+        [
+            "env.rewards.height.target_heigth:",
+            "override +env.rewards.height.target_heigth=1",
+            "'target_height'",
+        ],
+    ),
+    "created key of the agent": (
+        ["+agent.max_iteration=3"],
+        ["agent.max_iteration:", "override +agent.max_iteration=3", "did you mean 'max_iterations'"],
+    ),
+    "created key of the algorithm": (
+        ["+agent.algorithm.gama=0.9"],
+        ["agent.algorithm.gama:", "override +agent.algorithm.gama=0.9", "did you mean 'gamma'"],
+    ),
+    "created top key": (
+        ["+evn.x=3"],
+        ["evn: nothing reads this key", "override +evn.x=3", "did you mean 'env'"],
+    ),
+    "added twice": (["+seed=3"], ["seed: there is a value already", "override +seed=3", "expected seed=3"]),
+    "malformed": (["seed"], ["seed: not an override", "override seed", "key=value"]),
+    "malformed value": (["seed=[1"], ["seed=[1: not an override", "override seed=[1", "key=value"]),
+    "sweep": (["seed=1,2"], ["seed: several values for one run", "override seed=1,2", "seed=[1,2]"]),
+    "deleted and not there": (
+        ["~env.events.psh"],
+        [
+            "env.events.psh: there is no such key",
+            "override ~env.events.psh",
+            "did you mean 'env.events.push'",
+        ],
+    ),
+    "deleted with another value": (
+        ["~seed=4"],
+        ["seed:", "override ~seed=4", "expected ~seed without a value"],
+    ),
+    "settings of a deselected term": (
+        ["reward@env.rewards=[alive]"],
+        ["env.rewards.height:", "configs/task/stand.yaml:23", "_target_"],
+    ),
+    "path through a value": (["seed.x=3"], ["seed.x:", "override seed.x=3"]),
+    "wrong type": (
+        ["env.decimation=abc"],
+        ["env.decimation: 'abc'", "override env.decimation=abc", "a whole number"],
+    ),
+    "a bool is no number": (
+        ["env.num_envs=true"],
+        ["env.num_envs: True", "override env.num_envs=true", "a whole number"],
+    ),
+    "out of range": (["env.num_envs=0"], ["env.num_envs: 0", "override env.num_envs=0", "at least 1"]),
+    "out of range in a section": (
+        ["env.sim.dt=0.0"],
+        ["env.sim.dt: 0.0", "override env.sim.dt=0.0", "more than 0.0"],
+    ),
+    "not one of the words": (
+        ["env.sim.solver=pgs"],
+        ["env.sim.solver: 'pgs'", "override", "one of newton, cg"],
+    ),
+    "wrong parameter type": (
+        ["env.rewards.height.target_height=high"],
+        ["env.rewards.height.target_height: 'high'", "override", "expected a number"],
+    ),
+    "wrong weight": (
+        ["env.rewards.height.weight=heavy"],
+        ["env.rewards.height.weight: 'heavy'", "override", "a number"],
+    ),
+    "wrong mode": (
+        ["env.events.push.mode=intervall"],
+        ["env.events.push.mode: 'intervall'", "override", "'interval'"],
+    ),
+    "missing parameter": (
+        ["~env.rewards.height.target_height"],
+        ["env.rewards.height:", "needs 'target_height'", "configs/reward/height.yaml:3"],
+    ),
+    "missing weight": (
+        ["~env.rewards.alive.weight"],
+        ["env.rewards.alive.weight:", "needs 'weight'", "override ~env.rewards.alive.weight"],
+    ),
+    "missing section key": (
+        ["~env.sim.solver"],
+        ["env.sim.solver: this value is missing", "override ~env.sim.solver"],
+    ),
+    "target that is not there": (
+        ["env.rewards.alive._target_=shelf_terms.alve"],
+        ["env.rewards.alive._target_:", "override", "did you mean 'alive'"],
+    ),
+    "target module that is not there": (
+        ["env.rewards.alive._target_=wheelleg_exp.eror.x"],
+        ["env.rewards.alive._target_:", "override", "did you mean 'wheelleg_exp.errors.x'"],
+    ),
+    "target without a module": (
+        ["env.rewards.alive._target_=alive"],
+        ["env.rewards.alive._target_:", "override", "alive"],
+    ),
+    "target that cannot be called": (
+        ["env.rewards.alive._target_=shelf_terms.NOT_CALLABLE"],
+        ["env.rewards.alive._target_:", "no callable 'NOT_CALLABLE'"],
+    ),
+    "target outside the allow-list": (
+        ["env.rewards.alive._target_=os.system"],
+        [
+            "env.rewards.alive._target_:",
+            "outside the allowed packages",
+            "override",
+            "wheelleg_exp, shelf_terms",
+        ],
+    ),
+    "nested target outside the allow-list": (
+        ["env.observations.policy.terms.speed.noise._target_=subprocess.run"],
+        ["env.observations.policy.terms.speed.noise._target_:", "outside the allowed packages", "override"],
+    ),
+    "nested target with a wrong parameter": (
+        ["+env.observations.policy.terms.speed.noise.hihg=1"],
+        ["env.observations.policy.terms.speed.noise.hihg:", "override", "did you mean 'high'"],
+    ),
+    "target that takes a reserved name": (
+        ["env.rewards.alive._target_=shelf_terms.takes_weight"],
+        ["env.rewards.alive:", "keeps for itself"],
+    ),
+    "agent class outside the allow-list": (
+        ["agent.algorithm.class_name=os:system"],
+        ["agent.algorithm.class_name:", "outside the allowed packages", "override", "rsl_rl"],
+    ),
+    "agent class that is not there": (
+        ["agent.algorithm.class_name=PPPO"],
+        ["agent.algorithm.class_name:", "override", "did you mean 'PPO'"],
+    ),
+    "agent parameter of the wrong type": (
+        ["agent.algorithm.gamma=high"],
+        ["agent.algorithm.gamma: 'high'", "override", "expected a number"],
+    ),
+    "agent word that is not known": (
+        ["++agent.algorithm.optimizer=adamm"],
+        ["agent.algorithm.optimizer: 'adamm'", "override", "did you mean 'adam'"],
+    ),
+    "agent group that is not there": (
+        ["agent.obs_groups.actor=[polcy]"],
+        ["agent.obs_groups.actor:", "'polcy'", "override", "did you mean 'policy'"],
+    ),
+    "null for a group": (
+        ["robot=null"],
+        ["robot: a group takes", "override robot=null", "article, physical"],
+    ),
+    "a group chosen twice": (
+        ["+robot=physical"],
+        ["robot: an option", "override +robot=physical", "robot=<option>"],
+    ),
+    "a group forced": (
+        ["++robot=physical"],
+        ["robot: a group takes", "override ++robot=physical", "+robot=<option>"],
+    ),
+    "an index in brackets": (
+        ["env.robot.order[0]=c"],
+        ["override env.robot.order[0]=c", "env.robot.order.0=c"],
+    ),
+    "an index that is not there": (
+        ["env.robot.order.7=c"],
+        ["env.robot.order.7:", "override", "out of range"],
+    ),
+    "no key": (["=3"], ["=3: not an override", "override =3", "key=value"]),
+    "not a number": (
+        ["env.rewards.height.weight=nan"],
+        ["env.rewards.height.weight: nan", "override", "a number"],
+    ),
+    "a misspelled key of hydra": (
+        ["hydra.rn.dir=x"],
+        ["hydra.rn.dir:", "override", "did you mean 'hydra.run.dir'"],
+    ),
+    "search path that is not there": (["hydra.searchpath=[file:///nope]"], ["hydra.searchpath:", "/nope"]),
+    "value deleted that is needed": (["~run"], ["run: this value is missing", "expected a mapping"]),
+    "missing value on the command line": (["seed=???"], ["seed: this value is missing", "override seed=???"]),
+    "unknown key of an observation group": (
+        ["+env.observations.policy.history=3"],
+        ["env.observations.policy.history:", "override", "did you mean 'history_length'"],
+    ),
+    "interpolation to nothing": (
+        ["env.num_envs=${sed}"],
+        ["env.num_envs:", "override env.num_envs=${sed}", "sed"],
+    ),
+    "config folder that is not there": (
+        ["--config-dir", "conifgs"],
+        ["conifgs:", "--config-dir", "did you mean 'configs'"],
+    ),
+    "unknown primary": (
+        ["--primary", "trian"],
+        ["trian: there is no such primary config", "did you mean 'train'"],
+    ),
+}
+
+# file, its text (or old and new text), words, what the message must hold
+FILES = {
+    "broken YAML": (
+        ("robot/article.yaml", "order: [a, b]", "order: [a, b"),
+        [],
+        ["robot/article", "configs/robot/article.yaml:7"],
+    ),
+    "a key twice": (
+        ("robot/article.yaml", "order: [a, b]", "asset: again"),
+        [],
+        ["robot/article", "configs/robot/article.yaml:6", "duplicate key"],
+    ),
+    "no mapping": (("robot/article.yaml", "- a\n- b\n"), [], ["configs/robot/article.yaml:1", "no mapping"]),
+    "package line below a comment": (
+        ("sim/mujoco.yaml", "# The solver.\n# @package env.sim\ndt: 0.01\n"),
+        [],
+        ["# @package env.sim: this package line has no effect", "configs/sim/mujoco.yaml:2", "first line"],
+    ),
+    "package line with a colon": (
+        ("sim/mujoco.yaml", "# @package: env.sim\ndt: 0.01\n"),
+        [],
+        ["configs/sim/mujoco.yaml:1", "no effect"],
+    ),
+    "misspelled list element in a file": (
+        ("task/stand.yaml", "[alive, height]", "[alive, heigth]"),
+        [],
+        ["reward: 'heigth'", "configs/task/stand.yaml:11", "did you mean 'height'"],
+    ),
+    "misspelled option in a file": (
+        ("task/stand.yaml", "/robot: article", "/robot: articel"),
+        [],
+        ["robot: 'articel'", "configs/task/stand.yaml:4", "did you mean 'article'"],
+    ),
+    "misspelled group in a file": (
+        ("task/stand.yaml", "/sim: mujoco", "/smi: mujoco"),
+        [],
+        ["smi: there is no config group", "configs/task/stand.yaml:5", "did you mean 'sim'"],
+    ),
+    "override of a mount that is not there": (
+        ("task/walk.yaml", "- _self_", "- _self_\n  - override /reward@env.reward: [alive]"),
+        ["task=walk"],
+        ["reward@env.reward:", "configs/task/walk.yaml:7", "did you mean 'reward@env.rewards'"],
+    ),
+    "defaults in a circle": (("task/stand.yaml", "- /robot: article", "- walk"), [], ["circle"]),
+    "missing value": (
+        ("task/stand.yaml", "decimation: 2", "decimation: ???"),
+        [],
+        ["env.decimation: this value is missing", "configs/task/stand.yaml:19", "env.decimation=<value>"],
+    ),
+    "bad interpolation in a file": (
+        ("robot/article.yaml", "${env.sim.dt}", "${env.sim.tt}"),
+        [],
+        ["env.robot.length:", "configs/robot/article.yaml:7"],
+    ),
+    "unclosed interpolation in a file": (
+        ("robot/article.yaml", "${env.sim.dt}", "${env.sim.dt"),
+        [],
+        ["configs/robot/article.yaml:7", "env.sim.dt"],
+    ),
+    "settings for a misspelled term": (
+        ("task/stand.yaml", "    height:\n", "    heigth:\n"),
+        [],
+        ["env.rewards.heigth:", "configs/task/stand.yaml:23"],
+    ),
+    "key that nothing reads": (
+        ("sim/mujoco.yaml", "solver: newton", "solver: newton\nimpratios: 3"),
+        [],
+        ["env.sim.impratios: nothing reads this key", "configs/sim/mujoco.yaml:4"],
+    ),
+    "a value where a mapping is needed": (
+        ("reward/alive.yaml", "alive: 3\n"),
+        [],
+        ["env.rewards.alive:", "configs/reward/alive.yaml:1", "mapping"],
+    ),
+    "a module that does not import": (
+        ("../shelf_broken.py", "raise NameError('oops')\n"),
+        ["env.rewards.alive._target_=shelf_broken.alive"],
+        ["env.rewards.alive._target_:", "oops", "override"],
+    ),
+}
+
+
+@pytest.fixture
+def command(stock: object, monkeypatch: pytest.MonkeyPatch) -> Callable[[list[str]], int]:
+    """Run a command that composes and checks, as ``wheelleg train`` does before it trains."""
+
+    def run(args):
+        composed = compose(args.overrides, primary=args.primary, config_dirs=args.config_dirs)
+        require_valid(composed)
+        return 0
+
+    monkeypatch.setattr(command_module, "run", run)
+    monkeypatch.setattr(terms, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
+    return lambda words: main(["compose", *words])
+
+
+def test_the_small_tree_is_free_of_mistakes(command, capsys):
+    assert command([]) == 0, capsys.readouterr().err
+    assert command(["task=walk"]) == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", OVERRIDES)
+def test_a_wrong_command_line_is_told_with_key_place_and_nearest_name(name, command, capsys):
+    words, parts = OVERRIDES[name]
+    _assert_told(command(words), capsys, parts)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_wrong_file_is_told_with_key_file_and_line(name, command, edit, capsys):
+    change, words, parts = FILES[name]
+    edit(*change)
+    _assert_told(command(words), capsys, parts)
+
+
+def _assert_told(status, capsys, parts):
+    captured = capsys.readouterr()
+    assert status == 2, captured.err
+    assert captured.out == ""
+    assert captured.err.startswith("wheelleg: error: ")
+    assert "Traceback" not in captured.err
+    for part in parts:
+        assert part in captured.err
+
+
+def test_debug_shows_the_traceback(command, capsys):
+    assert command(["--debug", "task=stnd"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_all_mistakes_are_told_at_once(command, capsys):
+    words = [
+        "env.num_envs=0",
+        "+env.sim.x=1",
+        "env.rewards.alive._target_=os.system",
+        "~env.rewards.height.target_height",
+    ]
+    assert command(words) == 2
+    message = capsys.readouterr().err
+    assert "4 mistakes" in message
+    for key in ("env.num_envs", "env.sim.x", "env.rewards.alive._target_", "env.rewards.height"):
+        assert f"\n  {key}: " in message
+
+
+def test_all_wrong_overrides_are_told_at_once(command, capsys):
+    assert command(["env.rewards.heigth.weight=1", "~env.events.psh", "seed=2"]) == 2
+    message = capsys.readouterr().err
+    assert "2 mistakes" in message
+    assert "env.rewards.heigth.weight" in message
+    assert "env.events.psh" in message
+
+
+def test_a_user_file_that_a_stock_file_hides_is_told(command, user, capsys):
+    (user / "reward" / "alive.yaml").write_text("alive: {_target_: shelf_terms.alive, weight: 9.0}\n")
+    assert command(["--config-dir", str(user)]) == 2
+    message = capsys.readouterr().err
+    assert "never read" in message
+    assert "mine/configs/reward/alive.yaml" in message
+
+
+def test_every_command_of_the_table_has_help():
+    assert all(command.help for command in script.COMMANDS.values())

@@ -1,0 +1,108 @@
+"""Provenance: the replay equals what Hydra composes, and names the right file, line and override."""
+
+from __future__ import annotations
+
+import pytest
+from omegaconf import OmegaConf
+
+from wheelleg_exp.config.tree import dotted, leaves
+
+RECIPES = {
+    "nothing": [],
+    "child task": ["task=walk"],
+    "leaf": ["env.rewards.height.weight=-30"],
+    "leaf twice": ["env.rewards.height.weight=-30", "env.rewards.height.weight=-20"],
+    "append": ["+reward@env.rewards=smooth"],
+    "replace a list": ["reward@env.rewards=[height]"],
+    "empty a list": ["event@env.events=[]"],
+    "delete a term": ["~env.events.push"],
+    "delete a leaf": ["~env.events.push.mode"],
+    "delete and add": ["~env.rewards.alive", "+env.rewards.alive={_target_: shelf_terms.alive, weight: 9}"],
+    "null": ["env.rewards.height=null"],
+    "null and back": ["env.rewards.height=null", "env.rewards.height={weight: 1}"],
+    "new term": ["+env.rewards.foo={_target_: shelf_terms.alive, weight: 2}"],
+    "empty mapping": ["+env.rewards.foo={}", "++env.rewards.height={}"],
+    "merge": ["++env.rewards.height={weight: 3, extra: {a: 1}}"],
+    "list": ["env.robot.order=[c]"],
+    "element of a list": ["env.robot.order.1=z"],
+    "interpolation": ["env.decimation=${seed}"],
+    "swap": ["robot=physical"],
+    "merge beside a key with dots": ["++env.robot.joint_pos={knee: 0.3}"],
+}
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_the_replay_equals_the_composition(name, composed):
+    config = composed(*RECIPES[name])
+    assert config.provenance.tree() == OmegaConf.to_container(config.raw, resolve=False)
+
+
+def test_the_replay_equals_the_composition_with_a_users_folder(composed, user):
+    config = composed("task=hop", config_dirs=[user])
+    assert config.provenance.tree() == OmegaConf.to_container(config.raw, resolve=False)
+    assert config.provenance["env.rewards.bounce.weight"].file == user / "reward" / "bounce.yaml"
+
+
+def test_every_leaf_of_a_file_has_a_line_that_holds_its_key(composed):
+    config = composed("task=walk")
+    for path, source in config.provenance.items():
+        text = source.file.read_text().splitlines()[source.line - 1]
+        assert path.rstrip("]").rsplit(".", 1)[-1].split("[")[-1] in text
+
+
+def test_an_override_tells_what_it_hides_oldest_first(composed):
+    source = composed("env.rewards.height.weight=-3").provenance["env.rewards.height.weight"]
+    assert source.where == "override env.rewards.height.weight=-3"
+    assert [(s.value, s.where) for s in source.shadowed] == [
+        (1.0, "configs/reward/height.yaml:4"),
+        (-50.0, "configs/task/stand.yaml:23"),
+    ]
+
+
+def test_a_null_hides_every_leaf_of_the_term(composed):
+    source = composed("task=walk").provenance["env.rewards.alive"]
+    assert source.where == "configs/task/walk.yaml:12"
+    assert [s.path for s in source.shadowed] == ["env.rewards.alive._target_", "env.rewards.alive.weight"]
+
+
+def test_a_deleted_leaf_is_known_with_the_override_that_deleted_it(composed):
+    provenance = composed("~env.events.push").provenance
+    assert "env.events.push.mode" not in provenance
+    deleted = provenance.deleted["env.events.push.mode"]
+    assert deleted.override == "~env.events.push"
+    assert deleted.shadowed[0].where == "configs/event/push.yaml:3"
+
+
+def test_the_raw_value_keeps_its_interpolation(composed):
+    assert composed("task=walk").provenance["env.num_envs"].value == "${seed}"
+
+
+def test_a_key_with_dots_stands_in_brackets(composed):
+    assert composed().provenance["env.robot.joint_pos[.*_hip]"].where == "configs/robot/article.yaml:4"
+
+
+def test_the_place_of_a_mapping_is_its_first_leafs(composed):
+    places = composed().provenance
+    assert places.where("env.rewards.height") == "configs/reward/height.yaml:3"
+    assert places.where("env.rewards.height.nothing") == "configs/reward/height.yaml:3"
+    assert places.where("env.robot.order[1]") == "configs/robot/article.yaml:6"
+
+
+def test_anchors_and_merge_keys_have_the_lines_of_what_they_stand_for(composed, edit):
+    edit(
+        "reward/alive.yaml",
+        "base: &base\n  weight: 2.0\nalive:\n  <<: *base\n  _target_: shelf_terms.alive\n",
+    )
+    config = composed()
+    assert config.provenance["env.rewards.alive.weight"].line == 2
+    assert config.provenance.tree() == OmegaConf.to_container(config.raw, resolve=False)
+
+
+def test_leaves_of_a_tree_are_its_scalars_lists_and_empty_mappings():
+    tree = {"a": {"b": 1, "c": [1, {"d": 2}], "e": {}}, "f.g": None}
+    assert [(dotted(keys), value) for keys, value in leaves(tree)] == [
+        ("a.b", 1),
+        ("a.c", [1, {"d": 2}]),
+        ("a.e", {}),
+        ("[f.g]", None),
+    ]

@@ -1,0 +1,56 @@
+"""``wheelleg zero-agent`` and ``wheelleg random-agent``."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.errors import EXIT_OK, WheellegError
+
+if TYPE_CHECKING:
+    from wheelleg_exp.jobs.agents import AgentKind
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the commands' options."""
+    add_overrides(parser)
+    parser.add_argument("--steps", type=int, help="control steps; by default one episode")
+    add_json(parser)
+
+
+def run_zero(args: argparse.Namespace) -> int:
+    """Run a task with zero actions."""
+    return _run("zero", args)
+
+
+def run_random(args: argparse.Namespace) -> int:
+    """Run a task with actions uniform in [-1, 1]."""
+    return _run("random", args)
+
+
+def _run(kind: AgentKind, args: argparse.Namespace) -> int:
+    from wheelleg_exp.config.check import require_valid
+    from wheelleg_exp.config.compose import compose
+
+    if args.steps is not None and args.steps < 1:
+        raise WheellegError(f"is {args.steps}", key="--steps", expected="at least 1")
+    composed = compose(args.overrides, config_dirs=args.config_dirs)
+    require_valid(composed)
+
+    from wheelleg_exp.cli.display import ConsoleDisplay
+    from wheelleg_exp.cli.report import print_contacts, print_figures, print_recording
+    from wheelleg_exp.jobs.agents import run_agent
+
+    with ConsoleDisplay(quiet=args.json) as display:
+        made = run_agent(kind, composed, args.steps, display)
+    if args.json:
+        contacts = {name: [asdict(row) for row in rows] for name, rows in made.contacts.items()}
+        print_json({"folder": str(made.folder), "contacts": contacts, "figures": made.figures.as_dict()})
+        return EXIT_OK
+    print_figures(made.figures)
+    for sensor, rows in made.contacts.items():
+        print_contacts(sensor, rows)
+    print_recording(made.recording)
+    return EXIT_OK

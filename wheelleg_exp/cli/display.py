@@ -1,0 +1,93 @@
+"""How jobs look: one live line in a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from wheelleg_exp.rl.trainer import Iteration
+
+_PLAIN_EVERY_S = 10.0
+
+
+class ConsoleDisplay:
+    """Shows a job on standard error, so that standard output keeps what was asked for.
+
+    Args:
+        quiet: whether the managers' tables are left out.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._console = Console(file=sys.stderr)
+        self._live = self._console.is_terminal
+        self._quiet = quiet
+        self._last_plain = time.monotonic()
+        self._task: TaskID | None = None
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[figures]}"),
+            console=self._console,
+            transient=True,
+        )
+
+    def __enter__(self) -> ConsoleDisplay:
+        if self._live:
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._progress.stop()
+
+    def environment(self, description: str) -> None:
+        """Show the managers' tables."""
+        if not self._quiet:
+            self._console.print(description, highlight=False, markup=False, soft_wrap=True)
+
+    def note(self, text: str) -> None:
+        """Show one line."""
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def iteration(self, iteration: Iteration, total: int) -> None:
+        """Show how far training is."""
+        self._advance("training", iteration.index + 1, total, _figures(iteration))
+
+    def steps(self, done: int, total: int) -> None:
+        """Show how far a rollout is."""
+        self._advance("playing", done, total, "")
+
+    def _advance(self, what: str, done: int, total: int, figures: str) -> None:
+        if self._live:
+            if self._task is None:
+                self._task = self._progress.add_task(what, total=total, figures=figures)
+            self._progress.update(self._task, completed=done, total=total, figures=figures)
+            return
+        now = time.monotonic()
+        if done == total or now - self._last_plain >= _PLAIN_EVERY_S:
+            self._last_plain = now
+            self.note(f"{what} {done}/{total}  {figures}".rstrip())
+
+
+def _figures(iteration: Iteration) -> str:
+    scalars = iteration.scalars
+    parts = []
+    for key, label, form in (
+        ("Train/mean_reward", "reward", "{:.2f}"),
+        ("Train/mean_episode_length", "episode", "{:.0f} steps"),
+        ("Episode_Termination/time_out", "time-out", "{:.0%}"),
+        ("Perf/total_fps", "", "{:,.0f} steps/s"),
+    ):
+        if key in scalars:
+            parts.append(f"{label} {form.format(scalars[key])}".strip())
+    return "  ".join(parts)

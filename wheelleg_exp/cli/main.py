@@ -1,0 +1,162 @@
+"""The console script ``wheelleg``: finds the command, imports its module alone, returns the exit status."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from types import FrameType
+
+from wheelleg_exp import __version__
+from wheelleg_exp.cli.common import Parser, UsageError
+from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, WheellegError, nearest_name
+from wheelleg_exp.threads import prepare_threads
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: the module with ``configure(parser)`` and the function ``run(args) -> int``; its help."""
+
+    module: str
+    help: str
+    run: str = "run"
+
+
+COMMANDS: dict[str, Command] = {
+    "train": Command("train", "compose, check, train, and write one run directory"),
+    "play": Command("play", "run a policy and record it"),
+    "zero-agent": Command("agents", "run a task with zero actions and record it", "run_zero"),
+    "random-agent": Command("agents", "run a task with random actions and record it", "run_random"),
+    "convert": Command("convert", "convert a robot file to MJCF, with a report"),
+    "compose": Command("compose", "print the composed config"),
+    "list": Command("list", "list tasks, terms, groups, options or runs"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return the exit status.
+
+    Args:
+        argv: the words after ``wheelleg``; by default the process's own.
+    """
+    prepare_threads()
+    words = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in words
+    try:
+        with _terminate_is_interrupt():
+            status = _dispatch(words)
+            sys.stdout.flush()
+            return status
+    except BrokenPipeError:
+        _silence_stdout()
+        return EXIT_OK
+    except KeyboardInterrupt:
+        return _failed("interrupted", EXIT_INTERRUPTED, debug)
+    except WheellegError as error:
+        return _failed(str(error), error.exit_code, debug)
+    except Exception as error:
+        hint = "" if debug else " (--debug shows the traceback)"
+        return _failed(f"{type(error).__name__}: {error}{hint}", EXIT_FAILED, debug)
+
+
+def _dispatch(words: list[str]) -> int:
+    parser = _script_parser()
+    split = next((i for i, word in enumerate(words) if not word.startswith("-")), len(words))
+    options = _parse(parser, words[:split])
+    if options is None:
+        return EXIT_OK
+    if split == len(words):
+        raise UsageError("a command is missing", key="wheelleg", expected="one of " + ", ".join(COMMANDS))
+    return _run(words[split], words[split + 1 :])
+
+
+def _run(name: str, words: list[str]) -> int:
+    command = COMMANDS.get(name)
+    if command is None:
+        raise UsageError(
+            "there is no such command",
+            key=name,
+            expected="one of " + ", ".join(COMMANDS),
+            nearest=nearest_name(name, COMMANDS),
+        )
+    module = import_module(f"wheelleg_exp.cli.{command.module}")
+    parser = Parser(prog=f"wheelleg {name}", description=f"{command.help[0].upper()}{command.help[1:]}.")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    module.configure(parser)
+    args = _parse(parser, words)
+    if args is None:
+        return EXIT_OK
+    args.command = name
+    return int(getattr(module, command.run)(args))
+
+
+def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
+    """Parse words in any order of options and overrides; None when --help or --version has answered."""
+    try:
+        return parser.parse_intermixed_args(words)
+    except SystemExit:
+        # argparse leaves by SystemExit only after --help and --version: mistakes raise UsageError.
+        return None
+
+
+def _script_parser() -> Parser:
+    lines = "\n".join(f"  {name:<14}{command.help}" for name, command in COMMANDS.items())
+    parser = Parser(
+        prog="wheelleg",
+        usage="wheelleg COMMAND [OVERRIDE ...] [options]",
+        description="Config-first, reproducible reinforcement learning for wheel-legged robots.",
+        epilog=f"commands:\n{lines}\n\n'wheelleg COMMAND --help' tells more.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"wheelleg {__version__}")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return parser
+
+
+def _failed(message: str, status: int, debug: bool) -> int:
+    if debug:
+        traceback.print_exc()
+    print(
+        f"wheelleg: error: {message}" if status != EXIT_INTERRUPTED else "wheelleg: interrupted",
+        file=sys.stderr,
+    )
+    return status
+
+
+def _silence_stdout() -> None:
+    """Point standard output at nothing, so that the interpreter's last flush does not complain."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, sys.stdout.fileno())
+    except (OSError, ValueError):
+        pass
+    finally:
+        os.close(null)
+
+
+@contextmanager
+def _terminate_is_interrupt() -> Iterator[None]:
+    """Treat SIGTERM as Ctrl-C; only the main thread may set handlers."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_signal: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

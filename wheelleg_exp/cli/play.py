@@ -1,0 +1,52 @@
+"""``wheelleg play RUN``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.common import add_json, print_json
+from wheelleg_exp.errors import EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.run.directory import RunDirectory
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument(
+        "overrides", nargs="*", metavar="OVERRIDE", help="changes for this play: env.num_envs=16, seed=7"
+    )
+    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
+    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play a policy for one episode, print the figures and record it."""
+    from wheelleg_exp.run.directory import RunDirectory
+
+    directory = RunDirectory.open(args.run, args.root)
+    checkpoint = None if args.checkpoint is None else _checkpoint(directory, args.checkpoint)
+
+    from wheelleg_exp.cli.display import ConsoleDisplay
+    from wheelleg_exp.cli.report import print_figures, print_recording, shown
+    from wheelleg_exp.jobs.play import play
+
+    with ConsoleDisplay(quiet=True) as display:
+        played = play(directory, checkpoint, args.overrides, sys.argv, display)
+    if args.json:
+        print_json({"run": str(directory.path), "folder": str(played.folder), "figures": played.figures.as_dict()})
+        return EXIT_OK
+    print(f"played {shown(played.checkpoint)} without exploration noise")
+    print_figures(played.figures)
+    print(f"\nrun directory: {shown(directory.path)}")
+    print_recording(played.recording)
+    return EXIT_OK
+
+
+def _checkpoint(directory: RunDirectory, text: str) -> Path:
+    return directory.checkpoint(int(text)) if text.isdigit() else Path(text)

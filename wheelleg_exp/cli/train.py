@@ -1,0 +1,47 @@
+"""``wheelleg train``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    add_overrides(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compose, check, train, and say what was made."""
+    from wheelleg_exp.config.check import require_valid
+    from wheelleg_exp.config.compose import compose
+
+    composed = compose(args.overrides, config_dirs=args.config_dirs)
+    require_valid(composed)
+
+    from wheelleg_exp.cli.display import ConsoleDisplay
+    from wheelleg_exp.cli.report import shown
+    from wheelleg_exp.jobs import training
+
+    with ConsoleDisplay() as display:
+        ready = training.prepare(composed, sys.argv, display)
+        directory = ready.directory
+        display.note(f"run directory: {shown(directory.path)}")
+        try:
+            results = training.run(ready, display)
+        except KeyboardInterrupt:
+            display.note(f"interrupted; the last checkpoint is {shown(directory.latest_checkpoint())}")
+            return EXIT_INTERRUPTED
+    if args.json:
+        print_json({"run": str(directory.path), "status": "finished", "results": results})
+        return EXIT_OK
+    path = shown(directory.path)
+    print(f"trained {results['iterations']} iterations in {results['seconds']:.0f} s: {path}")
+    print(f"next: wheelleg play {path}")
+    print(f"      tensorboard --logdir {path}")
+    print(f"      rerun {path}/recording.rrd")
+    return EXIT_OK

@@ -1,0 +1,171 @@
+"""Composing a config: files and overrides in, one plain tree out, with the place of every leaf."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from wheelleg_exp.config.diagnose import explain
+from wheelleg_exp.config.loader import Loader, hydra_globals, require_folder
+from wheelleg_exp.config.problems import raise_all
+from wheelleg_exp.config.provenance import MISSING, Provenance, trace
+from wheelleg_exp.config.tree import dotted, leaves
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.terms import RESERVED
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A composed config.
+
+    Attributes:
+        config: the resolved tree as plain mappings. Removed (null) terms are gone from the term sections, and
+            every term section is there, if only empty.
+        raw: the same as OmegaConf has it, ``${...}`` unresolved and null terms kept; read-only.
+        overrides: the overrides as typed.
+        primary: name of the primary config.
+        config_dirs: the user's config folders, absolute.
+        removed_terms: paths of the terms that were set to null.
+    """
+
+    config: dict[str, Any]
+    raw: DictConfig
+    overrides: list[str]
+    primary: str
+    config_dirs: tuple[Path, ...]
+    removed_terms: tuple[str, ...]
+    hydra: DictConfig = field(repr=False)
+    _loader: Loader = field(repr=False)
+    _parsed: list[Override] = field(repr=False)
+
+    @cached_property
+    def provenance(self) -> Provenance:
+        """Where each leaf comes from, worked out when it is first asked for."""
+        return trace(self._loader, self.primary, self._parsed)
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that were read, stock and the user's, in order of reading."""
+        return [loaded.file for loaded in self._loader.repository_used.loaded.values()]
+
+    @property
+    def asset_roots(self) -> tuple[Path, ...]:
+        """The folders in which a user's own assets are looked up, for ``paths.find_asset``."""
+        return tuple(root for d in self.config_dirs for root in (d.parent / "assets", d.parent))
+
+    def hydra_files(self) -> dict[str, str]:
+        """Return the texts of Hydra's three files, by name: config.yaml, hydra.yaml and overrides.yaml."""
+        return {
+            "config.yaml": OmegaConf.to_yaml(self.raw),
+            "hydra.yaml": OmegaConf.to_yaml(OmegaConf.create({"hydra": self.hydra})),
+            "overrides.yaml": OmegaConf.to_yaml(OmegaConf.create(self.overrides)),
+        }
+
+
+def compose(overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()) -> Composed:
+    """Compose the primary config with overrides, as Hydra does.
+
+    Args:
+        overrides: Hydra overrides, such as ``task=walk`` or ``env.rewards.alive.weight=2``.
+        primary: name of the primary config.
+        config_dirs: the user's config folders, searched after the stock configs.
+
+    Raises:
+        ConfigError: anything that is wrong with the files, the overrides or the interpolations.
+    """
+    texts = [str(text) for text in overrides]
+    folders = tuple(require_folder(folder) for folder in config_dirs)
+    with hydra_globals():
+        loader = Loader(folders)
+        try:
+            raw = loader.load(primary, texts)
+        except (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError) as error:
+            raise explain(error, loader, primary, texts) from error
+        parsed = OverridesParser.create().parse_overrides(texts)
+    OmegaConf.set_struct(raw, False)
+    hydra = raw.pop("hydra")
+    OmegaConf.set_readonly(raw, True)
+    config = _resolve(raw, lambda: trace(loader, primary, parsed))
+    removed = _drop_removed(config)
+    return Composed(config, raw, texts, primary, folders, removed, hydra, loader, parsed)
+
+
+def _resolve(raw: DictConfig, provenance: Any) -> dict[str, Any]:
+    """Return the resolved plain tree; one ConfigError tells all missing values and bad interpolations."""
+    try:
+        resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        places = provenance()
+        raise_all(_unresolved(raw, places) or [ConfigError(_flat(error), key=_full_key(error))], error)
+    return {str(key): value for key, value in resolved.items()} if isinstance(resolved, dict) else {}
+
+
+def _unresolved(raw: DictConfig, places: Provenance) -> list[ConfigError]:
+    errors = []
+    for keys, value in leaves(OmegaConf.to_container(raw, resolve=False)):
+        path = dotted(keys)
+        if value == MISSING or (isinstance(value, list) and MISSING in value):
+            errors.append(
+                ConfigError("this value is missing", key=path, where=places.where(path), expected=f"{path}=<value>")
+            )
+        elif "${" in str(value):
+            message = _interpolation_message(raw, path)
+            if message is not None:
+                errors.append(ConfigError(message, key=path, where=places.where(path)))
+    return errors
+
+
+def _interpolation_message(raw: DictConfig, path: str) -> str | None:
+    try:
+        value = OmegaConf.select(raw, path, throw_on_missing=True)
+        if OmegaConf.is_config(value):
+            OmegaConf.to_container(value, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        return _flat(error)
+    return None
+
+
+def _flat(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    kept = [line.strip() for line in lines if not line.strip().startswith(("full_key:", "object_type="))]
+    return " ".join(kept)
+
+
+def _full_key(error: OmegaConfBaseException) -> str | None:
+    return str(error.full_key) if error.full_key else None
+
+
+def _drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
+    """Take null terms out, give absent sections an empty mapping, and return the paths that were null."""
+    env = config.get("env")
+    if not isinstance(env, dict):
+        return ()
+    removed: list[str] = []
+    for section in RESERVED:
+        if env.get(section) is None:
+            env[section] = {}
+        removed += _drop_null(env, section, "env")
+    groups = env["observations"]
+    if isinstance(groups, dict):
+        for name, group in groups.items():
+            if isinstance(group, dict) and "terms" in group:
+                group["terms"] = {} if group["terms"] is None else group["terms"]
+                removed += _drop_null(group, "terms", f"env.observations.{name}")
+    return tuple(removed)
+
+
+def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
+    section = parent[key]
+    if not isinstance(section, dict):
+        return []
+    parent[key] = {name: node for name, node in section.items() if node is not None}
+    return [f"{path}.{key}.{name}" for name, node in section.items() if node is None]

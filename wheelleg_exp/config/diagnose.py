@@ -1,0 +1,180 @@
+"""Turning what Hydra raises into one ConfigError: key, place, what was expected, nearest name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    MissingConfigException,
+)
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from wheelleg_exp.config.diagnose_groups import (
+    IN_FILE,
+    defaults_problem,
+    flat,
+    missing_option,
+    option_problems,
+    where_of,
+)
+from wheelleg_exp.config.loader import Loader, Repository
+from wheelleg_exp.config.problems import join
+from wheelleg_exp.config.tree import Keys, dotted, node_paths, scalar_line, show_file, split_path
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+_FORMS = "key=value, +key=value, ++key=value or ~key"
+
+
+def explain(error: Exception, loader: Loader, primary: str, overrides: Sequence[str]) -> ConfigError:
+    """Return the ConfigError for what went wrong while composing.
+
+    Args:
+        error: what Hydra raised.
+        loader: the loader that was composing.
+        primary: name of the primary config.
+        overrides: the overrides as typed.
+    """
+    unreadable = [_unreadable(text) for text in overrides]
+    found = [problem for problem in unreadable if problem is not None]
+    if found:
+        return join(found)
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or option_problems(loader, parsed)
+    if found:
+        return join(found)
+    if isinstance(error, MissingConfigException):
+        return missing_option(error, loader, primary, parsed)
+    if isinstance(error, RecursionError):
+        return ConfigError("the defaults lists lead back to themselves", key=primary, expected="no circle of defaults")
+    return _by_stage(error, loader, primary, parsed)
+
+
+def _unreadable(text: str) -> ConfigError | None:
+    try:
+        override = OverridesParser.create().parse_override(text)
+    except HydraException as error:
+        reason = str(error).splitlines()[0]
+    else:
+        if override.key_or_group:
+            return None
+        reason = "there is no key"
+    element = re.match(r"([^=\[]*)\[(\d+)\]=(.*)", text)
+    expected = f"{element[1]}.{element[2]}={element[3]}" if element else _FORMS
+    return ConfigError(f"not an override: {reason}", key=text, where=f"override {text}", expected=expected)
+
+
+def _sweep(override: Override) -> ConfigError:
+    key = override.key_or_group
+    text = str(override.input_line).split("=", 1)[-1]
+    forms = "" if "(" in text else f"; a list is written {key}=[{text}], text with commas {key}='{text}'"
+    return ConfigError("several values for one run", key=key, where=where_of(override), expected=f"one value{forms}")
+
+
+def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[Override]) -> ConfigError:
+    """Compose again step by step, to see which one fails."""
+    try:
+        defaults = loader.defaults(primary, parsed)
+    except (HydraException, OmegaConfBaseException, ValueError, AssertionError) as problem:
+        return defaults_problem(problem, loader, parsed)
+    try:
+        cfg = loader._compose_config_from_defaults_list(defaults.defaults, loader.repository_used)
+    except (HydraException, OmegaConfBaseException, ValueError) as problem:
+        return _merge_problem(problem, loader.repository_used)
+    OmegaConf.set_struct(cfg, True)
+    problems = []
+    for override in defaults.config_overrides:
+        try:
+            ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
+        except (HydraException, OmegaConfBaseException) as problem:
+            problems.append(_override_problem(problem, override, cfg, loader.groups()))
+    return join(problems) if problems else ConfigError(flat(error), key=primary)
+
+
+def _merge_problem(problem: Exception, repository: Repository) -> ConfigError:
+    text = str(problem)
+    match = IN_FILE.match(text)
+    loaded = repository.loaded.get(match.group(1)) if match else None
+    body = text.split("composing config:", 1)[-1]
+    key = re.search(r"full_key: (\S+)", text)
+    line = scalar_line(loaded.file, key.group(1).rsplit(".", 1)[-1]) if loaded and key else None
+    return ConfigError(
+        f"does not merge: {flat(ValueError(body))}",
+        key=key.group(1) if key else None,
+        where=show_file(loaded.file, line) if loaded else None,
+    )
+
+
+def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
+    """Explain an override that cannot be applied."""
+    key = override.key_or_group
+    # Hydra's own keys are shown to those who ask for them.
+    shown = {name: node for name, node in _plain(cfg).items() if (name == "hydra") == override.is_hydra_override()}
+    existing = _existing(shown, key)
+    if existing and override.is_add():
+        plain = str(override.input_line).lstrip("+")
+        return ConfigError(
+            "there is a value already",
+            key=key,
+            where=where_of(override),
+            expected=f"{plain} without the plus sign",
+        )
+    if existing and override.is_delete():
+        return ConfigError(flat(problem), key=key, where=where_of(override), expected=f"~{key} without a value")
+    if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
+        return ConfigError(flat(problem.__cause__ or problem), key=key, where=where_of(override))
+    top = nearest_name(key, [*shown, *groups])
+    return ConfigError(
+        "there is no such key",
+        key=key,
+        where=where_of(override),
+        expected=_expected_at(shown, key, groups),
+        nearest=top or nearest_path(key, [dotted(path) for path in node_paths(shown)]),
+    )
+
+
+def _plain(cfg: DictConfig) -> dict[str, object]:
+    plain = OmegaConf.to_container(cfg, resolve=False)
+    return {str(name): node for name, node in plain.items()} if isinstance(plain, dict) else {}
+
+
+def _existing(tree: dict[str, object], key: str) -> bool:
+    return split_path(key) in set(node_paths(tree))
+
+
+def _expected_at(tree: dict[str, object], key: str, groups: Sequence[str]) -> str:
+    """Say which keys there are where the path leaves the tree."""
+    node: object = tree
+    walked: list[str] = []
+    for part in split_path(key):
+        if not isinstance(node, dict) or part not in node:
+            break
+        walked.append(part)
+        node = node[part]
+    place = dotted(walked)
+    if not isinstance(node, dict):
+        return f"'{place}' to be a mapping; it is a single value"
+    names = ", ".join(str(name) for name in node)
+    if not walked:
+        return f"one of {names}, or a group: {', '.join(groups)}"
+    return f"one of {names} in {place}"
+
+
+def nearest_path(path: str, paths: Sequence[str]) -> str | None:
+    """Return the existing path most like ``path``: key by key first, then by the whole text."""
+    known = [split_path(p) for p in paths]
+    found: Keys = ()
+    for part in split_path(path):
+        here = {k[len(found)]: None for k in known if len(k) > len(found) and k[: len(found)] == found}
+        name = part if part in here else nearest_name(part, here)
+        if name is None:
+            whole = nearest_name(path, [p for p in paths if p.count(".") >= path.count(".")])
+            return whole or next((p for p in paths if p.endswith(f".{path}")), None)
+        found = (*found, name)
+    return dotted(found)

@@ -1,0 +1,151 @@
+"""The fixed part of the composed tree: which keys there are, of which type, in which range.
+
+The keys of a section are the fields of the dataclass that reads it, so that the two cannot drift apart. A
+field's ``metadata`` may hold ``minimum`` (value at least that), ``above`` (value greater than that) and
+``maximum``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any, Literal
+
+# Section of the tree -> the dataclass whose fields are its keys; imported when it is needed.
+OPTIONS: dict[str, str] = {
+    "env.sim": "wheelleg_exp.sim.options.SimOptions",
+    "env.scene": "wheelleg_exp.sim.options.SceneOptions",
+    "env.robot": "wheelleg_exp.sim.options.RobotOptions",
+    "recording": "wheelleg_exp.recording.options.RecordingOptions",
+    "run": "wheelleg_exp.run.options.RunOptions",
+}
+
+Section = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Task:
+    """``task``: what is trained."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Env:
+    """``env``: the size and pace of the environments, and the sections that others read."""
+
+    num_envs: int = field(metadata={"minimum": 1})
+    episode_length_s: float = field(metadata={"above": 0.0})
+    decimation: int = field(metadata={"minimum": 1})
+    sim: Section
+    scene: Section
+    robot: Section
+    commands: Section
+    actions: Section
+    observations: Section
+    events: Section
+    rewards: Section
+    terminations: Section
+    curriculum: Section
+
+
+@dataclass(frozen=True)
+class ObservationGroup:
+    """``env.observations.<group>``."""
+
+    terms: Section
+    concatenate_terms: bool = True
+    enable_corruption: bool = False
+    history_length: int | None = field(default=None, metadata={"minimum": 0})
+    flatten_history_dim: bool = True
+
+
+@dataclass(frozen=True)
+class Check:
+    """``check``: findings that are known and accepted."""
+
+    silence: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Root:
+    """The top of the tree."""
+
+    seed: int = field(metadata={"minimum": 0})
+    task: Task
+    env: Env
+    agent: Section
+    recording: Section
+    run: Section
+    check: Check | None = None
+
+
+@dataclass(frozen=True)
+class Agent:
+    """``agent``: what rsl_rl's runner reads, and what the commands read."""
+
+    algorithm: Section
+    num_steps_per_env: int = field(metadata={"minimum": 1})
+    max_iterations: int = field(metadata={"minimum": 1})
+    save_interval: int = field(metadata={"minimum": 1})
+    obs_groups: dict[str, list[str]]
+    actor: Section | None = None
+    critic: Section | None = None
+    student: Section | None = None
+    teacher: Section | None = None
+    device: str = "cpu"
+    torch_threads: int = field(default=1, metadata={"minimum": 1})
+    class_name: str = "OnPolicyRunner"
+    logger: str | Section = "tensorboard"
+    run_name: str | None = None
+    check_for_nan: bool = True
+    torch_compile_mode: str | None = None
+
+
+# The manager's own fields of a term, by section: their types, and which of them every term must have.
+FIELD_TYPES: dict[str, Any] = {
+    "weight": float,
+    "time_out": bool,
+    "mode": Literal["prestartup", "startup", "reset", "interval"],
+    "interval_range_s": tuple[float, float] | None,
+    "is_global_time": bool,
+    "min_step_count_between_reset": int,
+    "history_length": int,
+    "flatten_history_dim": bool,
+    "clip": tuple[float, float] | None,
+    "scale": float | list[float] | None,
+}
+REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
+
+
+@dataclass(frozen=True)
+class Key:
+    """One allowed key of a section."""
+
+    name: str
+    annotation: Any
+    required: bool
+    limits: dict[str, float]
+
+
+def keys_of(options: type) -> dict[str, Key]:
+    """Return the allowed keys of a section from the fields of its dataclass."""
+    hints = typing.get_type_hints(options)
+    missing = dataclasses.MISSING
+    return {
+        f.name: Key(f.name, hints[f.name], f.default is missing and f.default_factory is missing, dict(f.metadata))
+        for f in dataclasses.fields(options)
+        if f.init
+    }
+
+
+def options_of(path: str) -> type | None:
+    """Return the dataclass that reads the section at ``path``, or None when none is set down."""
+    name = OPTIONS.get(path)
+    if name is None:
+        return None
+    module, _, attribute = name.rpartition(".")
+    found: type = getattr(import_module(module), attribute)
+    return found

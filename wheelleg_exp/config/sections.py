@@ -1,0 +1,70 @@
+"""Holding one section of the tree against the fields of the dataclass that reads it."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Mapping
+from typing import Any
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.values import describe, fits
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+
+def check_section(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+    """Hold the keys and values of one section against the fields of a dataclass."""
+    keys = schema.keys_of(options)
+    errors = []
+    for name, value in node.items():
+        key = f"{path}.{name}" if path else str(name)
+        if name in keys:
+            errors += _check_value(key, value, keys[name])
+        else:
+            errors.append(
+                ConfigError(
+                    "nothing reads this key",
+                    key=key,
+                    expected="one of " + ", ".join(keys),
+                    nearest=nearest_name(str(name), keys),
+                )
+            )
+    for absent in keys.values():
+        if absent.required and absent.name not in node:
+            full = f"{path}.{absent.name}" if path else absent.name
+            errors.append(ConfigError("this value is missing", key=full, expected=describe(absent.annotation)))
+    return errors
+
+
+def _check_value(path: str, value: Any, key: schema.Key) -> list[ConfigError]:
+    if not fits(value, key.annotation):
+        return [wrong_type(path, value, key.annotation)]
+    nested = _dataclass_in(key.annotation)
+    if nested is not None and isinstance(value, Mapping):
+        return check_section(path, value, nested)
+    wanted = _limits_broken(value, key.limits)
+    return [ConfigError(f"{value!r} is out of range", key=path, expected=wanted)] if wanted else []
+
+
+def wrong_type(path: str, value: Any, annotation: Any) -> ConfigError:
+    """Return the error for a value that does not fit its annotation."""
+    return ConfigError(f"{value!r} is not of the right type", key=path, expected=describe(annotation))
+
+
+def _dataclass_in(annotation: Any) -> type | None:
+    for option in (annotation, *typing.get_args(annotation)):
+        if isinstance(option, type) and dataclasses.is_dataclass(option):
+            return option
+    return None
+
+
+def _limits_broken(value: Any, limits: Mapping[str, float]) -> str | None:
+    if not isinstance(value, (int, float)):
+        return None
+    if "minimum" in limits and not value >= limits["minimum"]:
+        return f"at least {limits['minimum']}"
+    if "above" in limits and not value > limits["above"]:
+        return f"more than {limits['above']}"
+    if "maximum" in limits and not value <= limits["maximum"]:
+        return f"at most {limits['maximum']}"
+    return None

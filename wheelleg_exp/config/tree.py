@@ -1,0 +1,135 @@
+"""Plain helpers for config trees: paths, leaves, and the line that each key of a YAML file stands on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+Keys = tuple[str, ...]
+
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_PART = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
+
+
+def dotted(keys: Iterable[str]) -> str:
+    """Return the path as text; a key that holds dots or brackets itself stands in brackets."""
+    text = ""
+    for key in keys:
+        if re.search(r"[.\[\]]", key):
+            text += f"[{key}]"
+        else:
+            text += f".{key}" if text else key
+    return text
+
+
+def split_path(path: str) -> Keys:
+    """Return the keys of a path such as ``env.rewards.alive`` or ``env.robot.joint_pos[.*_hip]``."""
+    return tuple(bracket or plain for bracket, plain in _PART.findall(path))
+
+
+def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
+    """Yield ``(keys, value)`` of each leaf; a list is one leaf, and so is an empty mapping."""
+    if isinstance(node, Mapping) and node:
+        for key, value in node.items():
+            yield from leaves(value, (*prefix, str(key)))
+    else:
+        yield prefix, node
+
+
+def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
+    """Yield the path of each mapping and leaf below ``node``."""
+    if isinstance(node, Mapping):
+        for key, value in node.items():
+            path = (*prefix, str(key))
+            yield path
+            yield from node_paths(value, path)
+
+
+def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
+    """Return the nested mapping that has these leaves."""
+    tree: dict[str, Any] = {}
+    for keys, value in entries.items():
+        node = tree
+        for key in keys[:-1]:
+            node = node.setdefault(key, {})
+        node[keys[-1]] = value
+    return tree
+
+
+def select(node: Any, path: str) -> Any:
+    """Return the node at ``path``; raises KeyError when there is none."""
+    for key in split_path(path):
+        if not isinstance(node, Mapping):
+            raise KeyError(path)
+        names = {str(k): k for k in node}
+        if key not in names:
+            raise KeyError(path)
+        node = node[names[key]]
+    return node
+
+
+@lru_cache(maxsize=1024)
+def _yaml_node(file: Path, _stamp: int) -> yaml.Node | None:
+    with file.open(encoding="utf-8") as stream:
+        return yaml.compose(stream, Loader=_LOADER)
+
+
+def yaml_node(file: Path) -> yaml.Node | None:
+    """Return the file's YAML node tree, whose nodes know their lines."""
+    return _yaml_node(file, file.stat().st_mtime_ns)
+
+
+def line_table(file: Path) -> dict[Keys, int]:
+    """Return the line (from 1) on which each key of the file stands."""
+    table: dict[Keys, int] = {}
+    _collect_lines(yaml_node(file), (), table)
+    return table
+
+
+def _collect_lines(node: yaml.Node | None, prefix: Keys, table: dict[Keys, int]) -> None:
+    if not isinstance(node, yaml.MappingNode):
+        return
+    for key, value in node.value:
+        if key.tag == "tag:yaml.org,2002:merge":
+            merged = value.value if isinstance(value, yaml.SequenceNode) else [value]
+            for source in merged:
+                _collect_lines(source, prefix, table)
+            continue
+        path = (*prefix, str(key.value))
+        table.setdefault(path, key.start_mark.line + 1)
+        _collect_lines(value, path, table)
+
+
+def scalar_line(file: Path, *texts: str) -> int | None:
+    """Return the line of the first key or value in the file that is one of ``texts``."""
+    return _scalar_line(yaml_node(file), texts)
+
+
+def _scalar_line(node: yaml.Node | None, texts: tuple[str, ...]) -> int | None:
+    if isinstance(node, yaml.ScalarNode):
+        return node.start_mark.line + 1 if node.value in texts else None
+    if isinstance(node, yaml.MappingNode):
+        children = [child for pair in node.value for child in pair]
+    elif isinstance(node, yaml.SequenceNode):
+        children = list(node.value)
+    else:
+        children = []
+    for child in children:
+        line = _scalar_line(child, texts)
+        if line is not None:
+            return line
+    return None
+
+
+def show_file(file: Path, line: int | None = None) -> str:
+    """Return ``file:line``, relative to the current folder when the file lies in it."""
+    try:
+        shown = file.relative_to(Path.cwd())
+    except ValueError:
+        shown = file
+    return f"{shown}:{line}" if line is not None else str(shown)
