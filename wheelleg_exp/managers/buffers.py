@@ -1,4 +1,4 @@
-"""Ring-free history of the last samples, oldest first."""
+"""History of the last samples, oldest first."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import torch
 class HistoryBuffer:
     """The last H samples of each environment.
 
-    The first sample after a reset fills every slot, as in Isaac Lab.
+    The first sample of an episode fills every slot, as in Isaac Lab. ``append`` makes a new tensor instead of
+    writing into the old one, so that what was handed out before never changes.
 
     Args:
         num_envs: number of environments, N.
@@ -18,39 +19,29 @@ class HistoryBuffer:
 
     def __init__(self, num_envs: int, length: int, shape: torch.Size) -> None:
         self.samples = torch.zeros(num_envs, length, *shape)
-        self.empty = torch.ones(num_envs, dtype=torch.bool)
-        self._any_empty = True
 
-    def append(self, sample: torch.Tensor) -> None:
-        """Take up a sample (N, ...); the oldest is dropped."""
-        self.samples[:, :-1] = self.samples[:, 1:].clone()
-        self.samples[:, -1] = sample
-        if self._any_empty:
-            ids = self.empty.nonzero().squeeze(1)
-            self.samples[ids] = sample[ids].unsqueeze(1).expand(-1, *self.samples.shape[1:])
-            self.empty.fill_(False)
-            self._any_empty = False
+    def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
+        """Take up a sample (N, ...), drop the oldest, and return the history (N, H, ...).
 
-    def reset(self, env_ids: torch.Tensor) -> None:
-        """Forget the samples of ``env_ids``."""
-        self.samples[env_ids] = 0.0
-        self.empty[env_ids] = True
-        self._any_empty = True
+        Args:
+            sample: the new sample.
+            first: environments for which it is the first of an episode, or None.
+        """
+        self.samples = self.appended(sample, first)
+        return self.samples
 
-    def appended(self, sample: torch.Tensor) -> torch.Tensor:
-        """Return what ``append`` would leave (N, H, ...), without storing it."""
-        after = torch.cat((self.samples[:, 1:], sample.unsqueeze(1)), dim=1)
-        if self._any_empty:
-            ids = self.empty.nonzero().squeeze(1)
-            after[ids] = sample[ids].unsqueeze(1).expand(-1, *after.shape[1:])
+    def appended(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
+        """Return what ``append`` would, without storing it."""
+        newest = sample.unsqueeze(1)
+        after = torch.cat((self.samples[:, 1:], newest), dim=1)
+        if first is not None:
+            after[first] = newest[first]
         return after
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return samples and which environments have none."""
-        return {"samples": self.samples.clone(), "empty": self.empty.clone()}
+        """Return the samples."""
+        return {"samples": self.samples.clone()}
 
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
-        self.samples.copy_(saved["samples"])
-        self.empty.copy_(saved["empty"])
-        self._any_empty = bool(self.empty.any())
+        self.samples = saved["samples"].clone()

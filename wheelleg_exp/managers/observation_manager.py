@@ -55,17 +55,19 @@ class ObservationTerm:
             else ((self.width * history_length,) if flatten else (history_length, self.width))
         )
 
-    def compute(self) -> torch.Tensor:
-        """Draw noise, advance modifiers and history, and return the term's observation."""
+    def compute(self, first: torch.Tensor | None) -> torch.Tensor:
+        """Draw noise, advance modifiers and history, and return the term's observation.
+
+        Args:
+            first: environments at the first observation of an episode, or None.
+        """
         value = self._sample(draw=True)
         if self.history is None:
             return value.clone()
-        self.history.append(value)
-        samples = self.history.samples
-        # Cloned, because the buffer is written again in the next step.
-        return samples.flatten(1).clone() if self._flatten else samples.clone()
+        samples = self.history.append(value, first)
+        return samples.flatten(1) if self._flatten else samples
 
-    def peek(self) -> torch.Tensor:
+    def peek(self, first: torch.Tensor | None) -> torch.Tensor:
         """Return what ``compute`` would, without noise and without changing any state."""
         owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
         kept = [owner.state_dict() for owner in owners]
@@ -77,19 +79,17 @@ class ObservationTerm:
             self.term.generator.set_state(stream)
         if self.history is None:
             return value
-        samples = self.history.appended(value)
+        samples = self.history.appended(value, first)
         return samples.flatten(1) if self._flatten else samples
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the term object, modifiers, noise and history of ``env_ids``."""
+        """Reset the term object, modifiers and noise of ``env_ids``; histories refill with the next sample."""
         if self.term.stateful is not None:
             self.term.stateful.reset(env_ids)
         for modifier in self._modifiers:
             modifier.reset(env_ids)
         if hasattr(self._noise, "reset"):
             self._noise.reset(env_ids, self._generator)
-        if self.history is not None:
-            self.history.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of everything that survives a step."""
@@ -150,10 +150,9 @@ class ObservationManager:
             if node is not None:
                 self._add_group(group, node, env)
         self.obs_buf: dict[str, Group] = {}
-        everything = torch.arange(env.num_envs)
-        for terms in self._groups.values():
-            for term in terms.values():
-                term.reset(everything)
+        self._is_first = torch.zeros(env.num_envs, dtype=torch.bool)
+        self._any_first = False
+        self.reset(torch.arange(env.num_envs))
 
     @property
     def active_terms(self) -> dict[str, list[str]]:
@@ -189,30 +188,40 @@ class ObservationManager:
 
     def compute(self) -> dict[str, Group]:
         """Return every group's observation; advances noise, modifiers and histories."""
+        first = self._first_ids()
         self.obs_buf = {
-            group: self._joined(group, {name: term.compute() for name, term in terms.items()})
+            group: self._joined(group, {name: term.compute(first) for name, term in terms.items()})
             for group, terms in self._groups.items()
         }
+        if self._any_first:
+            self._is_first.fill_(False)
+            self._any_first = False
         return self.obs_buf
 
     def peek(self) -> dict[str, Group]:
         """Return what ``compute`` would, without noise and without changing any state."""
+        first = self._first_ids()
         return {
-            group: self._joined(group, {name: term.peek() for name, term in terms.items()})
+            group: self._joined(group, {name: term.peek(first) for name, term in terms.items()})
             for group, terms in self._groups.items()
         }
+
+    def _first_ids(self) -> torch.Tensor | None:
+        return self._is_first.nonzero().squeeze(1) if self._any_first else None
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Reset every term of ``env_ids``."""
         for terms in self._groups.values():
             for term in terms.values():
                 term.reset(env_ids)
+        self._is_first[env_ids] = True
+        self._any_first = True
         return {}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of every term and the last observation."""
         terms = {g: {n: t.state_dict() for n, t in ts.items()} for g, ts in self._groups.items()}
-        return {"groups": terms, "obs_buf": dict(self.obs_buf)}
+        return {"groups": terms, "obs_buf": dict(self.obs_buf), "is_first": self._is_first.clone()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -220,6 +229,8 @@ class ObservationManager:
             for name, term in terms.items():
                 term.load_state_dict(saved["groups"][group][name])
         self.obs_buf = dict(saved["obs_buf"])
+        self._is_first.copy_(saved["is_first"])
+        self._any_first = bool(self._is_first.any())
 
     def _add_group(self, group: str, node: Mapping[str, Any], env: Env) -> None:
         path = f"env.observations.{group}"

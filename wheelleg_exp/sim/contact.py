@@ -65,8 +65,8 @@ class ContactSensor:
         start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
         width = bodies * self._slots * _WIDTH
         self._data = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
+        self._pressures, self._normals = self._data[..., 1].unsqueeze(2), self._data[..., 4:7]
         self.net_forces_w_history = torch.zeros(n, self._history_length, bodies, 3)
-        self._total = torch.zeros(n, bodies, 3, dtype=torch.float64)
         self._norms: torch.Tensor | None = None
         self._found = torch.zeros(n, bodies, dtype=torch.float64)
         times = ("current_air_time", "last_air_time", "current_contact_time", "last_contact_time")
@@ -123,20 +123,17 @@ class ContactSensor:
 
     def update(self) -> None:
         """Sample the forces of the physics step that has just run."""
-        history = self.net_forces_w_history
-        if self._history_length > 1:
-            history[:, 1:] = history[:, :-1].clone()
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
         torch.maximum(self._found, self._data[:, :, 0, 0], out=self._found)
-        torch.sum(self._data[..., 1:2] * self._data[..., 4:7], dim=2, out=self._total)
-        history[:, 0] = self._total.neg_()
+        force = torch.matmul(self._pressures, self._normals).transpose(1, 2).neg_().float()
+        self.net_forces_w_history = torch.cat((force, self.net_forces_w_history[:, :-1]), dim=1)
         self._norms = None
         if self.track_air_time:
             self._update_times()
 
     def reset(self, ids: torch.Tensor) -> None:
         """Forget forces and times of ``ids``."""
-        self.net_forces_w_history[ids] = 0.0
+        self.net_forces_w_history = self.net_forces_w_history.index_fill(0, ids, 0.0)
         self._found[ids] = 0.0
         self._norms = None
         for value in self._times.values():
@@ -156,7 +153,7 @@ class ContactSensor:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
-        self.net_forces_w_history.copy_(saved["history"])
+        self.net_forces_w_history = saved["history"].clone()
         self._found.copy_(saved["found"])
         for name, value in self._times.items():
             value.copy_(saved[name])

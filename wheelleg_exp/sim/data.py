@@ -41,16 +41,12 @@ class RobotData:
         root = model.body(robot.body_names[0])
         self._root_id = int(root.id)
         self._floating = robot.floating
-        nq, nv = (7, 6) if self._floating else (0, 0)
-        qpos_cols = [*range(nq), *(int(model.joint(j).qposadr[0]) for j in robot.joint_names)]
-        qvel_cols = [*range(nv), *(int(model.joint(j).dofadr[0]) for j in robot.joint_names)]
-        self._nq, self._nqv = nq, len(qpos_cols)
-        self._nv = self._nqv + nv
-        qpos_at = _column(sim, "qpos")
-        qvel_at = _column(sim, "qvel")
-        self._columns = torch.tensor([qpos_at + c for c in qpos_cols] + [qvel_at + c for c in qvel_cols])
-        self._joint_columns = self._columns[[*range(nq, self._nqv), *range(self._nv, self._nv + joints)]]
-        self._before = torch.zeros(n, 2 * joints, dtype=torch.float64)
+        self._nq, self._nv = model.nq, model.nv
+        # Positions and velocities stand side by side in a state row.
+        start = sim.column("qpos")
+        self._motion = sim.state[:, start : start + model.nq + model.nv]
+        self._qpos_ids, self._dof_ids = robot.qpos_ids, robot.dof_ids
+        self._before = torch.zeros_like(self._motion)
         self._body_ids = torch.tensor([int(model.body(b).id) for b in robot.body_names])
         self._actuators = robot.actuators
         self._actuated = robot.actuator_ids
@@ -68,35 +64,36 @@ class RobotData:
         self.joint_vel_target = torch.zeros(n, joints)
         self.joint_effort_target = torch.zeros(n, joints)
         self._torque_valid = torch.zeros(n, 1)
+        self._applied_torque = torch.zeros(n, joints)
 
     def invalidate(self) -> None:
         """Forget derived quantities; called whenever the state has changed."""
         self._cache.clear()
 
     def before_step(self) -> None:
-        """Keep the joint state that the coming physics step starts from."""
-        torch.index_select(self._sim.state, 1, self._joint_columns, out=self._before)
-        self._cache.clear()
+        """Keep the motion state that the coming physics step starts from."""
+        self._before.copy_(self._motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
         """Let the accelerations (n, k) of written joint velocities count from them."""
-        joints = torch.arange(self._before.shape[1] // 2)[joint_ids]
-        self._before[ids.unsqueeze(1), joints + self._before.shape[1] // 2] = vel.double()
+        self._before[ids.unsqueeze(1), self._nq + self._dof_ids[joint_ids]] = vel.double()
 
     def mark_stepped(self) -> None:
         """Note that the last solve belongs to every environment's present episode."""
         self._torque_valid.fill_(1.0)
+        self._applied_torque[:, self._actuated] = self._sim.view("actuator_force").float()
         self._cache.clear()
 
     def reset(self, ids: torch.Tensor) -> None:
         """Report zero torque and acceleration for ``ids`` until their next physics step."""
         self._torque_valid[ids] = 0.0
+        self._applied_torque[ids] = 0.0
         self._cache.clear()
 
     @_derived
     def _state(self) -> torch.Tensor:
-        """Return root pose, joint positions, root velocity, joint velocities (N, nq + nv)."""
-        return torch.index_select(self._sim.state, 1, self._columns).float()
+        """Return positions and velocities in MuJoCo's order, float32, (N, nq + nv)."""
+        return self._motion.float()
 
     @_derived
     def root_pos_w(self) -> torch.Tensor:
@@ -106,9 +103,8 @@ class RobotData:
     @_derived
     def root_quat_w(self) -> torch.Tensor:
         """Orientation of the root link (w, x, y, z), (N, 4)."""
-        if not self._floating:
-            return self.body_quat_w[:, 0]
-        return torch.nn.functional.normalize(self._state[:, 3:7], dim=-1)
+        # MuJoCo keeps it a unit quaternion.
+        return self._state[:, 3:7] if self._floating else self.body_quat_w[:, 0]
 
     @_derived
     def root_rot_w(self) -> torch.Tensor:
@@ -120,14 +116,14 @@ class RobotData:
         """Velocity of the root link's origin, m/s, (N, 3)."""
         if not self._floating:
             return torch.zeros(self._sim.num_envs, 3)
-        return self._state[:, self._nqv : self._nqv + 3]
+        return self._state[:, self._nq : self._nq + 3]
 
     @_derived
     def root_ang_vel_b(self) -> torch.Tensor:
         """Angular velocity of the root link in its own axes, rad/s, (N, 3)."""
         if not self._floating:
             return torch.zeros(self._sim.num_envs, 3)
-        return self._state[:, self._nqv + 3 : self._nqv + 6]
+        return self._state[:, self._nq + 3 : self._nq + 6]
 
     @_derived
     def root_ang_vel_w(self) -> torch.Tensor:
@@ -162,30 +158,30 @@ class RobotData:
     @_derived
     def joint_pos(self) -> torch.Tensor:
         """Joint positions, rad, (N, J)."""
-        return self._state[:, self._nq : self._nqv]
+        return self._state.index_select(1, self._qpos_ids)
 
     @_derived
     def joint_vel(self) -> torch.Tensor:
         """Joint velocities, rad/s, (N, J)."""
-        return self._state[:, self._nv :]
+        return self._state.index_select(1, self._nq + self._dof_ids)
 
     @_derived
     def joint_acc(self) -> torch.Tensor:
         """Joint accelerations, rad/s^2, (N, J): finite difference over the last physics step."""
-        before = self._before[:, self.joint_pos.shape[1] :].float()
+        before = self._before.index_select(1, self._nq + self._dof_ids).float()
         return (self.joint_vel - before) / self._dt * self._torque_valid
 
-    @_derived
+    @property
     def applied_torque(self) -> torch.Tensor:
         """Clipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
-        torque = torch.zeros_like(self.joint_pos)
-        torque[:, self._actuated] = self._sim.view("actuator_force").float()
-        return torque.mul_(self._torque_valid)
+        return self._applied_torque
 
     @_derived
     def computed_torque(self) -> torch.Tensor:
         """Unclipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
-        before_pos, before_vel = self._before.float().tensor_split(2, dim=1)
+        before = self._before.float()
+        before_pos = before.index_select(1, self._qpos_ids)
+        before_vel = before.index_select(1, self._nq + self._dof_ids)
         torque = torch.zeros_like(before_pos)
         for actuator in self._actuators.values():
             ids = actuator.joint_ids
@@ -195,17 +191,22 @@ class RobotData:
     @_derived
     def body_pos_w(self) -> torch.Tensor:
         """Positions of the link frames, m, (N, B, 3)."""
-        return self._sim.view("xpos")[:, self._body_ids].float()
+        return self._sim.derived("xpos")[:, self._body_ids].float()
 
     @_derived
     def body_quat_w(self) -> torch.Tensor:
         """Orientations of the link frames (w, x, y, z), (N, B, 4)."""
-        return self._sim.view("xquat")[:, self._body_ids].float()
+        return self._sim.derived("xquat")[:, self._body_ids].float()
+
+    @_derived
+    def body_rot_w(self) -> torch.Tensor:
+        """Rotation matrices of the links, (N, B, 3, 3)."""
+        return self._sim.derived("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
 
     @_derived
     def body_ang_vel_w(self) -> torch.Tensor:
         """Angular velocities of the links, rad/s, (N, B, 3)."""
-        return self._sim.view("cvel")[:, self._body_ids, 0:3].float()
+        return self._sim.derived("cvel")[:, self._body_ids, 0:3].float()
 
     @_derived
     def body_lin_vel_w(self) -> torch.Tensor:
@@ -213,13 +214,7 @@ class RobotData:
 
         MuJoCo's ``cvel`` is referenced to the centre of mass of the kinematic tree; it is shifted here.
         """
-        velocity = self._sim.view("cvel")[:, self._body_ids]
-        tree_com = self._sim.view("subtree_com")[:, self._root_id].unsqueeze(1)
-        offset = self._sim.view("xipos")[:, self._body_ids] - tree_com
+        velocity = self._sim.derived("cvel")[:, self._body_ids]
+        tree_com = self._sim.derived("subtree_com")[:, self._root_id].unsqueeze(1)
+        offset = self._sim.derived("xipos")[:, self._body_ids] - tree_com
         return (velocity[..., 3:6] + torch.linalg.cross(velocity[..., 0:3], offset)).float()
-
-
-def _column(sim: Simulation, name: str) -> int:
-    """Return the column of the state row at which a state field begins."""
-    view = sim.view(name)
-    return (view.data_ptr() - sim.state.data_ptr()) // sim.state.element_size()

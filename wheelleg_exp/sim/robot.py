@@ -55,18 +55,21 @@ class Robot:
     def connect(self, sim: Simulation) -> None:
         """Attach to the running simulations; called once, after the scene has been compiled."""
         self._sim = sim
-        self._limits(sim.model)
-        self.data = RobotData(self, sim)
-        self._ctrl = sim.view("ctrl")
-        self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
-        sim.view("actuator_force")
         model = sim.model
+        self._limits(model)
         self.qpos_ids = torch.tensor([int(model.joint(j).qposadr[0]) for j in self.joint_names])
         self.dof_ids = torch.tensor([int(model.joint(j).dofadr[0]) for j in self.joint_names])
         self.body_ids = torch.tensor([int(model.body(b).id) for b in self.body_names])
+        self.data = RobotData(self, sim)
+        self._ctrl = sim.view("ctrl")
+        self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
+        self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
+        # Force and torque as the two columns of a matrix, (N, 3, 2).
+        self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].unflatten(1, (2, 3)).mT
+        sim.view("actuator_force")
         self.stale = torch.zeros(sim.num_envs, dtype=torch.bool)
         self._wrench_bodies: torch.Tensor | None = None
-        self._wrench = torch.zeros(sim.num_envs, len(self.body_names), 3, 2, dtype=torch.float64)
+        self._wrench = torch.zeros(sim.num_envs, len(self.body_names), 3, 2)
 
     def find_joints(
         self, expressions: str | list[str], *, key: str, preserve_order: bool = False
@@ -102,12 +105,10 @@ class Robot:
 
     def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
         """Set forces and torques (n, k, 6) at the CoM of the bodies, link axes, until the next reset of ``ids``."""
-        self._wrench[ids.unsqueeze(1), torch.tensor(body_ids)] = wrench.view(len(ids), -1, 2, 3).mT.double()
-        if self._wrench_bodies is None:
-            self._sim.view("xmat")
-            self._wrench_bodies = torch.tensor(sorted(body_ids))
-        else:
-            self._wrench_bodies = torch.tensor(sorted({*self._wrench_bodies.tolist(), *body_ids}))
+        self._wrench[ids.unsqueeze(1), torch.tensor(body_ids)] = wrench.view(len(ids), -1, 2, 3).mT
+        known = [] if self._wrench_bodies is None else self._wrench_bodies.tolist()
+        if not set(body_ids) <= set(known):
+            self._wrench_bodies = torch.tensor(sorted({*known, *body_ids}))
 
     def write_data_to_sim(self) -> None:
         """Run the actuator models on the present state and apply permanent wrenches in world axes."""
@@ -119,10 +120,15 @@ class Robot:
             self._ctrl[:, start:stop] = actuator.control(data)
             start = stop
         if self._wrench_bodies is not None:
-            bodies, model_ids = self._wrench_bodies, self.body_ids[self._wrench_bodies]
-            matrix = self._sim.view("xmat")[:, model_ids].view(-1, len(bodies), 3, 3)
-            world = matrix @ self._wrench[:, bodies]
-            self._xfrc[:, model_ids] = world.mT.reshape(-1, len(bodies), 6)
+            self._write_wrenches(self._wrench_bodies)
+
+    def _write_wrenches(self, bodies: torch.Tensor) -> None:
+        """Turn permanent wrenches from link axes, as the links stand now, to the world's."""
+        if len(bodies) == 1 and bodies[0] == 0:  # the root's rotation is in the state itself
+            self._root_xfrc.copy_(torch.bmm(self.data.root_rot_w, self._wrench[:, 0]))
+            return
+        world = self.data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
+        self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).double()
 
     def reset(self, ids: torch.Tensor) -> None:
         """Forget wrenches and reported torques of ``ids``; state and targets are left to events and actions."""
@@ -134,18 +140,18 @@ class Robot:
     def write_root_pose(self, ids: torch.Tensor, pos: torch.Tensor, quat: torch.Tensor) -> None:
         """Set the root link's pose (n, 3), (n, 4) in the world."""
         self._require_floating()
-        self._qpos[ids, 0:7] = torch.cat((pos, quat), dim=1).double()
+        unit = torch.nn.functional.normalize(quat.double(), dim=-1)
+        self._root_qpos[ids] = torch.cat((pos.double(), unit), dim=1)
         self.mark_written(ids)
 
     def write_root_com_velocity(self, ids: torch.Tensor, lin_vel: torch.Tensor, ang_vel: torch.Tensor) -> None:
         """Set the velocity (n, 3), (n, 3) of the root body's CoM in world axes, at the present orientation."""
         self._require_floating()
-        quat = torch.nn.functional.normalize(self._qpos[ids, 3:7], dim=-1)
-        matrix = rotation.quat_to_matrix(quat)
-        com_w = rotation.rotate(matrix, self.data.com_b[ids].double())
-        linear = lin_vel.double() - torch.linalg.cross(ang_vel.double(), com_w)
+        matrix = rotation.quat_to_matrix(self._root_qpos[ids, 3:7])
         angular = rotation.rotate_inverse(matrix, ang_vel.double())
-        self._qvel[ids, 0:6] = torch.cat((linear, angular), dim=1)
+        # v_link = v_com - omega x R c = v_com - R (omega_b x c)
+        lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b[ids].double()))
+        self._root_qvel[ids] = torch.cat((lin_vel.double() - lever, angular), dim=1)
         self.mark_written(ids)
 
     def write_joint_state(
@@ -184,9 +190,9 @@ class Robot:
             "joint_effort_target": data.joint_effort_target.clone(),
             "default_joint_pos": data.default_joint_pos.clone(),
             "com_b": data.com_b.clone(),
-            "joint_state_before": data._before.clone(),
+            "motion_before": data._before.clone(),
             "torque_valid": data._torque_valid.clone(),
-            "applied_torque": self._sim.view("actuator_force").clone(),
+            "applied_torque": data.applied_torque.clone(),
             "wrench": self._wrench.clone(),
             "wrench_bodies": [] if bodies is None else bodies.tolist(),
         }
@@ -199,12 +205,11 @@ class Robot:
         data.joint_effort_target.copy_(saved["joint_effort_target"])
         data.default_joint_pos.copy_(saved["default_joint_pos"])
         data.com_b.copy_(saved["com_b"])
-        data._before.copy_(saved["joint_state_before"])
+        data._before.copy_(saved["motion_before"])
         data._torque_valid.copy_(saved["torque_valid"])
-        self._sim.view("actuator_force").copy_(saved["applied_torque"])
+        data.applied_torque.copy_(saved["applied_torque"])
         self._wrench.copy_(saved["wrench"])
         if saved["wrench_bodies"]:
-            self._sim.view("xmat")
             self._wrench_bodies = torch.tensor(saved["wrench_bodies"])
         data.invalidate()
 

@@ -17,12 +17,33 @@ for _i in range(3):
             _third = 3 - _i - _j
             _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
 _PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
+_BY_DTYPE = {dtype: _PRODUCTS_TO_MATRIX.to(dtype) for dtype in (torch.float32, torch.float64)}
+
+
+# Component of the Hamilton product that a_i b_j adds to, and its sign.
+_PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4)
+for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
+    for _j, _to in enumerate(_row):
+        _negative = _to < 0 or (_to == 0 and _i > 0)
+        _PRODUCTS_TO_QUAT[_i, _j, abs(_to)] = -1.0 if _negative else 1.0
+_PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
+
+# The quaternion of three half angles; an index is 1 for the sine of roll, pitch and yaw in turn.
+_HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4)
+for _indices, _to, _weight in (
+    ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),
+    ((1, 0, 0), 1, 1.0), ((0, 1, 1), 1, -1.0),
+    ((0, 1, 0), 2, 1.0), ((1, 0, 1), 2, 1.0),
+    ((0, 0, 1), 3, 1.0), ((1, 1, 0), 3, -1.0),
+):  # fmt: skip
+    _HALF_ANGLES_TO_QUAT[(*_indices, _to)] = _weight
+_HALF_ANGLES_TO_QUAT = _HALF_ANGLES_TO_QUAT.reshape(8, 4)
 
 
 def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     products = (q.unsqueeze(2) * q.unsqueeze(1)).view(-1, 16)
-    return (products @ _PRODUCTS_TO_MATRIX.to(q.dtype)).view(-1, 3, 3)
+    return (products @ _BY_DTYPE[q.dtype]).view(-1, 3, 3)
 
 
 def rotate(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
@@ -36,34 +57,17 @@ def rotate_inverse(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
 
 
 def quat_mul(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Return the Hamilton product of quaternions (..., 4)."""
-    aw, ax, ay, az = a.unbind(-1)
-    bw, bx, by, bz = b.unbind(-1)
-    return torch.stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        dim=-1,
-    )
+    """Return the Hamilton product of quaternions (n, 4)."""
+    products = (a.unsqueeze(2) * b.unsqueeze(1)).flatten(1)
+    return products @ _PRODUCTS_TO_QUAT.to(products.dtype)
 
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
-    """Return the quaternions (..., 4) of Rz(yaw) Ry(pitch) Rx(roll), the convention of Isaac Lab."""
-    cr, sr = torch.cos(roll / 2), torch.sin(roll / 2)
-    cp, sp = torch.cos(pitch / 2), torch.sin(pitch / 2)
-    cy, sy = torch.cos(yaw / 2), torch.sin(yaw / 2)
-    return torch.stack(
-        (
-            cy * cp * cr + sy * sp * sr,
-            cy * cp * sr - sy * sp * cr,
-            cy * sp * cr + sy * cp * sr,
-            sy * cp * cr - cy * sp * sr,
-        ),
-        dim=-1,
-    )
+    """Return the quaternions (n, 4) of Rz(yaw) Ry(pitch) Rx(roll), angles (n,), the convention of Isaac Lab."""
+    half = torch.stack((roll, pitch, yaw), dim=1) / 2
+    roll, pitch, yaw = torch.stack((half.cos(), half.sin()), dim=2).unbind(dim=1)
+    products = (roll.unsqueeze(2) * pitch.unsqueeze(1)).unsqueeze(3) * yaw.view(-1, 1, 1, 2)
+    return products.flatten(1) @ _HALF_ANGLES_TO_QUAT.to(products.dtype)
 
 
 def random_quat(count: int, generator: torch.Generator) -> torch.Tensor:

@@ -100,9 +100,7 @@ class Scene:
 
     def reset(self, ids: torch.Tensor) -> None:
         """Reset simulations, then assets, then sensors; the state itself is the reset events' job."""
-        kept = self.sim.view("qpos")[ids].clone(), self.sim.view("qvel")[ids].clone()
         self.sim.reset(ids)
-        self.sim.view("qpos")[ids], self.sim.view("qvel")[ids] = kept
         self.robot.reset(ids)
         for sensor in self.sensors.values():
             sensor.reset(ids)

@@ -1,4 +1,4 @@
-"""N simulations of one model on a persistent ``mujoco.batch.Batch``, seen as live torch tensors."""
+"""N simulations of one model on a ``mujoco.batch.Batch``, seen as live torch tensors."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ _UNSTABLE = [
 class Simulation:
     """N simulations of one model.
 
-    After every call position- and velocity-dependent fields describe the new state; torques and contact
-    forces keep the values of the last solve, which is the convention of PhysX and Isaac Lab.
+    State rows are always current. Position- and velocity-dependent outputs are computed for the new state once
+    some term has asked for one (``derived``), and cost nothing before. Torques and contact forces keep the values
+    of the last solve, which is the convention of PhysX and Isaac Lab.
 
     Args:
         model: the compiled scene.
@@ -35,31 +36,45 @@ class Simulation:
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
         self.model = model
         self.num_envs = num_envs
-        self.batch = Batch(model, num_envs, nthread=nthread, persistent=True)
+        self.batch = Batch(model, num_envs, nthread=nthread)
         self._views: dict[str, torch.Tensor] = {}
         self._expanded: dict[str, torch.Tensor] = {}
         self.state = torch.from_numpy(self.batch.state)
-        self._stepped = False
+        self._current: set[str] = set()
+        self._warnings = torch.from_numpy(self.batch.warning)[:, min(_UNSTABLE) : max(_UNSTABLE) + 1, 1]
+        self._initial = self.state[0:1].clone()
+        start = self.column("qpos")  # velocities follow positions
+        self._is_motion = torch.zeros(self.state.shape[1], dtype=torch.bool)
+        self._is_motion[start : start + model.nq + model.nv] = True
 
     @property
     def nthread(self) -> int:
         """Number of physics threads."""
         return self.batch.nthread
 
+    def column(self, name: str) -> int:
+        """Return the column of the state row at which a state field begins."""
+        return (self.view(name).data_ptr() - self.state.data_ptr()) // self.state.element_size()
+
     def view(self, name: str) -> torch.Tensor:
         """Return a live float64 view (N, ...) of an MjData field.
 
-        State fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...) may be written; others are outputs and
-        must only be read.
+        State fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...) may be written. Others are outputs of the
+        last step, and must only be read, before ``forward`` is called: it leaves other simulations' values in them.
         """
         if name not in self._views:
-            array = self.batch.bind(name)
             with warnings.catch_warnings():  # torch cannot mark a tensor read-only and says so
                 warnings.simplefilter("ignore", UserWarning)
-                self._views[name] = torch.from_numpy(array)
-            if self._stepped and not array.flags.writeable:
-                self.forward()  # a field bound late is zero until the next call
+                self._views[name] = torch.from_numpy(self.batch.bind(name))
         return self._views[name]
+
+    def derived(self, name: str) -> torch.Tensor:
+        """Return a live view (N, ...) of an output that depends on positions and velocities; it is kept current."""
+        view = self.view(name)
+        if name not in self._current:
+            self._current.add(name)
+            self.forward()
+        return view
 
     def expand(self, name: str) -> torch.Tensor:
         """Give a model field one value a simulation; return the live tensor (N, ...).
@@ -75,31 +90,35 @@ class Simulation:
         self.batch.set_const()
 
     def step(self) -> None:
-        """Advance every simulation by one physics step."""
+        """Advance every simulation by one physics step.
+
+        Raises:
+            SimulationFailure: the engine raised an error.
+        """
         try:
-            self.batch.step(nstep=1, stage=_STAGE_VEL)
+            self.batch.step(nstep=1, stage=_STAGE_VEL if self._current else _STAGE_NONE)
         except SimulationError as error:
             raise SimulationFailure(f"physics failed: {error}") from error
-        self._stepped = True
 
     def forward(self, ids: torch.Tensor | None = None) -> None:
-        """Make position- and velocity-dependent fields describe the present state of ``ids`` (all when None)."""
-        self.batch.forward(_rows(ids), stage=_STAGE_VEL)
-        self._stepped = True
+        """Make derived outputs describe the present state of ``ids`` (all when None)."""
+        if self._current:
+            self.batch.forward(_rows(ids), stage=_STAGE_VEL)
 
-    def reset(self, ids: torch.Tensor | None = None) -> None:
-        """Set the state of ``ids`` to the model's defaults, with zero controls, applied forces and warnings."""
-        self.batch.reset(_rows(ids), stage=_STAGE_NONE)
-        rows = slice(None) if ids is None else ids.numpy()
-        self.batch.warning[rows] = 0
+    def reset(self, ids: torch.Tensor) -> None:
+        """Zero time, controls, applied forces, warm start and warnings of ``ids``; positions and velocities stay.
+
+        A simulation is its state row, so writing the row is the whole reset.
+        """
+        self.state[ids] = torch.where(self._is_motion, self.state[ids], self._initial)
+        self.batch.warning[ids.numpy()] = 0
 
     def unstable(self) -> torch.Tensor:
         """Return which simulations (N,) bool the engine found NaN or huge since their reset.
 
         MuJoCo sets such a simulation to the model's defaults in silence and raises a counter, which is read here.
         """
-        number = self.batch.warning[:, _UNSTABLE, 1]
-        return torch.from_numpy(number.any(axis=1))
+        return self._warnings.any(dim=1)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that the next step depends on: state rows, warnings, per-simulation model fields."""
