@@ -1,0 +1,130 @@
+"""How close a full ``env.step`` comes to MuJoCo's own speed, measured side by side in one process.
+
+    python benchmarks/env_throughput.py [--num-envs 512] [--steps 300] [--json] [overrides ...]
+
+Each environment step is followed by a bare ``Batch.step`` of the same model, decimation, states and controls, so
+that both see the same contacts and the same noise of the machine. A second pass says what the rest is spent on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+from wheelleg_exp.threads import prepare_threads
+
+prepare_threads()
+
+import torch  # noqa: E402  (thread variables come first)
+from mujoco.batch import Batch  # noqa: E402
+
+from wheelleg_exp.build import build_env  # noqa: E402
+from wheelleg_exp.config.compose import compose  # noqa: E402
+from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
+
+
+def actions(env: ManagerBasedRLEnv, steps: int) -> list[torch.Tensor]:
+    """Return small random actions, the same at every run, so that episodes end at many different times."""
+    generator = torch.Generator().manual_seed(0)
+    width = env.action_manager.total_action_dim
+    return [0.3 * torch.randn(env.num_envs, width, generator=generator) for _ in range(steps)]
+
+
+def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
+    """Return seconds in ``env.step`` and in bare ``Batch.step``, taken in turn."""
+    batch = env.scene.sim.batch
+    bare = Batch(env.scene.model, env.num_envs, nthread=batch.nthread)
+    before = batch.state.copy()
+    full_time = bare_time = 0.0
+    with torch.inference_mode():
+        for action in actions(env, steps):
+            before[...] = batch.state
+            start = time.perf_counter()
+            env.step(action)
+            full_time += time.perf_counter() - start
+            bare.state[...] = before
+            bare.bind("ctrl")[...] = batch.bind("ctrl")
+            start = time.perf_counter()
+            bare.step(nstep=env.decimation)
+            bare_time += time.perf_counter() - start
+    return full_time, bare_time
+
+
+def breakdown(env: ManagerBasedRLEnv, steps: int) -> dict[str, float]:
+    """Return milliseconds per step by part of the step."""
+    spent: dict[str, float] = defaultdict(float)
+
+    def timed(owner: Any, name: str, label: str) -> None:
+        function: Callable[..., Any] = getattr(owner, name)
+
+        def wrapper(*args: Any, **kwargs: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                spent[label] += time.perf_counter() - start
+
+        setattr(owner, name, wrapper)
+
+    timed(env.scene.sim, "step", "physics")
+    timed(env.scene, "update", "contact sensors")
+    timed(env.scene, "write_data_to_sim", "actuators and wrenches")
+    timed(env.action_manager, "process_action", "actions")
+    timed(env.action_manager, "apply_action", "actions")
+    timed(env.termination_manager, "compute", "terminations")
+    timed(env.reward_manager, "compute", "rewards")
+    timed(env, "_reset_idx", "resets")
+    timed(env.command_manager, "compute", "commands")
+    timed(env.event_manager, "apply_interval", "interval events")
+    timed(env.scene, "refresh", "refresh after resets")
+    timed(env.observation_manager, "compute", "observations")
+    start = time.perf_counter()
+    with torch.inference_mode():
+        for action in actions(env, steps):
+            env.step(action)
+    spent["other"] = time.perf_counter() - start - sum(spent.values())
+    return {label: 1e3 * value / steps for label, value in spent.items()}
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--num-envs", type=int, default=512)
+    parser.add_argument("--steps", type=int, default=300)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("overrides", nargs="*")
+    args = parser.parse_args()
+    composed = compose([f"env.num_envs={args.num_envs}", *args.overrides])
+    torch.set_num_threads(1)
+    env = build_env(composed.config, asset_roots=composed.asset_roots)
+    env.reset()
+    paired(env, 50)
+    full, bare = paired(env, args.steps)
+    physics = args.steps * env.num_envs * env.decimation
+    result: dict[str, Any] = {
+        "ratio": bare / full,
+        "env_steps_per_s": args.steps * env.num_envs / full,
+        "physics_steps_per_s": {"env": physics / full, "bare": physics / bare},
+        "ms_per_step": {"env": 1e3 * full / args.steps, "bare": 1e3 * bare / args.steps},
+        "num_envs": env.num_envs,
+        "threads": env.scene.sim.nthread,
+        "breakdown_ms": breakdown(env, args.steps),
+    }
+    if args.json:
+        print(json.dumps(result, indent=2))
+        return
+    print(f"{env.num_envs} environments, decimation {env.decimation}, {result['threads']} physics threads")
+    print(f"env.step    {result['ms_per_step']['env']:7.3f} ms   {result['env_steps_per_s']:10.0f} environment steps/s")
+    print(f"Batch.step  {result['ms_per_step']['bare']:7.3f} ms")
+    print(f"ratio       {result['ratio']:7.3f}      (1 is MuJoCo alone)")
+    print("\nwhere a step's time goes (ms):")
+    for label, value in sorted(result["breakdown_ms"].items(), key=lambda item: -item[1]):
+        print(f"  {label:24s} {value:7.3f}")
+
+
+if __name__ == "__main__":
+    main()

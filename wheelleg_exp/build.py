@@ -1,0 +1,36 @@
+"""From a composed config to an environment: the asset is converted, then the environment built."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.asset import CachedConversion, convert_cached
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.paths import cache_dir, find_asset
+
+
+def prepare_asset(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> CachedConversion:
+    """Convert the config's robot to MJCF, or take it from the cache.
+
+    Args:
+        config: the composed tree, plain.
+        asset_roots: folders of the user's own assets.
+
+    Raises:
+        AssetError: the file is not there, or holds no robot.
+    """
+    robot = config["env"]["robot"]
+    source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")
+    return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets")
+
+
+def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> ManagerBasedRLEnv:
+    """Build the environment of a composed config.
+
+    Raises:
+        WheellegError: the robot's file or the config is wrong.
+    """
+    mjcf = prepare_asset(config, asset_roots).output
+    return ManagerBasedRLEnv(config["env"], mjcf, int(config["seed"]))

@@ -1,0 +1,59 @@
+"""From a task's name to its environment and Gymnasium spaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import torch
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.check import require_valid
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv, Observations
+from wheelleg_exp.errors import ConfigError
+
+Arrays = dict[str, np.ndarray]
+
+
+def task_env(
+    task: str, num_envs: int, overrides: Sequence[str], config_dirs: Sequence[str | Path]
+) -> ManagerBasedRLEnv:
+    """Compose, check and build a task.
+
+    Raises:
+        WheellegError: the task, an override or the robot is wrong.
+    """
+    words = [f"task={task}", *overrides, f"env.num_envs={num_envs}"]
+    composed = compose(words, config_dirs=[Path(folder) for folder in config_dirs])
+    require_valid(composed)
+    env = build_env(composed.config, composed.asset_roots)
+    for group, concatenated in env.observation_manager.group_obs_concatenate.items():
+        if not concatenated:
+            raise ConfigError(
+                "Gymnasium observations are one array a group",
+                key=f"env.observations.{group}.concatenate_terms",
+                expected="true",
+            )
+    return env
+
+
+def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
+    """Return the space of one environment's observations: unbounded float32 vectors by group."""
+    widths = env.observation_manager.group_obs_term_dim
+    shapes = {group: (*parts[0][:-1], sum(part[-1] for part in parts)) for group, parts in widths.items()}
+    return gymnasium.spaces.Dict(
+        {group: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for group, shape in shapes.items()}
+    )
+
+
+def action_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Box:
+    """Return the space of one environment's actions: unbounded, as the raw actions are never clipped."""
+    return gymnasium.spaces.Box(-np.inf, np.inf, (env.action_manager.total_action_dim,), np.float32)
+
+
+def as_arrays(observations: Observations) -> Arrays:
+    """Return observations as arrays of their own."""
+    return {group: value.numpy().copy() for group, value in observations.items() if isinstance(value, torch.Tensor)}

@@ -1,0 +1,1 @@
+"""The rsl_rl adapter, training, checkpoints that hold everything, and export."""

@@ -1,0 +1,71 @@
+"""Checkpoints: everything that training depends on, in one file that loads without running anybody's code."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import sys
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import RunDirectoryError
+
+FORMAT_VERSION = 1
+_NEEDED = ("format_version", "iter", "actor_state_dict", "critic_state_dict")
+
+
+def serialize(state: Mapping[str, Any]) -> bytes:
+    """Return a checkpoint's bytes: the same state gives the same bytes, whatever objects hold it."""
+    buffer = io.BytesIO()
+    torch.save(_rebuilt(dict(state)), buffer)
+    return buffer.getvalue()
+
+
+def load(path: Path) -> dict[str, Any]:
+    """Read a checkpoint.
+
+    Raises:
+        RunDirectoryError: the file is missing, damaged, or no checkpoint of this program.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise RunDirectoryError("there is no such checkpoint", key=str(path)) from error
+    except (RuntimeError, OSError, EOFError, ValueError, pickle.UnpicklingError, zipfile.BadZipFile) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RunDirectoryError(
+            f"cannot be read as a checkpoint: {reason}",
+            key=str(path),
+            expected="a model_<iteration>.pt of a run",
+        ) from error
+    missing = [key for key in _NEEDED if not isinstance(state, dict) or key not in state]
+    if missing:
+        raise RunDirectoryError(
+            f"is no checkpoint of this program: it has no '{missing[0]}'",
+            key=str(path),
+            expected="a model_<iteration>.pt of a run",
+        )
+    if state["format_version"] != FORMAT_VERSION:
+        raise RunDirectoryError(
+            f"has format version {state['format_version']}",
+            key=str(path),
+            expected=f"version {FORMAT_VERSION}",
+        )
+    return state
+
+
+def _rebuilt(value: Any) -> Any:
+    """Rebuild a tree so that no two parts share an object: pickle would write shared ones differently."""
+    if isinstance(value, torch.Tensor):
+        return value.detach().clone().contiguous()
+    if isinstance(value, Mapping):
+        return {_rebuilt(key): _rebuilt(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_rebuilt(item) for item in value)
+    if isinstance(value, str):
+        return sys.intern(value)
+    return value

@@ -1,0 +1,67 @@
+"""What an iteration's rollout tells: episode returns and lengths, and the managers' logs."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from typing import Any
+
+import torch
+
+_EPISODES = 100  # finished episodes that the running means cover, as in rsl_rl
+
+
+class EpisodeLog:
+    """Collects what steps report and returns it once per iteration, under rsl_rl's keys.
+
+    Args:
+        num_envs: number of environments, N.
+    """
+
+    def __init__(self, num_envs: int) -> None:
+        self._return = torch.zeros(num_envs)
+        self._length = torch.zeros(num_envs)
+        self._returns: deque[float] = deque(maxlen=_EPISODES)
+        self._lengths: deque[float] = deque(maxlen=_EPISODES)
+        self._values: defaultdict[str, list[float]] = defaultdict(list)
+        self._pending: list[dict[str, Any]] = []
+
+    def step(self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]) -> None:
+        """Take up one step's rewards (N,), dones (N,) and extras."""
+        self._return += rewards
+        self._length += 1
+        if extras.get("log_is_fresh"):
+            self._pending.append(extras["log"])
+            ids = dones.nonzero().squeeze(1)
+            self._returns.extend(self._return[ids].tolist())
+            self._lengths.extend(self._length[ids].tolist())
+            self._return[ids] = 0.0
+            self._length[ids] = 0.0
+
+    def collect(self) -> dict[str, float]:
+        """Return the scalars since the last call: means over the reset batches, and over the last episodes."""
+        for log in self._pending:
+            for key, value in log.items():
+                self._values[key].append(float(value))
+        self._pending.clear()
+        scalars = {key: sum(values) / len(values) for key, values in self._values.items()}
+        self._values.clear()
+        if self._returns:
+            scalars["Train/mean_reward"] = sum(self._returns) / len(self._returns)
+            scalars["Train/mean_episode_length"] = sum(self._lengths) / len(self._lengths)
+        return scalars
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return running sums and the last episodes."""
+        return {
+            "return": self._return.clone(),
+            "length": self._length.clone(),
+            "returns": list(self._returns),
+            "lengths": list(self._lengths),
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._return.copy_(saved["return"])
+        self._length.copy_(saved["length"])
+        self._returns = deque(saved["returns"], maxlen=_EPISODES)
+        self._lengths = deque(saved["lengths"], maxlen=_EPISODES)

@@ -1,0 +1,165 @@
+"""Training with rsl_rl's PPO: one iteration is a rollout and an update."""
+
+from __future__ import annotations
+
+import copy
+import io
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.utils import check_nan, resolve_callable
+
+from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
+from wheelleg_exp.managers.streams import stream_seed
+from wheelleg_exp.rl.checkpoint import FORMAT_VERSION
+from wheelleg_exp.rl.episode_log import EpisodeLog
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+# Keys of the agent section that are this program's, not rsl_rl's.
+OWN_KEYS = ("device", "torch_threads", "max_iterations", "save_interval", "clip_actions")
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What one iteration did.
+
+    Attributes:
+        index: its number, from 0.
+        scalars: what is logged, by rsl_rl's and Isaac Lab's keys.
+        collection_time: seconds of the rollout.
+        learning_time: seconds of the update.
+        env_steps: environment steps of the rollout.
+    """
+
+    index: int
+    scalars: dict[str, float]
+    collection_time: float
+    learning_time: float
+    env_steps: int
+
+
+class Trainer:
+    """Trains a policy.
+
+    The policy's own draws (initial weights, exploration, minibatches) come from torch's global generator, which
+    nothing in the environment uses.
+
+    Args:
+        env: the adapted environment.
+        agent: the composed ``agent`` section, plain.
+        seed: the run's seed.
+
+    Raises:
+        ConfigError: rsl_rl refuses the section.
+    """
+
+    def __init__(self, env: RslRlVecEnv, agent: Mapping[str, Any], seed: int) -> None:
+        self.env = env
+        self.device = str(agent["device"])
+        self.num_steps = int(agent["num_steps_per_env"])
+        self.iteration = 0
+        torch.manual_seed(stream_seed(seed, "agent"))
+        self.algorithm = build_algorithm(env, agent)
+        self.log = EpisodeLog(env.num_envs)
+
+    def learn(self, until: int) -> Iterator[Iteration]:
+        """Train up to ``until`` iterations in total; yields after each, when everything is whole.
+
+        Raises:
+            SimulationFailure: an observation or a reward is not finite.
+        """
+        self.algorithm.train_mode()
+        while self.iteration < until:
+            start = time.perf_counter()
+            self._collect()
+            collected = time.perf_counter()
+            losses = self.algorithm.update()
+            learned = time.perf_counter()
+            scalars = self.log.collect()
+            scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
+            scalars["Loss/learning_rate"] = float(self.algorithm.learning_rate)
+            scalars["Policy/mean_std"] = self.algorithm.get_policy().output_std.mean().item()
+            steps = self.num_steps * self.env.num_envs
+            scalars["Perf/total_fps"] = steps / (learned - start)
+            scalars["Perf/collection_time"] = collected - start
+            scalars["Perf/learning_time"] = learned - collected
+            done = Iteration(self.iteration, scalars, collected - start, learned - collected, steps)
+            self.iteration += 1
+            yield done
+
+    @torch.inference_mode()
+    def _collect(self) -> None:
+        """Roll the policy out and compute returns."""
+        observations = self.env.get_observations().to(self.device)
+        for _ in range(self.num_steps):
+            actions = self.algorithm.act(observations)
+            observations, rewards, dones, extras = self.env.step(actions.to("cpu"))
+            self._require_finite(observations, rewards, dones)
+            self.log.step(rewards, dones, extras)
+            observations, rewards, dones = (x.to(self.device) for x in (observations, rewards, dones))
+            self.algorithm.process_env_step(observations, rewards, dones, extras)
+        self.algorithm.compute_returns(observations)
+
+    def _require_finite(self, observations: Any, rewards: torch.Tensor, dones: torch.Tensor) -> None:
+        try:
+            check_nan(observations, rewards, dones)
+        except ValueError as error:
+            raise SimulationFailure(
+                f"{error} in iteration {self.iteration}", expected="finite observations and rewards"
+            ) from error
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that the coming iterations depend on; ``iter`` is the last finished iteration."""
+        return {
+            "format_version": FORMAT_VERSION,
+            "iter": self.iteration - 1,
+            "infos": None,
+            **self.algorithm.save(),
+            "env": self.env.env.state_dict(),
+            "log": self.log.state_dict(),
+            "rng": {"torch": torch.get_rng_state()},
+        }
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned; the random state comes last, because building draws."""
+        self.algorithm.load(dict(saved), None, True)
+        self.env.env.load_state_dict(saved["env"])
+        self.log.load_state_dict(saved["log"])
+        self.iteration = saved["iter"] + 1
+        torch.set_rng_state(saved["rng"]["torch"])
+
+
+def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
+    """Build rsl_rl's algorithm from the ``agent`` section.
+
+    Raises:
+        ConfigError: an observation group is missing, or rsl_rl refuses a value.
+    """
+    observations = env.get_observations()
+    for role, groups in agent["obs_groups"].items():
+        for group in groups:
+            if group not in observations:
+                raise ConfigError(
+                    f"there is no observation group '{group}'",
+                    key=f"agent.obs_groups.{role}",
+                    expected="some of " + ", ".join(observations.keys()),
+                    nearest=nearest_name(group, observations.keys()),
+                )
+    # rsl_rl changes the dictionary that it is given, and prints the networks.
+    config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
+    config["multi_gpu"] = None
+    try:
+        with redirect_stdout(io.StringIO()):
+            kind = resolve_callable(config["algorithm"]["class_name"])
+            return kind.construct_algorithm(observations, env, config, str(agent["device"]))
+    except (TypeError, ValueError, KeyError, AttributeError, ImportError) as error:
+        raise ConfigError(
+            f"rsl_rl refuses it: {str(error).splitlines()[0]}",
+            key="agent",
+            expected="rsl_rl's own configuration",
+        ) from error

@@ -1,0 +1,54 @@
+"""The environment as rsl_rl expects it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from wheelleg_exp.env import ManagerBasedRLEnv, Observations
+
+
+class RslRlVecEnv(VecEnv):
+    """Adapts ``ManagerBasedRLEnv`` to rsl_rl's ``VecEnv``.
+
+    Args:
+        env: the environment; it is reset here, as Isaac Lab's wrapper does.
+        clip_actions: bound of the raw actions, or None.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, clip_actions: float | None = None) -> None:
+        self.env = env
+        self.num_envs = env.num_envs
+        self.num_actions = env.action_manager.total_action_dim
+        self.max_episode_length = env.max_episode_length
+        self.device = "cpu"
+        self.cfg = dict(env.cfg)
+        self._clip_actions = clip_actions
+        env.reset()
+
+    @property
+    def episode_length_buf(self) -> torch.Tensor:
+        """Control steps of each present episode, (N,)."""
+        return self.env.episode_length_buf
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, value: torch.Tensor) -> None:
+        self.env.episode_length_buf.copy_(value)
+
+    def get_observations(self) -> TensorDict:
+        """Return the observations computed last; nothing is drawn and no state changes."""
+        return self._as_tensordict(self.env.observation_manager.obs_buf)
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Apply actions (N, A) and return observations, rewards (N,), dones (N,) long, and extras."""
+        if self._clip_actions is not None:
+            actions = actions.clamp(-self._clip_actions, self._clip_actions)
+        observations, rewards, terminated, time_outs, extras = self.env.step(actions)
+        dones = (terminated | time_outs).long()
+        return self._as_tensordict(observations), rewards, dones, {**extras, "time_outs": time_outs}
+
+    def _as_tensordict(self, observations: Observations) -> TensorDict:
+        return TensorDict(dict(observations), batch_size=[self.num_envs])
