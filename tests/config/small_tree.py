@@ -140,8 +140,11 @@ STOCK = {
         max_iterations: 10
         save_interval: 5
         device: cpu
+        torch_threads: 1
         obs_groups: {actor: [policy], critic: [critic]}
         algorithm: {class_name: PPO, gamma: 0.99}
+        actor: {class_name: MLPModel}
+        critic: {class_name: MLPModel}
     """,
     "run/default.yaml": """
         # @package run

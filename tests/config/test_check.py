@@ -39,7 +39,7 @@ def test_classes_of_rsl_rl_and_of_allowed_packages_are_fine(composed):
     for name in names:
         assert check(composed(f"agent.algorithm.class_name={name}")) == []
     for name in ("rsl_rl.utils.log_writer:LogWriter", "shelf_terms:Effort"):
-        assert check(composed(f"++agent.logger={{class_name: '{name}'}}")) == []
+        assert check(composed(f"++agent.algorithm.rnd_cfg={{class_name: '{name}'}}")) == []
 
 
 def test_a_deep_class_outside_the_allowed_packages_is_a_mistake(composed):
@@ -52,8 +52,8 @@ def test_a_deep_class_outside_the_allowed_packages_is_a_mistake(composed):
     "name", ["rsl_rl.runners.on_policy_runner:os.system", "rsl_rl.utils.utils.importlib.import_module", "deque"]
 )
 def test_what_a_module_of_rsl_rl_has_only_imported_is_a_mistake(composed, name):
-    (error,) = check(composed(f"++agent.logger={{class_name: '{name}'}}"))
-    assert error.key == "agent.logger.class_name"
+    (error,) = check(composed(f"++agent.algorithm.rnd_cfg={{class_name: '{name}'}}"))
+    assert error.key == "agent.algorithm.rnd_cfg.class_name"
 
 
 def test_a_class_outside_the_allowed_packages_is_not_imported(composed, tmp_path):

@@ -140,7 +140,7 @@ OVERRIDES = {
     ),
     "wrong mode": (
         ["env.events.push.mode=intervall"],
-        ["env.events.push.mode: 'intervall'", "override", "'interval'"],
+        ["env.events.push.mode:", "unknown mode 'intervall'", "override", "'interval'"],
     ),
     "missing parameter": (
         ["~env.rewards.height.target_height"],

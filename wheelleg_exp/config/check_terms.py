@@ -115,7 +115,16 @@ def _check_fields(section: str, term: TermNode) -> list[ConfigError]:
                     nearest=nearest_name(str(value), map(str, typing.get_args(annotation))),
                 )
             )
-    return errors
+    return errors + _mode_errors(term)
+
+
+def _mode_errors(term: TermNode) -> list[ConfigError]:
+    mode = term.fields.get("mode")
+    nearest = nearest_name(mode, schema.EVENT_MODES) if isinstance(mode, str) else None
+    if nearest is None or mode == nearest:
+        return []
+    expected = ", ".join(schema.EVENT_MODES) + ", or a name of your own that is not so like one of them"
+    return [ConfigError(f"unknown mode '{mode}'", key=f"{term.path}.mode", expected=expected, nearest=nearest)]
 
 
 def _parameter_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:

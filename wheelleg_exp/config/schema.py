@@ -11,7 +11,7 @@ import dataclasses
 import typing
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Literal
+from typing import Any
 
 # Section of the tree -> the dataclass whose fields are its keys; imported when it is needed.
 OPTIONS: dict[str, str] = {
@@ -84,23 +84,18 @@ class Root:
 
 @dataclass(frozen=True)
 class Agent:
-    """``agent``: what rsl_rl's runner reads, and what the commands read."""
+    """``agent``: what rsl_rl's algorithm and networks read, and what the trainer reads."""
 
     algorithm: Section
     num_steps_per_env: int = field(metadata={"minimum": 1})
     max_iterations: int = field(metadata={"minimum": 1})
     save_interval: int = field(metadata={"minimum": 1})
     obs_groups: dict[str, list[str]]
-    actor: Section | None = None
-    critic: Section | None = None
-    student: Section | None = None
-    teacher: Section | None = None
-    device: str = "cpu"
-    torch_threads: int = field(default=1, metadata={"minimum": 1})
-    class_name: str = "OnPolicyRunner"
-    logger: str | Section = "tensorboard"
-    run_name: str | None = None
-    check_for_nan: bool = True
+    actor: Section
+    critic: Section
+    device: str
+    torch_threads: int = field(metadata={"minimum": 1})
+    clip_actions: float | None = field(default=None, metadata={"above": 0.0})
     torch_compile_mode: str | None = None
 
 
@@ -108,7 +103,7 @@ class Agent:
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,
-    "mode": Literal["prestartup", "startup", "reset", "interval"],
+    "mode": str,
     "interval_range_s": tuple[float, float] | None,
     "is_global_time": bool,
     "min_step_count_between_reset": int,
@@ -117,6 +112,8 @@ FIELD_TYPES: dict[str, Any] = {
     "clip": tuple[float, float] | None,
     "scale": float | list[float] | None,
 }
+# Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.
+EVENT_MODES = ("prestartup", "startup", "reset", "interval")
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 
 

@@ -49,9 +49,9 @@ class ManagerBasedRLEnv:
         self.seed = seed
         self.num_envs = _positive_int(cfg, "num_envs")
         self.decimation = _positive_int(cfg, "decimation")
-        self.physics_dt = float(cfg["sim"]["dt"])
+        self.physics_dt = _positive(_section(cfg, "sim"), "dt", "env.sim.dt")
         self.step_dt = self.physics_dt * self.decimation
-        self.max_episode_length_s = float(cfg["episode_length_s"])
+        self.max_episode_length_s = _positive(cfg, "episode_length_s", "env.episode_length_s")
         # Rounded first, because 5 s / (2 / 120 s) must be 300 steps and not 301.
         self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
         self.common_step_counter = 0
@@ -70,7 +70,7 @@ class ManagerBasedRLEnv:
         self.event_manager.play()
         self.command_manager = CommandManager(cfg.get("commands"), self)
         self.action_manager = ActionManager(cfg.get("actions"), self)
-        self.observation_manager = ObservationManager(cfg["observations"], self)
+        self.observation_manager = ObservationManager(_section(cfg, "observations"), self)
         self.termination_manager = TerminationManager(cfg.get("terminations"), self)
         self.reward_manager = RewardManager(cfg.get("rewards"), self)
         self.curriculum_manager = CurriculumManager(cfg.get("curriculum"), self)
@@ -149,7 +149,7 @@ class ManagerBasedRLEnv:
         if seed is not None:
             self.seed = seed
             self.streams.reseed(seed)
-        self._reset_idx(torch.arange(self.num_envs) if env_ids is None else env_ids)
+        self._reset_idx(torch.arange(self.num_envs) if env_ids is None else torch.unique(env_ids))
         self.scene.refresh()
         return self.observation_manager.compute(), self.extras
 
@@ -212,7 +212,21 @@ class ManagerBasedRLEnv:
 
 
 def _positive_int(cfg: Mapping[str, Any], key: str) -> int:
-    value = cfg[key]
+    value = cfg.get(key)
     if isinstance(value, bool) or not isinstance(value, int) or value < 1:
         raise ConfigError(f"is {value!r}", key=f"env.{key}", expected="a whole number of at least 1")
+    return value
+
+
+def _positive(cfg: Mapping[str, Any], key: str, path: str) -> float:
+    value = cfg.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
+        raise ConfigError(f"is {value!r}", key=path, expected="seconds, above 0")
+    return float(value)
+
+
+def _section(cfg: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = cfg.get(key)
+    if not isinstance(value, Mapping):
+        raise ConfigError("the section is missing", key=f"env.{key}", expected="a mapping")
     return value

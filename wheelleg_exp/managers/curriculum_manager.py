@@ -23,7 +23,7 @@ class CurriculumManager(ManagerBase):
     def compute(self, env_ids: torch.Tensor) -> None:
         """Run every term on the episodes that end now, before anything is reset."""
         for name, term in self._terms.items():
-            self._state[name] = term.func(self._env, env_ids, **term.params)
+            self._state[name] = term(self._env, env_ids)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Curriculum/<term>`` (or ``Curriculum/<term>/<key>``): the last returned states."""

@@ -75,7 +75,7 @@ class EventManager(ManagerBase):
                 ids = self._due(name, term, self._all_ids(env_ids), global_env_step_count)
                 if not len(ids):
                     continue
-            term.func(self._env, ids, **term.params)
+            term(self._env, ids)
 
     def apply_interval(self, dt: float) -> None:
         """Advance the timers by ``dt`` seconds and run the terms whose time is up."""
@@ -88,11 +88,11 @@ class EventManager(ManagerBase):
                 continue
             if term.fields.get("is_global_time", False):
                 self._draw_timer(name, term, torch.zeros(1, dtype=torch.long))
-                term.func(self._env, None, **term.params)
+                term(self._env, None)
             else:
                 ids = due.nonzero().squeeze(1)
                 self._draw_timer(name, term, ids)
-                term.func(self._env, ids, **term.params)
+                term(self._env, ids)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Redraw the per-environment timers of ``env_ids``."""

@@ -37,7 +37,7 @@ class ObservationTerm:
         self._generator = env.streams.get(f"{term.path}.noise")
         self._clip: Sequence[float] | None = term.fields.get("clip")
         self._flatten = flatten
-        sample = term.func(env, **term.params)
+        sample = term(env)
         if sample.ndim != 2 or sample.shape[0] != env.num_envs:
             raise ConfigError(
                 f"'{term.target}' returned shape {tuple(sample.shape)}",
@@ -114,7 +114,7 @@ class ObservationTerm:
             self.history.load_state_dict(saved["history"])
 
     def _sample(self, *, draw: bool) -> torch.Tensor:
-        value = self.term.func(self._env, **self.term.params)
+        value = self.term(self._env)
         for modifier in self._modifiers:
             value = modifier(value)
         if draw and self._noise is not None:

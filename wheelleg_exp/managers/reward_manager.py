@@ -49,7 +49,7 @@ class RewardManager(ManagerBase):
         return reward
 
     def _value(self, term: Term) -> torch.Tensor:
-        value = term.func(self._env, **term.params)
+        value = term(self._env)
         if value.shape != (self._num_envs,):
             raise ConfigError(
                 f"'{term.target}' returned shape {tuple(value.shape)}",

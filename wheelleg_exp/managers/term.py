@@ -60,6 +60,13 @@ class Term:
     fields: dict[str, Any] = field(default_factory=dict)
     generator: torch.Generator | None = None
 
+    def __call__(self, *args: Any) -> Any:
+        """Call the term with the environment (and ids); its mistakes are told under its config key."""
+        try:
+            return self.func(*args, **self.params)
+        except ConfigError as error:
+            raise _placed(error, self.path) from error
+
     @property
     def stateful(self) -> TermBase | None:
         """The term object, or None for a plain function."""
@@ -122,8 +129,7 @@ def instantiate_term(term: Term, env: Env) -> None:
     try:
         made: Any = cast(Any, kind)(env=env, **term.params)
     except ConfigError as error:
-        error.key = f"{term.path}.{error.key}" if error.key else term.path
-        raise
+        raise _placed(error, term.path) from error
     except (TypeError, ValueError, KeyError, IndexError) as error:
         raise ConfigError(
             f"'{term.target}' refuses its parameters: {type(error).__name__}: {error}",
@@ -131,6 +137,14 @@ def instantiate_term(term: Term, env: Env) -> None:
             expected="the parameters that its documentation names",
         ) from error
     term.func, term.params = made, {}
+
+
+def _placed(error: ConfigError, path: str) -> ConfigError:
+    """Return the error with its key below the term's, unless it names a place of its own."""
+    key = error.key
+    if key is None or not key.startswith("env."):
+        key = f"{path}.{key}" if key else path
+    return ConfigError(error.message, key=key, where=error.where, expected=error.expected, nearest=error.nearest)
 
 
 def build(value: Any, path: str) -> Any:

@@ -38,7 +38,7 @@ class TerminationManager(ManagerBase):
     def compute(self) -> torch.Tensor:
         """Evaluate every term and return which environments are done, (N,) bool."""
         for row, term in zip(self._fired, self._terms.values(), strict=True):
-            row.copy_(term.func(self._env, **term.params))
+            row.copy_(term(self._env))
         self.time_outs.copy_((self._fired & self._time_out_rows).any(dim=0))
         self.terminated.copy_((self._fired & ~self._time_out_rows).any(dim=0))
         done = self.dones

@@ -110,8 +110,8 @@ class NoiseModelWithAdditiveBias:
 
     def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:
         """Draw new biases for ``env_ids``."""
-        if self._bias is not None:
-            self._bias[env_ids] = self._bias_noise(self._bias[env_ids], generator)
+        if self._bias is not None:  # a new tensor, as this one may belong to inference mode
+            self._bias = self._bias.index_copy(0, env_ids, self._bias_noise(self._bias[env_ids], generator))
 
     def state_dict(self) -> dict[str, Any]:
         """Return the biases."""

@@ -46,6 +46,7 @@ class Simulation:
         start = self.column("qpos")  # velocities follow positions
         self._is_motion = torch.zeros(self.state.shape[1], dtype=torch.bool)
         self._is_motion[start : start + model.nq + model.nv] = True
+        self._motion = self.state[:, start : start + model.nq + model.nv]
 
     @property
     def nthread(self) -> int:
@@ -108,17 +109,20 @@ class Simulation:
     def reset(self, ids: torch.Tensor) -> None:
         """Zero time, controls, applied forces, warm start and warnings of ``ids``; positions and velocities stay.
 
+        Values that are not finite become the model's defaults.
         A simulation is its state row, so writing the row is the whole reset.
         """
-        self.state[ids] = torch.where(self._is_motion, self.state[ids], self._initial)
+        rows = self.state[ids]
+        self.state[ids] = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
         self.batch.warning[ids.numpy()] = 0
 
     def unstable(self) -> torch.Tensor:
-        """Return which simulations (N,) bool the engine found NaN or huge since their reset.
+        """Return which simulations (N,) bool have gone to NaN or huge values since their reset.
 
-        MuJoCo sets such a simulation to the model's defaults in silence and raises a counter, which is read here.
+        MuJoCo notices it at the next step, sets the simulation to the model's defaults in silence and raises a
+        counter; what the last step left behind is looked at here as well.
         """
-        return self._warnings.any(dim=1)
+        return self._warnings.any(dim=1) | ~self._motion.sum(dim=1).isfinite()
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that the next step depends on: state rows, warnings, per-simulation model fields."""

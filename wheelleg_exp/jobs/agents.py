@@ -1,0 +1,97 @@
+"""Agents without a policy: zero and random actions, to look at a task before training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.compose import Composed
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.jobs.display import Display
+from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandFigures, StandMeter
+from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.files import write_json, write_yaml
+from wheelleg_exp.sim.contact import ContactSensor
+
+AgentKind = Literal["zero", "random"]
+
+# From landing (a drop of 15 mm takes 0.06 s) to the tilt at which a wheeled biped without control is falling.
+SETTLE_S = 0.2
+UPRIGHT_RAD = 0.2
+
+
+@dataclass(frozen=True)
+class AgentRun:
+    """What an agent's run made.
+
+    Attributes:
+        folder: where the recording and the figures are.
+        recording: the recording.
+        contacts: what each link carried while the robot stood, by sensor.
+        figures: how long the first episodes lasted and how they ended.
+    """
+
+    folder: Path
+    recording: Path
+    contacts: dict[str, list[ContactFigures]]
+    figures: StandFigures
+
+
+def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
+    """Run zero or random actions and record environment by environment what happens.
+
+    Args:
+        kind: ``zero``: all actions 0; ``random``: uniform in [-1, 1].
+        composed: the composed task.
+        steps: control steps; None is one episode.
+        display: receives progress.
+    """
+    config = composed.config
+    env = build_env(config, composed.asset_roots)
+    display.environment(env.describe())
+    root, task, seed = config["run"]["root"], config["task"]["name"], config["seed"]
+    directory = RunDirectory.create(root, task, seed, name=kind, section="agents")
+    write_yaml(directory.path / "config.yaml", config)
+    sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
+    meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
+    stand = StandMeter(env, settle_s=0.0)
+    recorder = Recorder(
+        directory.recording,
+        env,
+        recording_id=directory.id,
+        name=f"{kind} agent",
+        env_ids=config["recording"]["env_ids"],
+        purpose="play",
+    )
+    env.observers += [stand.observe, recorder.capture, *(meter.observe for meter in meters.values())]
+    with recorder:
+        recorder.start(None)
+        _roll(env, _actor(kind, env), steps or env.max_episode_length, display)
+        recorder.flush()
+    contacts = {name: meter.figures() for name, meter in meters.items()}
+    content = {"agent": kind, "figures": stand.figures().as_dict()}
+    content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
+    write_json(directory.path / "figures.json", content)
+    return AgentRun(directory.path, directory.recording, contacts, stand.figures())
+
+
+def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor]:
+    shape = (env.num_envs, env.action_manager.total_action_dim)
+    if kind == "zero":
+        return lambda: torch.zeros(shape)
+    generator = env.streams.get("agent.random")
+    return lambda: 2.0 * torch.rand(shape, generator=generator) - 1.0
+
+
+@torch.inference_mode()
+def _roll(env: ManagerBasedRLEnv, actor: Callable[[], torch.Tensor], steps: int, display: Display) -> None:
+    env.reset()
+    for step in range(steps):
+        env.step(actor())
+        display.steps(step + 1, steps)

@@ -1,0 +1,53 @@
+"""The robot inside a run directory: the MJCF that was simulated, its meshes, its report and its identity."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.asset import CachedConversion
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.files import read_json, write_json, write_text
+
+MJCF = "robot.xml"
+REPORT = "report.json"
+IDENTITY = "asset.json"
+
+
+def keep_asset(directory: RunDirectory, asset: CachedConversion, source: str, model_sha256: str) -> None:
+    """Copy the converted robot into ``asset/`` and write what it was made from.
+
+    Args:
+        directory: the run directory.
+        asset: the conversion.
+        source: the robot's file as the config names it.
+        model_sha256: digest of the compiled scene, the identity of all that physics reads.
+    """
+    directory.asset.mkdir(parents=True, exist_ok=True)
+    for mesh in asset.meshes:
+        target = directory.asset / mesh.relative_to(asset.output.parent)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(mesh, target)
+    write_text(directory.asset / MJCF, asset.output.read_text(encoding="utf-8"))
+    write_text(directory.asset / REPORT, asset.report.to_json())
+    identity: dict[str, Any] = {"source": source, "sources": asset.sources, "model_sha256": model_sha256}
+    write_json(directory.asset / IDENTITY, identity)
+
+
+def kept_mjcf(directory: RunDirectory) -> Path:
+    """Return the run's MJCF.
+
+    Raises:
+        RunDirectoryError: it is missing.
+    """
+    path = directory.asset / MJCF
+    if not path.is_file():
+        raise RunDirectoryError("the run has no robot", key=str(path), expected="the MJCF that it was trained on")
+    return path
+
+
+def kept_model_digest(directory: RunDirectory) -> str:
+    """Return the digest of the scene that the run compiled."""
+    return str(read_json(directory.asset / IDENTITY)["model_sha256"])

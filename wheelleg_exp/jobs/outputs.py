@@ -1,0 +1,132 @@
+"""What a training run writes as it goes: TensorBoard, ``iterations.jsonl``, the recording, checkpoints."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from types import TracebackType
+from typing import Any
+
+import torch
+from torch.utils.tensorboard import SummaryWriter
+
+from wheelleg_exp.recording.options import RecordingOptions
+from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.trainer import Iteration, Trainer
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.files import for_people, write_bytes
+
+_DIGEST_LENGTH = 16
+
+
+class Outputs:
+    """The growing files of a run; readable at any moment, closed on exit.
+
+    Args:
+        directory: the run directory.
+        trainer: the training.
+        options: what is recorded.
+        documents: texts that go into the recording, by name.
+    """
+
+    def __init__(
+        self,
+        directory: RunDirectory,
+        trainer: Trainer,
+        options: RecordingOptions,
+        documents: Mapping[str, str],
+    ) -> None:
+        self._directory = directory
+        self._trainer = trainer
+        self._options = options
+        self._documents = documents
+        self._remaining = 0
+        self._recorder: Recorder | None = None
+
+    def __enter__(self) -> Outputs:
+        env = self._trainer.env.env
+        self._tensorboard = SummaryWriter(log_dir=str(self._directory.path))
+        self._lines = self._directory.iterations.open("a", encoding="utf-8")
+        if self._options.enabled:
+            self._recorder = Recorder(
+                self._directory.recording,
+                env,
+                recording_id=self._directory.id,
+                name=self._directory.id,
+                env_ids=self._options.env_ids,
+                purpose="training",
+            )
+            for name, text in self._documents.items():
+                self._recorder.document(name, text)
+            env.observers.append(self._observe)
+            self._start_segment(0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lines.close()
+        self._tensorboard.close()
+        if self._recorder is not None:
+            self._trainer.env.env.observers.remove(self._observe)
+            self._recorder.close()
+
+    def write(self, iteration: Iteration) -> None:
+        """Write one iteration's scalars and digests, and start the next recorded episode when it is due."""
+        for key, value in iteration.scalars.items():
+            self._tensorboard.add_scalar(key, value, iteration.index)
+        self._tensorboard.flush()
+        line = {"iteration": iteration.index, "digests": digests(self._trainer), "scalars": iteration.scalars}
+        with for_people(self._directory.iterations):
+            self._lines.write(json.dumps(line) + "\n")
+            self._lines.flush()
+        if self._recorder is not None:
+            self._recorder.scalars(iteration.scalars, iteration.index)
+        self._start_segment(iteration.index + 1)
+
+    def checkpoint(self, iteration: int) -> str:
+        """Write ``model_<iteration>.pt`` and return its name."""
+        name = f"model_{iteration}.pt"
+        write_bytes(self._directory.path / name, checkpoint.serialize(self._trainer.state_dict()))
+        return name
+
+    def _start_segment(self, iteration: int) -> None:
+        if self._recorder is not None and iteration % self._options.interval == 0:
+            self._recorder.flush()
+            self._recorder.start(iteration)
+            self._remaining = self._options.steps
+
+    def _observe(self) -> None:
+        if self._recorder is None or self._remaining == 0:
+            return
+        self._recorder.capture()
+        self._remaining -= 1
+        if self._remaining == 0:
+            self._recorder.flush()
+
+
+def digests(trainer: Trainer) -> dict[str, str]:
+    """Return short digests of the networks' parameters, the simulations' state and the random streams."""
+    algorithm, env = trainer.algorithm, trainer.env.env
+    parameters = [*algorithm.actor.state_dict().values(), *algorithm.critic.state_dict().values()]
+    return {
+        "parameters": _digest(parameters),
+        "environment": _digest([env.scene.sim.state, env.episode_length_buf]),
+        "streams": _digest([*env.streams.state_dict()["generators"].values(), torch.get_rng_state()]),
+    }
+
+
+def _digest(tensors: Iterable[torch.Tensor]) -> str:
+    digest = hashlib.sha256()
+    for tensor in tensors:
+        digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:_DIGEST_LENGTH]
+
+
+def summary(scalars: Mapping[str, float]) -> dict[str, Any]:
+    """Return the scalars that tell how training ended, for the manifest."""
+    keys = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std")
+    chosen = {key: scalars[key] for key in keys if key in scalars}
+    return chosen | {k: v for k, v in scalars.items() if k.startswith("Episode_Termination/")}

@@ -1,0 +1,118 @@
+"""Playing a trained policy for one episode: figures and a recording, kept under the run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wheelleg_exp.config.amend import amend
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.jobs.assets import kept_mjcf
+from wheelleg_exp.jobs.display import Display
+from wheelleg_exp.jobs.figures import StandFigures, StandMeter
+from wheelleg_exp.jobs.threads import set_threads
+from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.rl.policy import load_policy
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.directory import RunDirectory, create_exclusively
+from wheelleg_exp.run.files import write_json
+from wheelleg_exp.run.params import load_params
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a play made.
+
+    Attributes:
+        run: the run whose policy it was.
+        checkpoint: the checkpoint.
+        folder: what was written, below the run.
+        recording: the recording, or None.
+        figures: how the policy stood.
+    """
+
+    run: RunDirectory
+    checkpoint: Path
+    folder: Path
+    recording: Path | None
+    figures: StandFigures
+
+
+def play(
+    run: RunDirectory,
+    checkpoint: Path | None,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    display: Display,
+) -> Played:
+    """Play the mean of a run's policy for one episode of each environment, with the task's own events.
+
+    Args:
+        run: the run.
+        checkpoint: which of its checkpoints; None is the last.
+        overrides: changes to the run's parameters, for this play alone.
+        command: the command line, for the manifest.
+        display: receives progress.
+
+    Raises:
+        WheellegError: the run, the checkpoint or an override is wrong.
+    """
+    checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
+    env_params, agent = load_params(run)
+    tree = amend({**compose(primary="play").config, "env": env_params, "agent": agent}, overrides)
+    env = ManagerBasedRLEnv(tree["env"], kept_mjcf(run), tree["seed"])
+    set_threads(tree["agent"], env.scene.sim.nthread)
+    adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
+    policy = load_policy(checkpoint, adapter, tree["agent"])
+    meter = StandMeter(env, float(tree["play"]["settle_s"]))
+    folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
+    recording = _roll(env, adapter, policy, meter, folder, tree["recording"], display)
+    figures = meter.figures()
+    content = {
+        "checkpoint": checkpoint.name,
+        "seed": tree["seed"],
+        "overrides": list(overrides),
+    } | figures.as_dict()
+    write_json(folder / "figures.json", content)
+    files = [folder / "figures.json", *([recording] if recording else [])]
+    run.manifest().add("play", files, content, command=command)
+    return Played(run, checkpoint, folder, recording, figures)
+
+
+@torch.inference_mode()
+def _roll(
+    env: ManagerBasedRLEnv,
+    adapter: RslRlVecEnv,
+    policy: Any,
+    meter: StandMeter,
+    folder: Path,
+    options: dict[str, Any],
+    display: Display,
+) -> Path | None:
+    """Step until every environment has finished its first episode; return the recording."""
+    path = folder / "recording.rrd" if options["enabled"] else None
+    env.observers.append(meter.observe)
+    recorder = None
+    if path is not None:
+        recorder = Recorder(
+            path, env, recording_id=folder.name, name=folder.name, env_ids=options["env_ids"], purpose="play"
+        )
+        recorder.start(None)
+        env.observers.append(recorder.capture)
+    try:
+        for step in range(env.max_episode_length):
+            adapter.step(policy(adapter.get_observations()))
+            display.steps(step + 1, env.max_episode_length)
+            if not meter.running.any():
+                break
+    finally:
+        if recorder is not None:
+            recorder.flush()
+            recorder.close()
+    return path

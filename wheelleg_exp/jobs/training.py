@@ -1,0 +1,114 @@
+"""Training: from a composed config to a run directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.config.compose import Composed
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.assets import keep_asset
+from wheelleg_exp.jobs.display import Display
+from wheelleg_exp.jobs.outputs import Outputs, summary
+from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.jobs.threads import set_threads
+from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.recording.options import RecordingOptions
+from wheelleg_exp.rl import export
+from wheelleg_exp.rl.trainer import Trainer
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.files import write_bytes, write_text
+from wheelleg_exp.run.lock import RunLock
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.snapshot import begin
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training that is ready to run: everything that can be wrong with its input has been found."""
+
+    composed: Composed
+    trainer: Trainer
+    directory: RunDirectory
+    manifest: Manifest
+
+
+def prepare(composed: Composed, command: Sequence[str], display: Display) -> Training:
+    """Convert the robot, build environment and networks, and write the run directory's snapshot.
+
+    Raises:
+        WheellegError: the input is wrong; no run directory has been made.
+    """
+    config, agent = composed.config, composed.config["agent"]
+    if agent["max_iterations"] < 1 or agent["save_interval"] < 1:
+        raise ConfigError(
+            "must be at least 1", key="agent.max_iterations and agent.save_interval", expected="1 or more"
+        )
+    asset = prepare_asset(config, composed.asset_roots)
+    env = ManagerBasedRLEnv(config["env"], asset.output, config["seed"])
+    display.environment(env.describe())
+    threads = set_threads(agent, env.scene.sim.nthread)
+    trainer = Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"])
+    run = config["run"]
+    directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
+    keep_asset(directory, asset, config["env"]["robot"]["asset"], env.scene.model_digest())
+    manifest = begin(
+        directory,
+        command=command,
+        params={"env": config["env"], "agent": agent},
+        hydra_files=composed.hydra_files(),
+        source_roots=[configs_dir().parent, *composed.config_dirs],
+        seed=config["seed"],
+        task=config["task"]["name"],
+        threads=threads,
+        max_patch_mb=run.get("max_patch_mb"),
+    )
+    return Training(composed, trainer, directory, manifest)
+
+
+def run(training: Training, display: Display) -> dict[str, Any]:
+    """Train to the end, or until Ctrl-C, and return the results that the manifest records.
+
+    Raises:
+        KeyboardInterrupt: training was stopped; the run directory holds a checkpoint of the last iteration.
+        SimulationFailure: physics or the disk failed.
+    """
+    trainer, directory = training.trainer, training.directory
+    agent = training.composed.config["agent"]
+    total, started = int(agent["max_iterations"]), time.perf_counter()
+    documents = {"config": f"```yaml\n{training.composed.hydra_files()['config.yaml']}\n```"}
+    options = RecordingOptions(**training.composed.config["recording"])
+    with (
+        RunLock(directory),
+        training.manifest.finishing() as results,
+        Outputs(directory, trainer, options, documents) as outputs,
+        StopRequest() as stop,
+    ):
+        for iteration in trainer.learn(until=total):
+            outputs.write(iteration)
+            display.iteration(iteration, total)
+            last = stop.requested or iteration.index + 1 == total
+            if last or iteration.index % agent["save_interval"] == 0:
+                results["checkpoint"] = outputs.checkpoint(iteration.index)
+            if last:
+                results |= {"iterations": iteration.index + 1, "seconds": time.perf_counter() - started}
+                results |= summary(iteration.scalars)
+            if stop.requested:
+                raise KeyboardInterrupt
+        export_policy(directory, trainer, agent)
+    return results
+
+
+def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:
+    """Write ``exported/``: the policy as TorchScript and ONNX, and its description."""
+    policy = trainer.algorithm.get_policy().to("cpu")
+    directory.exported.mkdir(exist_ok=True)
+    write_bytes(directory.exported / "policy.pt", export.torchscript(policy))
+    write_bytes(directory.exported / "policy.onnx", export.onnx(policy))
+    description = export.description(trainer.env.env, agent, trainer.iteration - 1)
+    write_text(directory.exported / "policy.json", description)

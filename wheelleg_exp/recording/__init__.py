@@ -1,0 +1,1 @@
+"""Writing to rerun, reading recordings back, blueprints and digests."""

@@ -1,0 +1,189 @@
+"""What the viewer shows when a recording is opened: the robot on the left, plots and texts on the right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import rerun.blueprint as rrb
+
+from wheelleg_exp.recording.layout import (
+    DOCUMENTS,
+    GROUND,
+    OVERLAY,
+    SIM_TIME,
+    TRAINING,
+    WORLD,
+    EnvPaths,
+    join,
+    join_key,
+)
+
+Purpose = Literal["training", "play"]
+_BACKGROUND = (30, 33, 38)
+
+
+@dataclass(frozen=True)
+class EnvLayout:
+    """What is known of one recorded environment.
+
+    Attributes:
+        label: name of its tab.
+        paths: its entity paths.
+        root: entity of the base.
+        size: how tall the robot stands, m.
+        command: name of the velocity command.
+        sensors: names of the contact sensors.
+        joints: whether each joint is held at a position (by stiffness); the others are driven at a velocity.
+        rewards: names of the reward terms.
+    """
+
+    label: str
+    paths: EnvPaths
+    root: str
+    size: float
+    command: str | None
+    sensors: tuple[str, ...]
+    joints: Mapping[str, bool]
+    rewards: Sequence[str]
+
+
+def blueprint(
+    envs: Sequence[EnvLayout], purpose: Purpose, *, documents: Sequence[str], training: Sequence[str]
+) -> rrb.Blueprint:
+    """Return the layout.
+
+    Args:
+        envs: the recorded environments; the eye follows the first.
+        purpose: training curves are shown for ``training``.
+        documents: names of the texts so far.
+        training: keys of the training scalars so far.
+    """
+    tabs = [tab for env in envs for tab in _env_tabs(env, several=len(envs) > 1)]
+    if purpose == "training":
+        tabs.append(_training(training))
+    if documents:
+        tabs.append(_documents(documents))
+    return rrb.Blueprint(
+        rrb.Horizontal(robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 4]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME),
+    )
+
+
+def robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
+    """Return the 3D view: close to the first robot, following it, colliders hidden until they are switched on."""
+    first = envs[0]
+    distance = first.size * (1.0 + 0.6 * (len(envs) - 1))
+    hidden = {env.paths.overlay("colliders"): rrb.EntityBehavior(visible=False) for env in envs}
+    return rrb.Spatial3DView(
+        origin="/",
+        contents=[f"+ /{GROUND}/**", f"+ /{WORLD}/**", f"+ /{OVERLAY}/**"],
+        name="Robot",
+        background=rrb.Background(color=_BACKGROUND),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=[1.3 * distance, -1.45 * distance, 1.1 * distance],
+            look_target=[0.0, 0.0, 0.4 * first.size],
+            eye_up=[0.0, 0.0, 1.0],
+            tracking_entity=first.root,
+        ),
+        overrides=hidden,
+    )
+
+
+def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
+    tabs = [_motion(env), _joints(env), _actuation(env), *([_contacts(env)] if env.sensors else [])]
+    tabs += [_rewards(env), _episodes(env)]
+    if several:
+        return [rrb.Tabs(*tabs, name=env.label, active_tab=0)]
+    return tabs
+
+
+def _plot(name: str, *entities: str, legend: bool = True) -> rrb.TimeSeriesView:
+    """Return a plot of entities; one that ends with ``/**`` stands for all below it."""
+    return rrb.TimeSeriesView(
+        name=name,
+        contents=[f"+ /{entity}" for entity in entities],
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+    )
+
+
+def _small_plots(plots: Mapping[str, str], name: str | None = None) -> rrb.Grid:
+    """Return one small plot an entity (by title), for numbers of very different size."""
+    views = [_plot(title, entity, legend=False) for title, entity in plots.items()]
+    return rrb.Grid(*views, grid_columns=_columns(len(views)), name=name)
+
+
+def _columns(count: int) -> int:
+    return 1 if count < 3 else 2 if count <= 8 else 3
+
+
+def _motion(env: EnvLayout) -> Any:
+    def base(name: str) -> str:
+        return env.paths.data("base", name)
+
+    forward, turning = [base("v_x")], [base("w_z")]
+    if env.command is not None:
+        forward.append(env.paths.data("commands", env.command, "v_x"))
+        turning.append(env.paths.data("commands", env.command, "w_z"))
+    return rrb.Vertical(
+        _plot("Base height (m)", base("height"), legend=False),
+        _plot("Roll and pitch (rad)", base("roll"), base("pitch")),
+        _plot("Forward velocity and command (m/s)", *forward),
+        _plot("Yaw rate and command (rad/s)", *turning),
+        name="Motion",
+    )
+
+
+def _joints(env: EnvLayout) -> Any:
+    """One plot a joint, because joints that stand far apart would hide each other's tracking errors."""
+    plots = []
+    for joint, is_held in env.joints.items():
+        kind, unit = ("position", "rad") if is_held else ("velocity", "rad/s")
+        entities = [env.paths.data("joints", joint, part) for part in (kind, f"{kind}_target")]
+        plots.append(_plot(f"{joint} {kind} ({unit})", *entities))
+    return rrb.Grid(*plots, grid_columns=_columns(len(plots)), name="Joints")
+
+
+def _actuation(env: EnvLayout) -> Any:
+    efforts = [env.paths.data("joints", joint, "effort") for joint in env.joints]
+    actions = env.paths.data("actions", "raw")
+    return rrb.Vertical(_plot("Effort (N·m)", *efforts), _plot("Raw action", actions), name="Efforts")
+
+
+def _contacts(env: EnvLayout) -> Any:
+    plots = [_plot(f"{sensor} (N)", env.paths.data("contacts", sensor)) for sensor in env.sensors]
+    return rrb.Vertical(*plots, name="Contacts")
+
+
+def _rewards(env: EnvLayout) -> Any:
+    terms = {term: env.paths.data("rewards", term) for term in env.rewards}
+    total = _plot("Reward (1/s)", env.paths.data("rewards", "total"), legend=False)
+    return rrb.Vertical(total, _small_plots(terms), row_shares=[1, 4], name="Rewards")
+
+
+def _episodes(env: EnvLayout) -> Any:
+    log = rrb.TextLogView(name="Episodes and events", contents=[f"+ /{env.paths.data('log')}/**"])
+    return rrb.Vertical(
+        _plot("Terminations", f"{env.paths.data('terminations')}/**"), log, row_shares=[1, 1], name="Episodes"
+    )
+
+
+def _training(keys: Sequence[str]) -> Any:
+    """One tab a group of keys, one plot a key."""
+    groups: dict[str, dict[str, str]] = {}
+    for key in keys:
+        group, _, rest = key.rpartition("/")
+        groups.setdefault(group or TRAINING, {})[rest] = join_key(TRAINING, key)
+    if not groups:
+        return _plot("Training", f"{TRAINING}/**")
+    return rrb.Tabs(*(_small_plots(g, name) for name, g in groups.items()), name="Training", active_tab=0)
+
+
+def _documents(names: Sequence[str]) -> Any:
+    views = [rrb.TextDocumentView(origin=join(DOCUMENTS, name), name=name) for name in names]
+    return rrb.Tabs(*views, name="Documents", active_tab=0)

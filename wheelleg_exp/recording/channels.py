@@ -1,0 +1,276 @@
+"""What one frame holds: named rows of numbers, read from the environment where they already stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.mdp.commands import UniformVelocityCommand
+from wheelleg_exp.recording.geometry import Array
+from wheelleg_exp.recording.kinematics import Kinematics
+from wheelleg_exp.recording.layout import EnvPaths
+
+VELOCITY_NAMES = ("v_x", "v_y", "w_z")
+_FREE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One row of numbers a frame.
+
+    Attributes:
+        key: name within a frame.
+        names: name of each number.
+        read: returns the row, (len(names),).
+        entities: one entity for the whole row, or one a number; none keeps the row for drawing only.
+    """
+
+    key: str
+    names: tuple[str, ...]
+    read: Callable[[], Any]
+    entities: tuple[str, ...]
+
+
+def channels(
+    env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, kinematics: Kinematics, origin: Array
+) -> list[Channel]:
+    """Return everything that is recorded of one environment at every control step."""
+    return [
+        *_poses(env, env_id, kinematics, origin),
+        *_base(env, env_id, paths),
+        *_commands(env, env_id, paths),
+        *_joints(env, env_id, paths),
+        *_contacts(env, env_id),
+        *_policy(env, env_id, paths),
+        *_rewards(env, env_id, paths),
+        *_terminations(env, env_id, paths),
+    ]
+
+
+def velocity_command(env: ManagerBasedRLEnv) -> str | None:
+    """Return the name of the first command that is a planar velocity (v_x, v_y, w_z) in the base's axes."""
+    manager = env.command_manager
+    for name in manager.active_terms:
+        if isinstance(manager.get_command_term(name), UniformVelocityCommand):
+            return name
+    return None
+
+
+def has_forces(sensor: Any) -> bool:
+    """Return whether a sensor of the scene measures contact forces."""
+    return hasattr(sensor, "net_forces_w")
+
+
+def _one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+    return Channel(key, tuple(names), read, (entity,))
+
+
+def _row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+    """Return a reader of one environment's row, without a copy."""
+    return lambda: read()[env_id].numpy()
+
+
+def _poses(env: ManagerBasedRLEnv, env_id: int, kinematics: Kinematics, origin: Array) -> list[Channel]:
+    """Body poses by forward kinematics from the row of positions; must stay first, others read the result."""
+    row = env.scene.sim.view("qpos")[env_id].numpy()
+    bodies = kinematics.xpos.shape[0]
+
+    def positions() -> Array:
+        kinematics.update(row)
+        return np.subtract(kinematics.xpos, origin).ravel()
+
+    pos = Channel("xpos", tuple("" for _ in range(3 * bodies)), positions, ())
+    quat = Channel("xquat", tuple("" for _ in range(4 * bodies)), lambda: kinematics.xquat.ravel(), ())
+    return [pos, quat]
+
+
+def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    data, model = env.scene.robot.data, env.scene.model
+    qpos, qvel = (env.scene.sim.view(name)[env_id].numpy() for name in ("qpos", "qvel"))
+
+    def orientation() -> tuple[float, float, float]:
+        # Roll, pitch, yaw of Rz(yaw) Ry(pitch) Rx(roll), from the matrix's last row and first column.
+        matrix = data.root_rot_w[env_id].tolist()
+        x, y, z = matrix[2]
+        return (
+            math.atan2(y, z),
+            math.asin(max(-1.0, min(1.0, -x))),
+            math.atan2(matrix[1][0], matrix[0][0]),
+        )
+
+    def split(key: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+        return Channel(key, tuple(names), read, tuple(paths.data("base", name) for name in names))
+
+    return [
+        split("height", ["height"], lambda: data.root_pos_w[env_id, 2].item()),
+        split("orientation", ["roll", "pitch", "yaw"], orientation),
+        split("lin_vel", ["v_x", "v_y", "v_z"], _row(lambda: data.root_lin_vel_b, env_id)),
+        split("ang_vel", ["w_x", "w_y", "w_z"], _row(lambda: data.root_ang_vel_b, env_id)),
+        _one("qpos", paths.data("state", "qpos"), _coordinates(model, _FREE), lambda: qpos),
+        _one("qvel", paths.data("state", "qvel"), _coordinates(model, _FREE_VELOCITY), lambda: qvel),
+    ]
+
+
+def _coordinates(model: mujoco.MjModel, free: tuple[str, ...]) -> list[str]:
+    """Return a name for each coordinate of qpos (or qvel): the joint's, with a suffix where it has several."""
+    ball = ("w", "x", "y", "z") if len(free) == len(_FREE) else ("x", "y", "z")
+    names = []
+    for j in range(model.njnt):
+        joint = model.joint(j).name or f"joint_{j}"
+        kind = int(model.jnt_type[j])
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            names += [f"{joint}.{part}" for part in free]
+        elif kind == mujoco.mjtJoint.mjJNT_BALL:
+            names += [f"{joint}.{part}" for part in ball]
+        else:
+            names.append(joint)
+    return names
+
+
+def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """A velocity command stands in one entity a number, so that each can be plotted against what it is for."""
+    velocity, found = velocity_command(env), []
+    for name in env.command_manager.active_terms:
+        term = env.command_manager.get_command_term(name)
+        read = _row(lambda term=term: term.command, env_id)  # type: ignore[misc]
+        if name == velocity:
+            names = tuple(f"{part} command" for part in VELOCITY_NAMES)
+            entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
+            found.append(Channel(f"commands/{name}", names, read, entities))
+        else:
+            names = tuple(f"{name}[{i}]" for i in range(term.command.shape[1]))
+            found.append(_one(f"commands/{name}", paths.data("commands", name), names, read))
+    return found
+
+
+def _joints(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    data, names = env.scene.robot.data, env.scene.robot.joint_names
+    reads: dict[str, Callable[[], torch.Tensor]] = {
+        "position": lambda: data.joint_pos,
+        "position_target": lambda: data.joint_pos_target,
+        "velocity": lambda: data.joint_vel,
+        "velocity_target": lambda: data.joint_vel_target,
+        "effort": lambda: data.applied_torque,
+    }
+    return [
+        Channel(
+            f"joints/{kind}",
+            tuple(f"{name} target" if kind.endswith("target") else name for name in names),
+            _row(read, env_id),
+            tuple(paths.data("joints", name, kind) for name in names),
+        )
+        for kind, read in reads.items()
+    ]
+
+
+def _contacts(env: ManagerBasedRLEnv, env_id: int) -> list[Channel]:
+    found = []
+    for name, sensor in env.scene.sensors.items():
+        if not has_forces(sensor):
+            continue
+        names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
+        read = _flat(lambda sensor=sensor: sensor.net_forces_w, env_id)  # type: ignore[misc]
+        found.append(Channel(f"contacts/{name}", tuple(names), read, ()))
+    return found
+
+
+def _flat(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+    return lambda: read()[env_id].numpy().ravel()
+
+
+def _policy(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    actions = _one(
+        "actions/raw",
+        paths.data("actions", "raw"),
+        _action_names(env),
+        _row(lambda: env.action_manager.action, env_id),
+    )
+    return [actions, *_observations(env, env_id, paths)]
+
+
+def _action_names(env: ManagerBasedRLEnv) -> list[str]:
+    names: list[str] = []
+    for name in env.action_manager.active_terms:
+        term = env.action_manager.get_action_term(name)
+        joints = getattr(term, "joint_names", None)
+        if joints is None or len(joints) != term.action_dim:
+            joints = [str(i) for i in range(term.action_dim)]
+        names += [f"{name}[{joint}]" for joint in joints]
+    return names
+
+
+def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """The observation that led to the recorded action; NaN before the first one is computed."""
+    manager, found = env.observation_manager, []
+    for group, terms in manager.active_terms.items():
+        shapes = manager.group_obs_term_dim[group]
+        labels = {t: [f"{t}[{i}]" for i in range(math.prod(s))] for t, s in zip(terms, shapes, strict=True)}
+        if manager.group_obs_concatenate[group]:
+            parts: list[tuple[str | None, list[str]]] = [(None, _group_names(terms, shapes))]
+        else:
+            parts = list(labels.items())
+        for term, names in parts:
+            key = ("observations", group) if term is None else ("observations", group, term)
+            read = _observation(env, env_id, group, term, len(names))
+            found.append(_one("/".join(key), paths.data(*key), names, read))
+    return found
+
+
+def _group_names(terms: Sequence[str], shapes: Sequence[tuple[int, ...]]) -> list[str]:
+    """Return a name for each number of a concatenated group, which may hold history as a leading axis."""
+    leading = shapes[0][:-1]
+    columns = [f"{t}[{i}]" for t, s in zip(terms, shapes, strict=True) for i in range(s[-1])]
+    if not leading:
+        return columns
+    return [f"{column}@{i}" for i in range(leading[0]) for column in columns]
+
+
+def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str | None, width: int) -> Callable[[], Any]:
+    nothing = np.full(width, np.nan)
+
+    def read() -> Any:
+        value: Any = env.observation_manager.obs_buf.get(group)
+        if value is None:
+            return nothing
+        return (value if term is None else value[term])[env_id].numpy().ravel()
+
+    return read
+
+
+def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """Each term's weighted value per second, and their sum per second as the learner got it."""
+    names = env.reward_manager.active_terms
+    terms = Channel(
+        "rewards",
+        tuple(names),
+        lambda: env.reward_manager.step_reward[:, env_id].numpy(),
+        tuple(paths.data("rewards", name) for name in names),
+    )
+    total = _one(
+        "total",
+        paths.data("rewards", "total"),
+        ["total"],
+        lambda: env.reward_buf[env_id].item() / env.step_dt,
+    )
+    return [terms, total]
+
+
+def _terminations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    manager = env.termination_manager
+    names = manager.active_terms
+    return [
+        Channel(
+            "terminations",
+            tuple(names),
+            lambda: [manager.get_fired(name)[env_id].item() for name in names],
+            tuple(paths.data("terminations", name) for name in names),
+        )
+    ]

@@ -1,0 +1,22 @@
+"""What may stand under ``recording.`` in the config: no defaults, so that every number is in the config."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """What goes into the recording of a training.
+
+    Attributes:
+        enabled: whether a recording is written at all.
+        env_ids: environments whose motion is recorded.
+        interval: iterations between the starts of two recorded segments.
+        steps: control steps of one recorded segment.
+    """
+
+    enabled: bool
+    env_ids: list[int]
+    interval: int
+    steps: int

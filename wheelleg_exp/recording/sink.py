@@ -1,0 +1,126 @@
+"""A rerun stream into one file, whose failures are errors for people."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
+from wheelleg_exp.run.files import for_people
+
+APPLICATION = "wheelleg"
+_SCARCE = 1_000_000  # bytes left on a disk that is called full
+
+
+class Sink:
+    """An explicit recording stream that writes to ``path``.
+
+    Args:
+        path: the file; its folder is made when missing.
+        recording_id: the recording's identity.
+        name: the name that the viewer shows.
+        aside: whether to write beside an existing file until ``take_place``.
+
+    Raises:
+        RunDirectoryError: the file exists, or cannot be written.
+    """
+
+    def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
+        self.path = path
+        self.is_open = False
+        self._written = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp") if aside else path
+        _claim(self._written)
+        # No start time of its own: a recording holds nothing that depends on the wall clock.
+        self.stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, send_properties=False)
+        with self._guarded():
+            self.stream.save(self._written)
+        self.is_open = True
+        self.stream.send_recording_name(name)
+
+    def static(self, entity: str, *archetypes: Any) -> None:
+        """Log what holds at all times."""
+        with self._guarded():
+            self.stream.log(entity, *archetypes, static=True)
+
+    def columns(self, entity: str, times: Iterable[Any], columns: Iterable[Any]) -> None:
+        """Send whole columns."""
+        with self._guarded():
+            self.stream.send_columns(entity, times, columns)
+
+    def chunks(self, chunks: Iterable[Any]) -> None:
+        """Send chunks of another recording."""
+        with self._guarded():
+            self.stream.send_chunks(chunks)
+
+    def take_place(self) -> None:
+        """Move the file to its path, over what stood there."""
+        self.flush()
+        if self._written != self.path:
+            with for_people(self.path):
+                self._written.replace(self.path)
+            self._written = self.path
+
+    def abandon(self) -> None:
+        """Close the stream and remove the file."""
+        self.is_open = False
+        self.stream.disconnect()
+        self._written.unlink(missing_ok=True)
+
+    def blueprint(self, blueprint: Any) -> None:
+        """Make ``blueprint`` the layout that the recording opens with."""
+        with self._guarded():
+            self.stream.send_blueprint(blueprint)
+
+    def flush(self) -> None:
+        """Wait until everything sent so far is in the file.
+
+        Raises:
+            SimulationFailure: the disk is full or broken, or the file is gone.
+        """
+        with self._guarded():
+            self.stream.flush()
+
+    def close(self) -> None:
+        """Finish the file; further calls do nothing."""
+        if not self.is_open:
+            return
+        self.is_open = False
+        try:
+            self.flush()
+        finally:
+            self.stream.disconnect()
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Turn rerun's errors into one that says what became of the file."""
+        try:
+            yield
+        except RuntimeError as error:
+            raise _failure(self.path, error) from error
+
+
+def _claim(path: Path) -> None:
+    """Create the file exclusively, so that no two recorders ever share one."""
+    with for_people(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.touch(exist_ok=False)
+        except FileExistsError:
+            raise RunDirectoryError(
+                f"the recording '{path}' exists and is not overwritten", expected="a path that is not taken"
+            ) from None
+
+
+def _failure(path: Path, error: RuntimeError) -> SimulationFailure:
+    try:
+        is_full = shutil.disk_usage(path.parent).free < _SCARCE
+    except OSError:
+        is_full = False
+    reason = "the disk is full" if is_full else str(error).splitlines()[0]
+    return SimulationFailure(f"cannot write the recording '{path}': {reason}", expected="room on a working disk")
