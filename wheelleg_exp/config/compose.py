@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,7 @@ from wheelleg_exp.config.loader import Loader, hydra_globals, require_folder
 from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.config.provenance import MISSING, Provenance, trace
 from wheelleg_exp.config.tree import dotted, leaves
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.terms import RESERVED
 
 
@@ -51,6 +52,16 @@ class Composed:
     def provenance(self) -> Provenance:
         """Where each leaf comes from, worked out when it is first asked for."""
         return trace(self._loader, self.primary, self._parsed)
+
+    @contextmanager
+    def placing(self) -> Iterator[None]:
+        """Give errors that leave the body the place in the config that their key comes from."""
+        try:
+            yield
+        except WheellegError as error:
+            if error.where is None and error.key is not None:
+                error.where = self.provenance.where(error.key)
+            raise
 
     @property
     def files(self) -> list[Path]:

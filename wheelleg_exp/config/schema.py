@@ -94,7 +94,7 @@ class Agent:
     actor: Section
     critic: Section
     device: str
-    torch_threads: int = field(metadata={"minimum": 1})
+    torch_threads: int = field(metadata={"minimum": 1, "maximum": 1024})
     clip_actions: float | None = field(default=None, metadata={"above": 0.0})
     torch_compile_mode: str | None = None
 

@@ -29,7 +29,8 @@ def task_env(
     words = [f"task={task}", *overrides, f"env.num_envs={num_envs}"]
     composed = compose(words, config_dirs=[Path(folder) for folder in config_dirs])
     require_valid(composed)
-    env = build_env(composed.config, composed.asset_roots)
+    with composed.placing():
+        env = build_env(composed.config, composed.asset_roots)
     for group, concatenated in env.observation_manager.group_obs_concatenate.items():
         if not concatenated:
             raise ConfigError(

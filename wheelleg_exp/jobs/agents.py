@@ -14,7 +14,7 @@ from wheelleg_exp.config.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandFigures, StandMeter
-from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.recording.recorder import Recorder, require_env_ids
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.files import write_json, write_yaml
 from wheelleg_exp.sim.contact import ContactSensor
@@ -53,7 +53,9 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
         display: receives progress.
     """
     config = composed.config
-    env = build_env(config, composed.asset_roots)
+    require_env_ids(config["recording"]["env_ids"], config["env"]["num_envs"])
+    with composed.placing():
+        env = build_env(config, composed.asset_roots)
     display.environment(env.describe())
     root, task, seed = config["run"]["root"], config["task"]["name"], config["seed"]
     directory = RunDirectory.create(root, task, seed, name=kind, section="agents")

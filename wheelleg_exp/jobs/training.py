@@ -10,7 +10,6 @@ from typing import Any
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.assets import keep_asset
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.outputs import Outputs, summary
@@ -18,6 +17,7 @@ from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.threads import set_threads
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.recording.options import RecordingOptions
+from wheelleg_exp.recording.recorder import require_env_ids
 from wheelleg_exp.rl import export
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -44,18 +44,20 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
     Raises:
         WheellegError: the input is wrong; no run directory has been made.
     """
+    with composed.placing():
+        return _prepare(composed, command, display)
+
+
+def _prepare(composed: Composed, command: Sequence[str], display: Display) -> Training:
     config, agent = composed.config, composed.config["agent"]
-    if agent["max_iterations"] < 1 or agent["save_interval"] < 1:
-        raise ConfigError(
-            "must be at least 1", key="agent.max_iterations and agent.save_interval", expected="1 or more"
-        )
+    require_env_ids(config["recording"]["env_ids"], config["env"]["num_envs"])
     asset = prepare_asset(config, composed.asset_roots)
     env = ManagerBasedRLEnv(config["env"], asset.output, config["seed"])
-    display.environment(env.describe())
     threads = set_threads(agent, env.scene.sim.nthread)
     trainer = Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"])
     run = config["run"]
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
+    display.environment(env.describe())
     keep_asset(directory, asset, config["env"]["robot"]["asset"], env.scene.model_digest())
     manifest = begin(
         directory,

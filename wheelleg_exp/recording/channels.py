@@ -13,8 +13,6 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.mdp.commands import UniformVelocityCommand
-from wheelleg_exp.recording.geometry import Array
-from wheelleg_exp.recording.kinematics import Kinematics
 from wheelleg_exp.recording.layout import EnvPaths
 
 VELOCITY_NAMES = ("v_x", "v_y", "w_z")
@@ -39,12 +37,12 @@ class Channel:
     entities: tuple[str, ...]
 
 
-def channels(
-    env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, kinematics: Kinematics, origin: Array
-) -> list[Channel]:
-    """Return everything that is recorded of one environment at every control step."""
+def channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """Return everything that is recorded of one environment at every control step.
+
+    Poses are not among it: they follow from ``qpos``, and are worked out when the frames are sent.
+    """
     return [
-        *_poses(env, env_id, kinematics, origin),
         *_base(env, env_id, paths),
         *_commands(env, env_id, paths),
         *_joints(env, env_id, paths),
@@ -75,43 +73,18 @@ def _one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -
 
 def _row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
     """Return a reader of one environment's row, without a copy."""
-    return lambda: read()[env_id].numpy()
-
-
-def _poses(env: ManagerBasedRLEnv, env_id: int, kinematics: Kinematics, origin: Array) -> list[Channel]:
-    """Body poses by forward kinematics from the row of positions; must stay first, others read the result."""
-    row = env.scene.sim.view("qpos")[env_id].numpy()
-    bodies = kinematics.xpos.shape[0]
-
-    def positions() -> Array:
-        kinematics.update(row)
-        return np.subtract(kinematics.xpos, origin).ravel()
-
-    pos = Channel("xpos", tuple("" for _ in range(3 * bodies)), positions, ())
-    quat = Channel("xquat", tuple("" for _ in range(4 * bodies)), lambda: kinematics.xquat.ravel(), ())
-    return [pos, quat]
+    return lambda: read().numpy()[env_id]
 
 
 def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
     data, model = env.scene.robot.data, env.scene.model
     qpos, qvel = (env.scene.sim.view(name)[env_id].numpy() for name in ("qpos", "qvel"))
 
-    def orientation() -> tuple[float, float, float]:
-        # Roll, pitch, yaw of Rz(yaw) Ry(pitch) Rx(roll), from the matrix's last row and first column.
-        matrix = data.root_rot_w[env_id].tolist()
-        x, y, z = matrix[2]
-        return (
-            math.atan2(y, z),
-            math.asin(max(-1.0, min(1.0, -x))),
-            math.atan2(matrix[1][0], matrix[0][0]),
-        )
-
     def split(key: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
         return Channel(key, tuple(names), read, tuple(paths.data("base", name) for name in names))
 
     return [
-        split("height", ["height"], lambda: data.root_pos_w[env_id, 2].item()),
-        split("orientation", ["roll", "pitch", "yaw"], orientation),
+        split("height", ["height"], lambda: data.root_pos_w.numpy()[env_id, 2]),
         split("lin_vel", ["v_x", "v_y", "v_z"], _row(lambda: data.root_lin_vel_b, env_id)),
         split("ang_vel", ["w_x", "w_y", "w_z"], _row(lambda: data.root_ang_vel_b, env_id)),
         _one("qpos", paths.data("state", "qpos"), _coordinates(model, _FREE), lambda: qpos),
@@ -183,7 +156,7 @@ def _contacts(env: ManagerBasedRLEnv, env_id: int) -> list[Channel]:
 
 
 def _flat(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
-    return lambda: read()[env_id].numpy().ravel()
+    return lambda: read().numpy()[env_id].ravel()
 
 
 def _policy(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
@@ -240,7 +213,7 @@ def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str | No
         value: Any = env.observation_manager.obs_buf.get(group)
         if value is None:
             return nothing
-        return (value if term is None else value[term])[env_id].numpy().ravel()
+        return (value if term is None else value[term]).numpy()[env_id].ravel()
 
     return read
 
@@ -251,14 +224,14 @@ def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chann
     terms = Channel(
         "rewards",
         tuple(names),
-        lambda: env.reward_manager.step_reward[:, env_id].numpy(),
+        lambda: env.reward_manager.step_reward.numpy()[:, env_id],
         tuple(paths.data("rewards", name) for name in names),
     )
     total = _one(
         "total",
         paths.data("rewards", "total"),
         ["total"],
-        lambda: env.reward_buf[env_id].item() / env.step_dt,
+        lambda: env.reward_buf.numpy()[env_id] / env.step_dt,
     )
     return [terms, total]
 
@@ -270,7 +243,7 @@ def _terminations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
         Channel(
             "terminations",
             tuple(names),
-            lambda: [manager.get_fired(name)[env_id].item() for name in names],
+            lambda: [manager.get_fired(name).numpy()[env_id] for name in names],
             tuple(paths.data("terminations", name) for name in names),
         )
     ]

@@ -16,6 +16,8 @@ from wheelleg_exp.recording.layout import GROUND, EnvPaths
 
 COMMANDED, ACTUAL, FORCE = (60, 200, 90), (70, 130, 255), (255, 170, 40)
 
+ANGLES = ("roll", "pitch", "yaw")
+
 Columns = tuple[str, NDArray[np.intp] | None, Any]
 Blocks = Mapping[str, Array]
 
@@ -37,10 +39,15 @@ def vector_columns(rows: Array) -> Any:
     return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
 
 
+def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
+    """Yield roll, pitch and yaw of the base, rad."""
+    for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
+        yield paths.data("base", name), None, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
+
+
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
     """Yield the pose columns of the bodies (model id to entity)."""
-    count = len(blocks["xpos"])
-    position, quaternion = blocks["xpos"].reshape(count, -1, 3), blocks["xquat"].reshape(count, -1, 4)
+    position, quaternion = blocks["xpos"], blocks["xquat"]
     for body, entity in bodies.items():
         yield (
             entity,
@@ -68,7 +75,7 @@ class Contacts:
         force = blocks[f"contacts/{self.sensor}"].reshape(-1, len(self.bodies), 3)
         norm = np.linalg.norm(force, axis=2)
         yield paths.data("contacts", self.sensor), None, vector_columns(norm)
-        position = blocks["xpos"].reshape(len(force), -1, 3)[:, list(self.bodies)]
+        position = blocks["xpos"][:, list(self.bodies)]
         touching = norm > 0
         arrows = rr.Arrows3D.columns(origins=position[touching], vectors=self.scale * force[touching])
         yield paths.overlay("contacts", self.sensor), None, arrows.partition(touching.sum(axis=1))
@@ -92,7 +99,7 @@ class VelocityArrows:
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
         """Yield one arrow a frame for the command and one for the robot's velocity."""
-        origin = blocks["xpos"].reshape(len(blocks["xpos"]), -1, 3)[:, self.root] + [0.0, 0.0, self.lift]
+        origin = blocks["xpos"][:, self.root] + [0.0, 0.0, self.lift]
         yaw = blocks["orientation"][:, 2]
         for name, velocity in (("command", blocks[self.command]), ("actual", blocks["lin_vel"])):
             vectors = self.scale * in_world(velocity[:, :2], yaw)
@@ -141,7 +148,7 @@ class Ground:
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
         """Yield where the patch is, only at the frames at which it moves."""
         del paths
-        position = blocks["xpos"].reshape(len(blocks["xpos"]), -1, 3)[:, self.root, :2]
+        position = blocks["xpos"][:, self.root, :2]
         step = 2 * self.tile
         snapped = step * np.round(np.nan_to_num(position) / step)
         moved = np.flatnonzero(np.r_[True, (np.diff(snapped, axis=0) != 0).any(axis=1)])

@@ -26,6 +26,15 @@ class Kinematics:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
 
+    def poses(self, qpos: Array) -> tuple[Array, Array]:
+        """Return positions (n, B, 3), m, and orientations (n, B, 4), wxyz, of all bodies for rows of qpos (n, nq)."""
+        count = len(qpos)
+        positions, orientations = np.empty((count, *self.xpos.shape)), np.empty((count, *self.xquat.shape))
+        for i, row in enumerate(qpos):
+            self.update(row)
+            positions[i], orientations[i] = self.xpos, self.xquat
+        return positions, orientations
+
     def height(self, root: int, qpos: Array) -> float:
         """Return how tall the tree below ``root`` stands at ``qpos``, m: its vertical extent by bounding spheres.
 
@@ -57,3 +66,12 @@ def weight(model: mujoco.MjModel, root: int) -> float:
     """Return the weight of the tree below ``root``, N (1 N when it weighs nothing or there is no gravity)."""
     weight = float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
     return weight if weight > 0 else 1.0
+
+
+def roll_pitch_yaw(quaternion: Array) -> Array:
+    """Return the angles (n, 3), rad, of R = Rz(yaw) Ry(pitch) Rx(roll) for unit quaternions (n, 4), wxyz."""
+    w, x, y, z = quaternion.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.stack((roll, pitch, yaw), axis=1)

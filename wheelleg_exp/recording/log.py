@@ -30,10 +30,10 @@ class Entry:
 def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> Entry | None:
     """Return what ended the environment's episode in this step, None when it goes on."""
     manager = env.termination_manager
-    failed = bool(manager.terminated[env_id])
-    if not failed and not bool(manager.time_outs[env_id]):
+    failed = bool(manager.terminated.numpy()[env_id])
+    if not failed and not manager.time_outs.numpy()[env_id]:
         return None
-    reasons = [name for name in manager.active_terms if bool(manager.get_fired(name)[env_id])]
+    reasons = [name for name in manager.active_terms if manager.get_fired(name)[env_id]]
     seconds = int(env.episode_length_buf[env_id]) * env.step_dt
     text = f"env {env_id}: ended by {' and '.join(reasons) or 'a reward that is not finite'} after {seconds:.2f} s"
     return Entry(stamp, EPISODES, text, "WARN" if failed else "INFO")
@@ -44,6 +44,6 @@ def interval_events(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> list[E
     entries = []
     for name, fired in env.event_manager.fired.items():
         # A timer that all environments share has one flag.
-        if bool(fired[env_id if len(fired) > 1 or env.num_envs == 1 else 0]):
+        if fired.numpy()[env_id if len(fired) > 1 else 0]:
             entries.append(Entry(stamp, EVENTS, f"env {env_id}: {name}", "INFO"))
     return entries

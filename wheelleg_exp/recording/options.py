@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -18,5 +18,5 @@ class RecordingOptions:
 
     enabled: bool
     env_ids: list[int]
-    interval: int
-    steps: int
+    interval: int = field(metadata={"minimum": 1})
+    steps: int = field(metadata={"minimum": 1})

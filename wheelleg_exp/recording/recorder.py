@@ -64,7 +64,7 @@ class Recorder:
         self.captured = 0
         self._env = env
         self._purpose: Purpose = purpose
-        _check_ids(env_ids, env.num_envs)
+        require_env_ids(env_ids, env.num_envs)
         several = len(env_ids) > 1
         self._tracks = [
             Track(env, i, EnvPaths(f"env_{i}" if several else ""), place) for place, i in enumerate(env_ids)
@@ -251,7 +251,8 @@ def _by_entity(entries: Sequence[tuple[Track, log.Entry]]) -> Iterator[tuple[str
     yield from found.items()
 
 
-def _check_ids(env_ids: Sequence[int], num_envs: int) -> None:
+def require_env_ids(env_ids: Sequence[int], num_envs: int) -> None:
+    """Raise ConfigError unless ``env_ids`` names environments, each once."""
     wrong = [i for i in env_ids if not 0 <= i < num_envs]
     if wrong or not env_ids or len(set(env_ids)) != len(env_ids):
         raise ConfigError(

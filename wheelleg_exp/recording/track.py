@@ -60,10 +60,10 @@ class Track:
         self._root = int(self._model.body(self._robot.body_names[0]).id)
         self._bodies = {b: paths.body(self._model.body(b).name or f"body_{b}") for b in range(1, self._model.nbody)}
         self._origin: Array = env.scene.env_origins[env_id].double().numpy().copy()
-        solver = Kinematics(self._model)
-        self._size = solver.height(self._root, env.scene.sim.view("qpos")[env_id].numpy())
+        self._solver = Kinematics(self._model)
+        self._size = self._solver.height(self._root, env.scene.sim.view("qpos")[env_id].numpy())
         self._offset = np.array([0.0, 3.0 * self._size * place, 0.0])
-        self.frames = Frames(channels(env, env_id, paths, solver, self._origin))
+        self.frames = Frames(channels(env, env_id, paths))
         self._dry_run()
         self._draw(env)
         self._place = place
@@ -100,8 +100,9 @@ class Track:
 
     def columns(self) -> Iterator[Columns]:
         """Yield the buffered frames as columns of entities."""
-        blocks = self.frames.blocks()
+        blocks = self._with_poses(self.frames.blocks())
         yield from drawing.scalars([c for c in self.frames.channels if c.entities], blocks)
+        yield from drawing.orientation(self.paths, blocks)
         yield from drawing.transforms(self._bodies, blocks)
         for contact in self._contacts:
             yield from contact.columns(self.paths, blocks)
@@ -109,6 +110,12 @@ class Track:
             yield from self._velocity.columns(self.paths, blocks)
         if self._ground is not None and self._place == 0:
             yield from self._ground.columns(self.paths, blocks)
+
+    def _with_poses(self, blocks: dict[str, Array]) -> dict[str, Array]:
+        """Add the poses of all bodies (n, B, 3), (n, B, 4), and the base's angles (n, 3)."""
+        position, quaternion = self._solver.poses(blocks["qpos"])
+        angles = kinematics.roll_pitch_yaw(quaternion[:, self._root])
+        return {**blocks, "xpos": position - self._origin, "xquat": quaternion, "orientation": angles}
 
     def _dry_run(self) -> None:
         """Read every channel once, so that a width that does not fit is found now and not in a step."""
@@ -150,6 +157,8 @@ class Track:
             else:
                 for i, (entity, name) in enumerate(zip(channel.entities, channel.names, strict=False)):
                     yield entity, [series([name], first=i)]
+        for i, name in enumerate(drawing.ANGLES):
+            yield self.paths.data("base", name), [series([name], first=i)]
         for contact in self._contacts:
             names = [self._model.body(b).name for b in contact.bodies]
             yield self.paths.data("contacts", contact.sensor), [series(names)]

@@ -150,6 +150,14 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
                     expected="some of " + ", ".join(observations.keys()),
                     nearest=nearest_name(group, observations.keys()),
                 )
+    _require_device(str(agent["device"]))
+    samples = env.num_envs * int(agent["num_steps_per_env"])
+    if agent["algorithm"].get("num_mini_batches", 1) > samples:
+        raise ConfigError(
+            "there are fewer samples than minibatches",
+            key="agent.algorithm.num_mini_batches",
+            expected=f"at most {samples}, env.num_envs times agent.num_steps_per_env",
+        )
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = None
@@ -157,9 +165,20 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
         with redirect_stdout(io.StringIO()):
             kind = resolve_callable(config["algorithm"]["class_name"])
             return kind.construct_algorithm(observations, env, config, str(agent["device"]))
-    except (TypeError, ValueError, KeyError, AttributeError, ImportError) as error:
+    except (TypeError, ValueError, LookupError, AttributeError, ImportError) as error:
         raise ConfigError(
             f"rsl_rl refuses it: {str(error).splitlines()[0]}",
             key="agent",
             expected="rsl_rl's own configuration",
+        ) from error
+
+
+def _require_device(name: str) -> None:
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        raise ConfigError(
+            f"torch cannot use '{name}': {str(error).splitlines()[0]}",
+            key="agent.device",
+            expected="cpu, or a device that this torch and this machine have",
         ) from error

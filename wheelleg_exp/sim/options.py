@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 
@@ -23,16 +23,16 @@ class SimOptions:
         nthread: physics threads; 0 takes every processor. It never changes a result.
     """
 
-    dt: float
+    dt: float = field(metadata={"above": 0.0})
     gravity: list[float]
     integrator: Literal["euler", "rk4", "implicit", "implicitfast"]
     solver: Literal["pgs", "cg", "newton"]
     cone: Literal["pyramidal", "elliptic"]
-    iterations: int
-    ls_iterations: int
-    tolerance: float
-    impratio: float
-    nthread: int
+    iterations: int = field(metadata={"minimum": 1})
+    ls_iterations: int = field(metadata={"minimum": 1})
+    tolerance: float = field(metadata={"minimum": 0.0})
+    impratio: float = field(metadata={"above": 0.0})
+    nthread: int = field(metadata={"minimum": 0})
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class SceneOptions:
         sensors: one node a sensor, by name.
     """
 
-    env_spacing: float
+    env_spacing: float = field(metadata={"minimum": 0.0})
     ground: dict[str, float]
     sensors: dict[str, Any]
 
@@ -70,6 +70,6 @@ class RobotOptions:
     base: Literal["auto", "floating", "fixed"]
     init_state: dict[str, Any]
     joint_order: list[str] | None
-    soft_joint_pos_limit_factor: float
+    soft_joint_pos_limit_factor: float = field(metadata={"above": 0.0, "maximum": 1.0})
     friction_source: Literal["static", "dynamic"]
     actuators: dict[str, Any]

@@ -253,6 +253,8 @@ class Robot:
         for part, kind in (("pos", 3), ("rot", 4)):
             if len(init[part]) != kind:
                 raise ConfigError(f"has {len(init[part])} numbers", key=f"{key}.{part}", expected=f"{kind} numbers")
+        if not any(init["rot"]):
+            raise ConfigError("is no rotation", key=f"{key}.rot", expected="a quaternion (w, x, y, z)")
         pos = values_by_name(init["joint_pos"], names, 0.0, key=f"{key}.joint_pos", what="joint")
         vel = values_by_name(init["joint_vel"], names, 0.0, key=f"{key}.joint_vel", what="joint")
         self._default_positions = [float(value) for value in pos]

@@ -34,6 +34,7 @@ class Simulation:
     """
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
+        _keep_log_out_of_files()
         self.model = model
         self.num_envs = num_envs
         self.batch = Batch(model, num_envs, nthread=nthread)
@@ -142,6 +143,13 @@ class Simulation:
         self.state.copy_(saved["state"])
         self.batch.warning[...] = saved["warning"].numpy()
         self.forward()
+
+
+def _keep_log_out_of_files() -> None:
+    """Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; its warnings still reach the console."""
+    config = mujoco.MjLogConfig.get()
+    config.logto_file = False
+    config.set()
 
 
 def _rows(ids: torch.Tensor | None) -> np.ndarray | None:
