@@ -73,7 +73,7 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     )
     env.observers += [stand.observe, recorder.capture, *(meter.observe for meter in meters.values())]
     with recorder:
-        recorder.start(None)
+        recorder.start()
         _roll(env, _actor(kind, env), steps or env.max_episode_length, display)
         recorder.flush()
     contacts = {name: meter.figures() for name, meter in meters.items()}

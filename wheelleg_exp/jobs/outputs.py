@@ -42,7 +42,6 @@ class Outputs:
         self._trainer = trainer
         self._options = options
         self._documents = documents
-        self._remaining = 0
         self._recorder: Recorder | None = None
 
     def __enter__(self) -> Outputs:
@@ -60,8 +59,8 @@ class Outputs:
             )
             for name, text in self._documents.items():
                 self._recorder.document(name, text)
-            env.observers.append(self._observe)
-            self._start_segment(0)
+            env.observers.append(self._recorder.capture)
+            self._recorder.start(0, self._options.steps)
         return self
 
     def __exit__(
@@ -70,7 +69,7 @@ class Outputs:
         self._lines.close()
         self._tensorboard.close()
         if self._recorder is not None:
-            self._trainer.env.env.observers.remove(self._observe)
+            self._trainer.env.env.observers.remove(self._recorder.capture)
             self._recorder.close()
 
     def write(self, iteration: Iteration) -> None:
@@ -83,28 +82,23 @@ class Outputs:
             self._lines.write(json.dumps(line) + "\n")
             self._lines.flush()
         if self._recorder is not None:
-            self._recorder.scalars(iteration.scalars, iteration.index)
-        self._start_segment(iteration.index + 1)
+            self._record(self._recorder, iteration)
 
     def checkpoint(self, iteration: int) -> str:
         """Write ``model_<iteration>.pt`` and return its name."""
         name = f"model_{iteration}.pt"
         write_bytes(self._directory.path / name, checkpoint.serialize(self._trainer.state_dict()))
+        if self._recorder is not None:
+            self._recorder.flush()
         return name
 
-    def _start_segment(self, iteration: int) -> None:
-        if self._recorder is not None and iteration % self._options.interval == 0:
-            self._recorder.flush()
-            self._recorder.start(iteration)
-            self._remaining = self._options.steps
-
-    def _observe(self) -> None:
-        if self._recorder is None or self._remaining == 0:
-            return
-        self._recorder.capture()
-        self._remaining -= 1
-        if self._remaining == 0:
-            self._recorder.flush()
+    def _record(self, recorder: Recorder, iteration: Iteration) -> None:
+        recorder.scalars(iteration.scalars, iteration.index)
+        following = iteration.index + 1
+        if following % self._options.interval == 0:
+            recorder.stop()
+            recorder.start(following, self._options.steps)
+        recorder.iteration = following
 
 
 def digests(trainer: Trainer) -> dict[str, str]:

@@ -103,7 +103,7 @@ def _roll(
         recorder = Recorder(
             path, env, recording_id=folder.name, name=folder.name, env_ids=options["env_ids"], purpose="play"
         )
-        recorder.start(None)
+        recorder.start()
         env.observers.append(recorder.capture)
     try:
         for step in range(env.max_episode_length):

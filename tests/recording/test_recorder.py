@@ -1,0 +1,358 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from tests.recording.conftest import STEPS, Account, record, roll_out
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.recording.recorder import Recorder
+
+
+@pytest.fixture(scope="module")
+def recording(recorded) -> Recording:
+    return Recording(recorded[0])
+
+
+def column(recording: Recording, *entities: str) -> np.ndarray:
+    return np.hstack([recording.values(entity) for entity in entities])
+
+
+def listed(recording: Recording, entity: str, name: str) -> list:
+    return recording.table(entity).column(name).to_pylist()
+
+
+def test_the_trajectory_is_the_same_to_the_bit_with_and_without_a_recorder(make_env, recorded):
+    alone = roll_out(make_env(), Account(1))
+    assert len(alone.returned) == len(recorded[1].returned)
+    for without, with_recorder in zip(alone.returned, recorded[1].returned, strict=True):
+        torch.testing.assert_close(without, with_recorder, rtol=0, atol=0)
+
+
+def test_every_control_step_is_there_once_on_every_timeline(recording, recorded):
+    table = recording.table("base/height")
+    assert table.column("step").to_pylist() == list(range(1, STEPS + 1))
+    seconds = np.asarray(table.column("sim_time").cast("int64")) * 1e-9
+    np.testing.assert_allclose(seconds, np.arange(1, STEPS + 1) * recorded[2].step_dt, atol=1e-6)
+    assert recording.timelines() == ["step", "sim_time"]
+
+
+@pytest.mark.parametrize(
+    ("entities", "name"),
+    [
+        (["base/height"], "height"),
+        (["base/v_x", "base/v_y", "base/v_z"], "lin_vel"),
+        ([f"commands/base_velocity/{part}" for part in ("v_x", "v_y", "w_z")], "command"),
+        (["observations/policy"], "policy"),
+        (["observations/critic"], "critic"),
+        (["actions/raw"], "action"),
+        (["state/qpos"], "qpos"),
+    ],
+)
+def test_numbers_are_the_environments_own(recording, recorded, entities, name):
+    np.testing.assert_array_equal(column(recording, *entities), recorded[1][name])
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("position", "joint_pos"), ("velocity_target", "joint_vel_target"), ("effort", "effort")]
+)
+def test_joints_are_found_by_name(recording, recorded, kind, name):
+    joints = recorded[2].scene.robot.joint_names
+    found = column(recording, *(f"joints/{joint}/{kind}" for joint in joints))
+    np.testing.assert_array_equal(found, recorded[1][name])
+
+
+def test_roll_and_pitch_agree_with_the_direction_of_gravity(recording, recorded):
+    roll, pitch = (recording.values(f"base/{name}")[:, 0] for name in ("roll", "pitch"))
+    gravity = np.stack((np.sin(pitch), -np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll)), axis=1)
+    np.testing.assert_allclose(gravity, recorded[1]["gravity"], atol=1e-6)
+
+
+def test_body_poses_are_those_of_mujoco_relative_to_the_environments_origin(recording, recorded):
+    _, account, env = recorded
+    data, model = mujoco.MjData(env.scene.model), env.scene.model
+    origin = env.scene.env_origins[1].numpy()
+    assert np.abs(origin).max() > 1, "the case is worth something only away from the centre"
+    for body in env.scene.robot.body_names:
+        translation, quaternion = (
+            listed(recording, f"world/{body}", "translation"),
+            listed(recording, f"world/{body}", "quaternion"),
+        )
+        for step in (0, 40, STEPS - 1):
+            data.qpos[:] = account["qpos"][step]
+            mujoco.mj_forward(model, data)
+            w, x, y, z = data.body(body).xquat
+            np.testing.assert_allclose(translation[step][0], data.body(body).xpos - origin, atol=1e-6)
+            np.testing.assert_allclose(quaternion[step][0], [x, y, z, w], atol=1e-6)
+
+
+def test_contact_arrows_stand_at_the_bodies_that_are_touched(recording, recorded):
+    _, account, env = recorded
+    bodies, forces = env.scene["contact_forces"].body_names, account["forces"].astype(float)
+    norms = recording.values("contacts/contact_forces")
+    assert recording.names("contacts/contact_forces") == bodies
+    np.testing.assert_allclose(norms, np.linalg.norm(forces, axis=2), rtol=1e-12)
+    vectors = listed(recording, "overlay/contacts/contact_forces", "vectors")
+    origins = listed(recording, "overlay/contacts/contact_forces", "origins")
+    scales = set()
+    for step in range(STEPS):
+        touched = np.flatnonzero(norms[step] > 0)
+        assert len(vectors[step]) == len(touched) == len(origins[step])
+        for arrow, origin, body in zip(vectors[step], origins[step], touched, strict=True):
+            place = listed(recording, f"world/{bodies[body]}", "translation")[step][0] if step == 50 else None
+            assert place is None or place == origin
+            scales.add(round(np.linalg.norm(arrow) / norms[step, body], 5))
+    assert len(scales) == 1, "one scale for all"
+
+
+def test_velocity_arrows_are_turned_by_the_yaw_of_the_base(recording, recorded):
+    yaw = recording.values("base/yaw")[:, 0]
+    scale = None
+    for name, key in (("command", "command"), ("actual", "lin_vel")):
+        arrows = np.array(listed(recording, f"overlay/velocity/{name}", "vectors"))[:, 0]
+        velocity = recorded[1][key].astype(float)
+        world = (np.cos(yaw) + 1j * np.sin(yaw)) * (velocity[:, 0] + 1j * velocity[:, 1])
+        ratio = (arrows[:, 0] + 1j * arrows[:, 1]) / world
+        scale = scale or ratio[0].real
+        np.testing.assert_allclose(ratio, scale, rtol=1e-4)
+        assert (arrows[:, 2] == 0).all()
+
+
+def test_reward_sums_can_be_rebuilt_from_the_recording_alone(recording, recorded):
+    _, account, env = recorded
+    names = env.reward_manager.active_terms
+    rebuilt = column(recording, *(f"rewards/{name}" for name in names))
+    np.testing.assert_array_equal(rebuilt, account["rewards"])
+    np.testing.assert_allclose(
+        recording.values("rewards/total")[:, 0], account["rewards"].astype(float).sum(axis=1), rtol=1e-4, atol=1e-4
+    )
+
+
+def test_ends_of_episodes_can_be_rebuilt_from_the_recording_alone(recording, recorded):
+    _, account, env = recorded
+    assert account.ended, "the rollout must hold an end"
+    fired = {n: recording.values(f"terminations/{n}")[:, 0] for n in env.termination_manager.active_terms}
+    steps = recording.table("base/height").column("step").to_pylist()
+    rebuilt = [
+        (step, [name for name, flags in fired.items() if flags[row]])
+        for row, step in enumerate(steps)
+        if any(flags[row] for flags in fired.values())
+    ]
+    assert rebuilt == [(step, names) for step, names, _ in account.ended]
+
+
+def test_the_log_says_what_ended_an_episode_and_when(recording, recorded):
+    texts = [
+        (step, text[0])
+        for step, text in zip(
+            listed(recording, "log/episodes", "step"), listed(recording, "log/episodes", "text"), strict=True
+        )
+    ]
+    expected = [
+        (step, f"env 1: ended by {' and '.join(names)} after {seconds:.2f} s")
+        for step, names, seconds in recorded[1].ended
+    ]
+    assert texts == expected
+
+
+def test_the_log_names_interval_events_at_the_step_that_they_follow(recording, recorded):
+    pushed = [step for step in recorded[1].pushed if step < STEPS]
+    assert pushed
+    assert listed(recording, "log/events", "step") == pushed
+    assert listed(recording, "log/events", "text") == [["env 1: push_robot"]] * len(pushed)
+
+
+def test_the_robot_is_drawn_once_and_statically(recording, recorded):
+    model = recorded[2].scene.model
+    for geom in range(model.ngeom):
+        name, body = model.geom(geom).name, model.body(model.geom_bodyid[geom]).name
+        if body == "world":
+            continue
+        visual = model.geom_group[geom] == 2
+        place = f"world/{body}/{name}" if visual else f"overlay/colliders/{body}/{name}"
+        assert recording.static(place), place
+        assert not recording.has_rows(place)
+
+
+def test_several_environments_have_a_branch_each(make_env, tmp_path):
+    account = record(tmp_path / "r.rrd", make_env(), env_ids=(2, 0), steps=10)
+    recording = Recording(tmp_path / "r.rrd")
+    np.testing.assert_array_equal(recording.values("env_2/base/height"), account["height"])
+    assert "env_0/rewards/total" in recording.entities()
+    root = next(e for e in recording.entities() if e.startswith("world/env_0/"))
+    assert recording.static("world/env_0")["translation"] != [[0, 0, 0]], root
+
+
+def test_a_segment_ends_by_itself_and_carries_its_iteration(make_env, tmp_path):
+    env = make_env()
+    env.reset(seed=0)
+    path = tmp_path / "r.rrd"
+    with Recorder(path, env, recording_id="r", name="n", env_ids=[0], purpose="training") as recorder:
+        env.observers.append(recorder.capture)
+        action = torch.zeros(4, 6)
+        env.step(action)  # before the first segment: not captured
+        recorder.start(iteration=4, steps=2)
+        for _ in range(5):
+            env.step(action)
+        recorder.scalars({"Train/mean reward": 1.5}, iteration=4)
+        recorder.start(iteration=9)
+        env.step(action)
+        recorder.stop()
+        env.step(action)
+        recorder.scalars({"Train/mean reward": 2.5}, iteration=9)
+    recording = Recording(path)
+    table = recording.table("base/height")
+    assert table.column("step").to_pylist() == [2, 3, 7]
+    assert table.column("iteration").to_pylist() == [4, 4, 9]
+    scalars = recording.table("training/Train/mean\\ reward")
+    assert scalars.column("iteration").to_pylist() == [4, 9]
+    assert scalars.column("scalars").to_pylist() == [[1.5], [2.5]]
+
+
+def test_texts_are_kept_and_the_last_of_a_name_counts(recorded, tmp_path):
+    path = tmp_path / "r.rrd"
+    with Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play") as recorder:
+        recorder.document("config", "first")
+        recorder.flush()
+        recorder.document("config", "# second")
+    assert Recording(path).document("config") == "# second"
+    assert Recording(path).document("absent") is None
+
+
+def test_what_was_flushed_survives_a_sudden_death(mjcf, tmp_path):
+    path = tmp_path / "r.rrd"
+    code = f"""
+        import os
+        import torch
+        from pathlib import Path
+        from wheelleg_exp.config.compose import compose
+        from wheelleg_exp.env import ManagerBasedRLEnv
+        from wheelleg_exp.recording.recorder import Recorder
+        config = compose(["task=stand", "env.num_envs=2"]).config
+        env = ManagerBasedRLEnv(config["env"], Path({str(mjcf)!r}), 0)
+        env.reset(seed=0)
+        recorder = Recorder(Path({str(path)!r}), env, recording_id="r", name="n", env_ids=[0], purpose="play")
+        env.observers.append(recorder.capture)
+        recorder.start()
+        for i in range(12):
+            env.step(torch.zeros(2, 6))
+            if i == 7:
+                recorder.flush()
+        os._exit(9)
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True)
+    assert done.returncode == 9, done.stderr
+    assert len(Recording(path).values("base/height")) == 8
+
+
+def test_a_resumed_recording_is_as_if_it_had_never_stopped(make_env, tmp_path):
+    record(tmp_path / "straight.rrd", make_env(), steps=20)
+    path, env = tmp_path / "resumed.rrd", make_env()
+    options = {"recording_id": "r", "name": "n", "env_ids": [1], "purpose": "play"}
+    env.reset(seed=3)
+    generator = torch.Generator().manual_seed(7)
+    actions = [0.3 * torch.randn(4, 6, generator=generator) for _ in range(20)]
+    with torch.inference_mode():
+        first = Recorder(path, env, **options)
+        first.document("config", "kept")
+        first.flush()
+        env.observers = [first.capture]
+        first.start()
+        for action in actions[:12]:
+            env.step(action)
+        checkpoint = env.state_dict()
+        for action in actions[12:15]:
+            env.step(torch.zeros_like(action))  # lost in a crash after the checkpoint
+        first.flush()
+        path.write_bytes(path.read_bytes()[:-7])  # and cut off in the middle of a message
+        env = make_env()
+        env.load_state_dict(checkpoint)
+        with Recorder(path, env, **options, keep_until=env.common_step_counter) as second:
+            env.observers = [second.capture]
+            second.start()
+            for action in actions[12:]:
+                env.step(action)
+    one, two = Recording(tmp_path / "straight.rrd"), Recording(path)
+    for entity in ("base/height", "observations/critic", "rewards/total", "state/qpos"):
+        np.testing.assert_array_equal(one.values(entity), two.values(entity))
+    assert two.table("base/height").column("step").to_pylist() == list(range(1, 21))
+    assert two.document("config") == "kept"
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_an_existing_file_is_refused_and_left_as_it_is(recorded, tmp_path):
+    path = tmp_path / "r.rrd"
+    path.write_bytes(b"precious")
+    with pytest.raises(RunDirectoryError, match="exists"):
+        Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play")
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_file_that_is_no_recording_is_not_gone_on_with(recorded, tmp_path):
+    path = tmp_path / "r.rrd"
+    path.write_bytes(b"precious" * 9)
+    with pytest.raises(RunDirectoryError, match="cannot go on"):
+        Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play", keep_until=3)
+    assert path.read_bytes() == b"precious" * 9
+    assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]
+
+
+def test_a_place_that_cannot_be_written_is_said_at_once(recorded, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RunDirectoryError, match="cannot write"):
+        Recorder(tmp_path / "file" / "r.rrd", recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play")
+
+
+@pytest.mark.parametrize("env_ids", [[], [4], [-1], [0, 0]])
+def test_environments_that_do_not_exist_are_refused_before_a_file_is_made(recorded, tmp_path, env_ids):
+    with pytest.raises(ConfigError, match=r"recording\.env_ids"):
+        Recorder(tmp_path / "r.rrd", recorded[2], recording_id="r", name="n", env_ids=env_ids, purpose="play")
+    assert not (tmp_path / "r.rrd").exists()
+
+
+def test_a_full_disk_fails_the_run_with_one_message(mjcf, tmp_path):
+    path = tmp_path / "r.rrd"
+    code = f"""
+        import resource, signal
+        import torch
+        from pathlib import Path
+        from wheelleg_exp.config.compose import compose
+        from wheelleg_exp.env import ManagerBasedRLEnv
+        from wheelleg_exp.errors import SimulationFailure
+        from wheelleg_exp.recording.recorder import Recorder
+        config = compose(["task=stand", "env.num_envs=2"]).config
+        env = ManagerBasedRLEnv(config["env"], Path({str(mjcf)!r}), 0)
+        env.reset(seed=0)
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        recorder = Recorder(Path({str(path)!r}), env, recording_id="r", name="n", env_ids=[0], purpose="play")
+        size = Path({str(path)!r}).stat().st_size
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 5000, size + 5000))
+        env.observers.append(recorder.capture)
+        try:
+            with recorder:
+                recorder.start(steps=50)
+                for i in range(60):
+                    env.step(torch.zeros(2, 6))
+        except SimulationFailure as error:
+            assert env.common_step_counter == 50
+            print(error)
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"cannot write the recording '{path}': ")
+    assert "expected room on a working disk" in done.stdout
+    assert SimulationFailure.exit_code == 3
+
+
+def test_a_term_that_would_share_a_place_is_refused(make_env, tmp_path):
+    term = "{_target_: wheelleg_exp.mdp.rewards.is_alive, weight: 1.0}"
+    env = make_env(f"+env.rewards.total={term}")
+    with pytest.raises(ConfigError, match=r"env\.rewards\.total"):
+        Recorder(tmp_path / "r.rrd", env, recording_id="r", name="n", env_ids=[0], purpose="play")
+    assert list(tmp_path.iterdir()) == []
