@@ -49,4 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _checkpoint(directory: RunDirectory, text: str) -> Path:
-    return directory.checkpoint(int(text)) if text.isdigit() else Path(text)
+    if text.isdigit():
+        return directory.checkpoint(int(text))
+    inside = directory.path / text
+    return inside if inside.is_file() else Path(text)

@@ -34,7 +34,9 @@ def run(args: argparse.Namespace) -> int:
         try:
             results = training.run(ready, display)
         except KeyboardInterrupt:
-            display.note(f"interrupted; the last checkpoint is {shown(directory.latest_checkpoint())}")
+            found = directory.checkpoints()
+            last = f"the last checkpoint is {shown(found[-1])}" if found else "there is no checkpoint yet"
+            display.note(f"interrupted; {last}")
             return EXIT_INTERRUPTED
     if args.json:
         print_json({"run": str(directory.path), "status": "finished", "results": results})

@@ -21,19 +21,23 @@ def check(composed: Composed) -> list[ConfigError]:
     target's signature; at settings for terms that are not selected; at the allow-list of every target; and at
     the agent's classes. Each error names the file and line, or the override, that the value came from.
     """
-    config = composed.config
-    errors = check_section("", config, schema.Root)
+    return _placed(check_tree(composed.config, schema.Root), composed)
+
+
+def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
+    """Return every mistake of a plain tree whose top is that of the dataclass ``root``; places are not known."""
+    errors = check_section("", config, root)
     for path in schema.OPTIONS:
         options = schema.options_of(path)
         node = _at(config, path)
-        if options is not None and isinstance(node, Mapping):
+        if options is not None and isinstance(node, Mapping) and schema.is_open(root, path):
             errors += check_section(path, node, options)
     errors += _check_observation_groups(config)
     errors += check_sections(config)
     errors += check_nested_targets(config)
     groups = _at(config, "env.observations")
     errors += check_agent(config.get("agent"), list(groups) if isinstance(groups, Mapping) else [])
-    return _placed(errors, composed)
+    return errors
 
 
 def require_valid(composed: Composed) -> None:

@@ -83,6 +83,32 @@ class Root:
 
 
 @dataclass(frozen=True)
+class Play:
+    """``play``: how figures are taken."""
+
+    settle_s: float = field(metadata={"minimum": 0.0})
+
+
+@dataclass(frozen=True)
+class PlayRecording:
+    """``recording`` of a play."""
+
+    enabled: bool
+    env_ids: list[int]
+
+
+@dataclass(frozen=True)
+class PlayRoot:
+    """The top of the tree that a play reads: the run's own ``env`` and ``agent``, and the play's settings."""
+
+    seed: int = field(metadata={"minimum": 0})
+    play: Play
+    recording: PlayRecording
+    env: Env
+    agent: Section
+
+
+@dataclass(frozen=True)
 class Agent:
     """``agent``: what rsl_rl's algorithm and networks read, and what the trainer reads."""
 
@@ -136,6 +162,11 @@ def keys_of(options: type) -> dict[str, Key]:
         for f in dataclasses.fields(options)
         if f.init
     }
+
+
+def is_open(root: type, path: str) -> bool:
+    """Return whether the keys of the section at ``path`` are not set down by ``root`` itself."""
+    return "." in path or typing.get_type_hints(root).get(path) == Section
 
 
 def options_of(path: str) -> type | None:

@@ -26,6 +26,9 @@ def task_env(
     Raises:
         WheellegError: the task, an override or the robot is wrong.
     """
+    for word in overrides:
+        if word.lstrip("+").startswith("env.num_envs="):
+            raise ConfigError("is given by Gymnasium", key="env.num_envs", expected="make_vec(..., num_envs=N)")
     words = [f"task={task}", *overrides, f"env.num_envs={num_envs}"]
     composed = compose(words, config_dirs=[Path(folder) for folder in config_dirs])
     require_valid(composed)

@@ -52,7 +52,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     ) -> tuple[Arrays, dict[str, Any]]:
         """Reset every environment; one seed starts all random streams anew."""
         if isinstance(seed, list):
-            seed = seed[0]
+            raise ValueError("the environments share their random streams: give one seed, not a list")
         super().reset(seed=seed, options=options)
         observations, _ = self.env.reset(seed=seed)
         return as_arrays(observations), {}

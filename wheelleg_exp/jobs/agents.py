@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -32,13 +33,13 @@ class AgentRun:
 
     Attributes:
         folder: where the recording and the figures are.
-        recording: the recording.
+        recording: the recording, or None.
         contacts: what each link carried while the robot stood, by sensor.
         figures: how long the first episodes lasted and how they ended.
     """
 
     folder: Path
-    recording: Path
+    recording: Path | None
     contacts: dict[str, list[ContactFigures]]
     figures: StandFigures
 
@@ -57,30 +58,32 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     with composed.placing():
         env = build_env(config, composed.asset_roots)
     display.environment(env.describe())
-    root, task, seed = config["run"]["root"], config["task"]["name"], config["seed"]
-    directory = RunDirectory.create(root, task, seed, name=kind, section="agents")
+    run, task, seed = config["run"], config["task"]["name"], config["seed"]
+    name = "_".join(part for part in (kind, run.get("name")) if part)
+    directory = RunDirectory.create(run["root"], task, seed, name=name, section="agents")
     write_yaml(directory.path / "config.yaml", config)
     sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
     meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
     stand = StandMeter(env, settle_s=0.0)
-    recorder = Recorder(
-        directory.recording,
-        env,
-        recording_id=directory.id,
-        name=f"{kind} agent",
-        env_ids=config["recording"]["env_ids"],
-        purpose="play",
-    )
-    env.observers += [stand.observe, recorder.capture, *(meter.observe for meter in meters.values())]
-    with recorder:
-        recorder.start()
+    env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
+    options = config["recording"]
+    with _recorder(directory, kind, env, options["env_ids"]) if options["enabled"] else nullcontext():
         _roll(env, _actor(kind, env), steps or env.max_episode_length, display)
-        recorder.flush()
     contacts = {name: meter.figures() for name, meter in meters.items()}
     content = {"agent": kind, "figures": stand.figures().as_dict()}
     content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
     write_json(directory.path / "figures.json", content)
-    return AgentRun(directory.path, directory.recording, contacts, stand.figures())
+    recording = directory.recording if options["enabled"] else None
+    return AgentRun(directory.path, recording, contacts, stand.figures())
+
+
+def _recorder(directory: RunDirectory, kind: AgentKind, env: ManagerBasedRLEnv, env_ids: list[int]) -> Recorder:
+    recorder = Recorder(
+        directory.recording, env, recording_id=directory.id, name=f"{kind} agent", env_ids=env_ids, purpose="play"
+    )
+    env.observers.append(recorder.capture)
+    recorder.start()
+    return recorder
 
 
 def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
@@ -16,7 +17,7 @@ from wheelleg_exp.recording.recorder import Recorder
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.trainer import Iteration, Trainer
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import for_people, write_bytes
+from wheelleg_exp.run.files import for_people, json_plain, write_bytes
 
 _DIGEST_LENGTH = 16
 
@@ -45,32 +46,37 @@ class Outputs:
         self._recorder: Recorder | None = None
 
     def __enter__(self) -> Outputs:
-        env = self._trainer.env.env
-        self._tensorboard = SummaryWriter(log_dir=str(self._directory.path))
-        self._lines = self._directory.iterations.open("a", encoding="utf-8")
-        if self._options.enabled:
-            self._recorder = Recorder(
-                self._directory.recording,
-                env,
-                recording_id=self._directory.id,
-                name=self._directory.id,
-                env_ids=self._options.env_ids,
-                purpose="training",
-            )
-            for name, text in self._documents.items():
-                self._recorder.document(name, text)
-            env.observers.append(self._recorder.capture)
-            self._recorder.start(0, self._options.steps)
+        with ExitStack() as opened:
+            self._tensorboard = SummaryWriter(log_dir=str(self._directory.path))
+            opened.callback(self._tensorboard.close)
+            self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
+            if self._options.enabled:
+                self._recorder = opened.enter_context(self._open_recorder())
+            self._close = opened.pop_all().close
         return self
+
+    def _open_recorder(self) -> Recorder:
+        env = self._trainer.env.env
+        recorder = Recorder(
+            self._directory.recording,
+            env,
+            recording_id=self._directory.id,
+            name=self._directory.id,
+            env_ids=self._options.env_ids,
+            purpose="training",
+        )
+        for name, text in self._documents.items():
+            recorder.document(name, text)
+        env.observers.append(recorder.capture)
+        recorder.start(0, self._options.steps)
+        return recorder
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._lines.close()
-        self._tensorboard.close()
         if self._recorder is not None:
             self._trainer.env.env.observers.remove(self._recorder.capture)
-            self._recorder.close()
+        self._close()
 
     def write(self, iteration: Iteration) -> None:
         """Write one iteration's scalars and digests, and start the next recorded episode when it is due."""
@@ -79,7 +85,7 @@ class Outputs:
         self._tensorboard.flush()
         line = {"iteration": iteration.index, "digests": digests(self._trainer), "scalars": iteration.scalars}
         with for_people(self._directory.iterations):
-            self._lines.write(json.dumps(line) + "\n")
+            self._lines.write(json.dumps(json_plain(line), allow_nan=False) + "\n")
             self._lines.flush()
         if self._recorder is not None:
             self._record(self._recorder, iteration)

@@ -10,18 +10,22 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.config import schema
 from wheelleg_exp.config.amend import amend
+from wheelleg_exp.config.check import check_tree
 from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.assets import kept_mjcf
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.figures import StandFigures, StandMeter
 from wheelleg_exp.jobs.threads import set_threads
-from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.recording.recorder import Recorder, require_env_ids
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory, create_exclusively
-from wheelleg_exp.run.files import write_json
+from wheelleg_exp.run.files import sha256, write_json
 from wheelleg_exp.run.params import load_params
 
 
@@ -65,7 +69,9 @@ def play(
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
-    tree = amend({**compose(primary="play").config, "env": env_params, "agent": agent}, overrides)
+    kept = {**_own_settings(), "env": env_params, "agent": agent}
+    tree = amend(kept, overrides)
+    _require_playable(kept, tree)
     env = ManagerBasedRLEnv(tree["env"], kept_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
@@ -74,15 +80,32 @@ def play(
     folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     recording = _roll(env, adapter, policy, meter, folder, tree["recording"], display)
     figures = meter.figures()
-    content = {
-        "checkpoint": checkpoint.name,
-        "seed": tree["seed"],
-        "overrides": list(overrides),
-    } | figures.as_dict()
+    content = {"checkpoint": str(checkpoint), "checkpoint_sha256": sha256(checkpoint), "seed": tree["seed"]}
+    content |= {"overrides": list(overrides), **figures.as_dict()}
     write_json(folder / "figures.json", content)
     files = [folder / "figures.json", *([recording] if recording else [])]
     run.manifest().add("play", files, content, command=command)
     return Played(run, checkpoint, folder, recording, figures)
+
+
+def _own_settings() -> dict[str, Any]:
+    composed = compose(primary="play").config
+    return {key: composed[key] for key in ("seed", "play", "recording")}
+
+
+def _require_playable(kept: dict[str, Any], tree: dict[str, Any]) -> None:
+    """Hold the amended tree against what a play reads, before anything is built or made."""
+    errors = check_tree(tree, schema.PlayRoot)
+    if errors:
+        raise_all(errors)
+    for key in ("asset", "base"):
+        if tree["env"]["robot"][key] != kept["env"]["robot"][key]:
+            raise ConfigError(
+                "a play simulates the robot that the run was trained on",
+                key=f"env.robot.{key}",
+                expected="the run's own value; another robot needs a new run",
+            )
+    require_env_ids(tree["recording"]["env_ids"], tree["env"]["num_envs"])
 
 
 @torch.inference_mode()

@@ -61,7 +61,7 @@ def load(path: Path) -> dict[str, Any]:
 def _rebuilt(value: Any) -> Any:
     """Rebuild a tree so that no two parts share an object: pickle would write shared ones differently."""
     if isinstance(value, torch.Tensor):
-        return value.detach().clone().contiguous()
+        return value.detach().clone(memory_format=torch.contiguous_format)
     if isinstance(value, Mapping):
         return {_rebuilt(key): _rebuilt(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from typing import Any
 
 import torch
@@ -24,11 +24,14 @@ class EpisodeLog:
         self._lengths: deque[float] = deque(maxlen=_EPISODES)
         self._values: defaultdict[str, list[float]] = defaultdict(list)
         self._pending: list[dict[str, Any]] = []
+        self._non_finite: Counter[str] = Counter()
 
     def step(self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]) -> None:
         """Take up one step's rewards (N,), dones (N,) and extras."""
         self._return += rewards
         self._length += 1
+        for terms in (found["terms"] for found in extras.get("non_finite", {}).values()):
+            self._non_finite.update(terms)
         if extras.get("log_is_fresh"):
             self._pending.append(extras["log"])
             ids = dones.nonzero().squeeze(1)
@@ -45,6 +48,8 @@ class EpisodeLog:
         self._pending.clear()
         scalars = {key: sum(values) / len(values) for key, values in self._values.items()}
         self._values.clear()
+        scalars |= {f"Diagnostics/non_finite_reward/{term}": float(n) for term, n in self._non_finite.items()}
+        self._non_finite.clear()
         if self._returns:
             scalars["Train/mean_reward"] = sum(self._returns) / len(self._returns)
             scalars["Train/mean_episode_length"] = sum(self._lengths) / len(self._lengths)

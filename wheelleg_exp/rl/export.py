@@ -81,6 +81,7 @@ def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int
         "observations": observations,
         "observation_config": {group: env.cfg["observations"][group] for group in groups},
         "action_width": start,
+        "clip_actions": agent.get("clip_actions"),
         "actions": actions,
         "action_config": env.cfg["actions"],
         "actuators": env.cfg["robot"]["actuators"],

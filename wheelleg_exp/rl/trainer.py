@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import copy
 import io
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import torch
 from rsl_rl.algorithms import PPO
-from rsl_rl.utils import check_nan, resolve_callable
+from rsl_rl.utils import resolve_callable
+from tensordict import TensorDict
 
 from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
 from wheelleg_exp.managers.streams import stream_seed
@@ -71,7 +73,7 @@ class Trainer:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.
 
         Raises:
-            SimulationFailure: an observation or a reward is not finite.
+            SimulationFailure: an observation, a reward or a loss is not finite.
         """
         self.algorithm.train_mode()
         while self.iteration < until:
@@ -79,6 +81,8 @@ class Trainer:
             self._collect()
             collected = time.perf_counter()
             losses = self.algorithm.update()
+            if not all(math.isfinite(value) for value in losses.values()):
+                self._fail("a loss went to NaN or infinity")
             learned = time.perf_counter()
             scalars = self.log.collect()
             scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
@@ -99,19 +103,21 @@ class Trainer:
         for _ in range(self.num_steps):
             actions = self.algorithm.act(observations)
             observations, rewards, dones, extras = self.env.step(actions.to("cpu"))
-            self._require_finite(observations, rewards, dones)
+            self._require_finite(observations, rewards)
             self.log.step(rewards, dones, extras)
             observations, rewards, dones = (x.to(self.device) for x in (observations, rewards, dones))
             self.algorithm.process_env_step(observations, rewards, dones, extras)
         self.algorithm.compute_returns(observations)
 
-    def _require_finite(self, observations: Any, rewards: torch.Tensor, dones: torch.Tensor) -> None:
-        try:
-            check_nan(observations, rewards, dones)
-        except ValueError as error:
-            raise SimulationFailure(
-                f"{error} in iteration {self.iteration}", expected="finite observations and rewards"
-            ) from error
+    def _require_finite(self, observations: TensorDict, rewards: torch.Tensor) -> None:
+        bad = [f"observation group '{g}'" for g, value in observations.items() if not value.isfinite().all()]
+        if not rewards.isfinite().all():
+            bad.append("rewards")
+        if bad:
+            self._fail(f"{' and '.join(bad)} went to NaN or infinity")
+
+    def _fail(self, message: str) -> NoReturn:
+        raise SimulationFailure(f"{message} in iteration {self.iteration}", expected="finite numbers")
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that the coming iterations depend on; ``iter`` is the last finished iteration."""
