@@ -149,7 +149,9 @@ class ManagerBasedRLEnv:
         if seed is not None:
             self.seed = seed
             self.streams.reseed(seed)
-        self._reset_idx(torch.arange(self.num_envs) if env_ids is None else torch.unique(env_ids))
+        ids = torch.arange(self.num_envs) if env_ids is None else torch.unique(env_ids)
+        if len(ids):
+            self._reset_idx(ids)
         self.scene.refresh()
         return self.observation_manager.compute(), self.extras
 

@@ -7,7 +7,7 @@ from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.event_manager import EventManager
 from wheelleg_exp.managers.face import Env
 from wheelleg_exp.managers.observation_manager import ObservationManager
-from wheelleg_exp.managers.ranges import bounds
+from wheelleg_exp.managers.ranges import bounds, interval
 from wheelleg_exp.managers.reward_manager import RewardManager
 from wheelleg_exp.managers.scene_manager import SceneManager
 from wheelleg_exp.managers.term import Term, TermBase
@@ -29,4 +29,5 @@ __all__ = [
     "TermBase",
     "TerminationManager",
     "bounds",
+    "interval",
 ]

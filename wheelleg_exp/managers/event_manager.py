@@ -10,6 +10,7 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.face import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.ranges import interval
 from wheelleg_exp.managers.term import Term, instantiate_term
 
 
@@ -39,6 +40,7 @@ class EventManager(ManagerBase):
             self._modes.setdefault(mode, {})[name] = term
             if mode == "prestartup":
                 instantiate_term(term, env)
+            _require_own_fields(term, mode)
             if mode == "interval":
                 self._start_timer(name, term)
             elif mode == "reset":
@@ -126,13 +128,9 @@ class EventManager(ManagerBase):
         return torch.arange(self._num_envs) if env_ids is None else env_ids
 
     def _start_timer(self, name: str, term: Term) -> None:
-        interval = term.fields.get("interval_range_s")
-        if interval is None or len(interval) != 2 or interval[0] > interval[1]:
-            raise ConfigError(
-                "an interval event needs its range",
-                key=f"{term.path}.interval_range_s",
-                expected="[shortest, longest] in seconds",
-            )
+        key = f"{term.path}.interval_range_s"
+        if interval(term.fields.get("interval_range_s", ()), key)[0] < 0:
+            raise ConfigError("must not be negative", key=key, expected="[shortest, longest] in seconds")
         count = 1 if term.fields.get("is_global_time", False) else self._num_envs
         self._time_left[name] = torch.zeros(count)
         self._draw_timer(name, term, torch.arange(count))
@@ -170,3 +168,15 @@ class EventManager(ManagerBase):
             for name, term in terms.items()
         ]
         return table(f"Events: {len(rows)}", ("mode", "name", "interval (s)", "term"), rows)
+
+
+def _require_own_fields(term: Term, mode: str) -> None:
+    """Refuse settings that the event's mode does not read."""
+    others = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
+    for name, owner in others.items():
+        if name in term.fields and mode != owner:
+            raise ConfigError(
+                f"only events of mode '{owner}' read it, and this one has mode '{mode}'",
+                key=f"{term.path}.{name}",
+                expected=f"mode {owner}, or no {name}",
+            )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -11,6 +11,7 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers.buffers import HistoryBuffer
 from wheelleg_exp.managers.face import Env
 from wheelleg_exp.managers.manager_base import table
+from wheelleg_exp.managers.ranges import interval
 from wheelleg_exp.managers.term import Term, bind_terms
 
 _GROUP_KEYS = ("terms", "concatenate_terms", "enable_corruption", "history_length", "flatten_history_dim")
@@ -35,7 +36,9 @@ class ObservationTerm:
         self._modifiers: list[Any] = list(term.fields.get("modifiers") or [])
         self._noise: Any = term.fields.get("noise") if corrupt else None
         self._generator = env.streams.get(f"{term.path}.noise")
-        self._clip: Sequence[float] | None = term.fields.get("clip")
+        clip = term.fields.get("clip")
+        self._clip = None if clip is None else interval(clip, f"{term.path}.clip")
+        self._require_callables()
         self._flatten = flatten
         sample = term(env)
         if sample.ndim != 2 or sample.shape[0] != env.num_envs:
@@ -65,7 +68,7 @@ class ObservationTerm:
         if self.history is None:
             return value.clone()
         samples = self.history.append(value, first)
-        return samples.flatten(1) if self._flatten else samples
+        return samples.flatten(1) if self._flatten else samples.clone()
 
     def peek(self, first: torch.Tensor | None) -> torch.Tensor:
         """Return what ``compute`` would, without noise and without changing any state."""
@@ -122,6 +125,16 @@ class ObservationTerm:
         if self._clip is not None:
             value = value.clip(self._clip[0], self._clip[1])
         return value if self._scale is None else value * self._scale
+
+    def _require_callables(self) -> None:
+        for name, parts, method in (("modifiers", self._modifiers, "start"), ("noise", [self._noise], "__call__")):
+            for part in parts:
+                if part is not None and not hasattr(part, method):
+                    raise ConfigError(
+                        f"{part!r} is none",
+                        key=f"{self.term.path}.{name}",
+                        expected=f"a _target_ of wheelleg_exp.mdp.{name}",
+                    )
 
     def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
         if scale is None or isinstance(scale, (int, float)):
@@ -253,7 +266,16 @@ class ObservationManager:
             if length is None:  # a group's own history setting overrides its terms'
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
+            if int(length) < 0:
+                raise ConfigError(f"is {length}", key=f"{path}.history_length", expected="control steps >= 0")
             self._groups[group][name] = ObservationTerm(term, env, corrupt, int(length), bool(flatten))
+        shapes = {t.shape[:-1] for t in self._groups[group].values()}
+        if self._concatenate[group] and len(shapes) > 1:
+            raise ConfigError(
+                f"terms with histories of different shape {sorted(shapes)} cannot stand in one vector",
+                key=f"{path}.terms",
+                expected="one history_length and flatten_history_dim for all, or concatenate_terms: false",
+            )
 
     def _joined(self, group: str, values: dict[str, torch.Tensor]) -> Group:
         return torch.cat(list(values.values()), dim=-1) if self._concatenate[group] else values

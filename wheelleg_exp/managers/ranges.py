@@ -11,6 +11,13 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 Range = Mapping[str, Sequence[float]]
 
 
+def interval(values: Sequence[float], key: str) -> tuple[float, float]:
+    """Return a range as (low, high); ConfigError unless it is two numbers in order."""
+    if not isinstance(values, Sequence) or len(values) != 2 or not values[0] <= values[1]:
+        raise ConfigError(f"is {values!r}", key=key, expected="[low, high]")
+    return float(values[0]), float(values[1])
+
+
 def bounds(ranges: Range, axes: Sequence[str], key: str) -> tuple[torch.Tensor, torch.Tensor]:
     """Return lows and highs (k,) of named ranges; an axis that is not named is (0, 0).
 
@@ -22,7 +29,6 @@ def bounds(ranges: Range, axes: Sequence[str], key: str) -> tuple[torch.Tensor, 
             raise ConfigError(
                 f"unknown axis '{axis}'", key=key, expected=", ".join(axes), nearest=nearest_name(axis, axes)
             )
-        if len(pair) != 2 or pair[0] > pair[1]:
-            raise ConfigError(f"range of '{axis}' is {list(pair)}", key=key, expected="[low, high]")
+        interval(pair, f"{key}.{axis}")
     pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32)
     return pairs[:, 0], pairs[:, 1]

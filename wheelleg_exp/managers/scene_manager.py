@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers.manager_base import table
@@ -15,7 +15,7 @@ from wheelleg_exp.sim.contact import ContactSensor
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.scene import Scene
 
-_Options = TypeVar("_Options", SimOptions, SceneOptions, RobotOptions)
+_Options = TypeVar("_Options")
 
 
 class SceneManager:
@@ -68,19 +68,17 @@ def read_options(kind: type[_Options], section: Mapping[str, Any], path: str) ->
     Raises:
         ConfigError: a key is missing or unknown.
     """
-    known = [f.name for f in fields(kind)]
+    hints = get_type_hints(kind)
     for name in section:
-        if name not in known:
-            raise ConfigError(
-                "unknown key",
-                key=f"{path}.{name}",
-                expected=", ".join(known),
-                nearest=nearest_name(name, known),
-            )
-    missing = [name for name in known if name not in section]
+        if name not in hints:
+            expected, nearest = ", ".join(hints), nearest_name(name, hints)
+            raise ConfigError("unknown key", key=f"{path}.{name}", expected=expected, nearest=nearest)
+    missing = [name for name in hints if name not in section]
     if missing:
-        raise ConfigError(f"'{missing[0]}' is missing", key=path, expected=", ".join(known))
-    return kind(**section)
+        raise ConfigError(f"'{missing[0]}' is missing", key=path, expected=", ".join(hints))
+    nested = {name for name, hint in hints.items() if is_dataclass(hint)}
+    values = {n: read_options(hints[n], v, f"{path}.{n}") if n in nested else v for n, v in section.items()}
+    return kind(**values)
 
 
 def _built(nodes: Mapping[str, Any], path: str, kind: type) -> dict[str, Any]:

@@ -163,5 +163,5 @@ def build(value: Any, path: str) -> Any:
     except Exception as error:
         cause = error.__cause__ or error
         if isinstance(cause, ConfigError):
-            raise cause from error
+            raise _placed(cause, path) from error
         raise ConfigError(str(cause).splitlines()[0], key=path, expected="arguments that the target takes") from error

@@ -8,9 +8,10 @@ from typing import Any, Literal, get_args
 import torch
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds, interval
 from wheelleg_exp.managers.ranges import Range
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.names import require_numbers
 
 Operation = Literal["add", "scale", "abs"]
 Distribution = Literal["uniform", "log_uniform", "gaussian"]
@@ -83,7 +84,14 @@ class randomize_rigid_body_material(TermBase):
         make_consistent: bool = False,
         asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
-        ranges = torch.tensor([static_friction_range, dynamic_friction_range, restitution_range], dtype=torch.float32)
+        if num_buckets < 1:
+            raise ConfigError(f"is {num_buckets}", key="num_buckets", expected="at least 1")
+        pairs = (
+            interval(static_friction_range, "static_friction_range"),
+            interval(dynamic_friction_range, "dynamic_friction_range"),
+            interval(restitution_range, "restitution_range"),
+        )
+        ranges = torch.tensor(pairs)
         self._generator = generator
         self.buckets = rotation.uniform(ranges[:, 0], ranges[:, 1], num_buckets, generator)
         if make_consistent:
@@ -92,7 +100,7 @@ class randomize_rigid_body_material(TermBase):
         self._geom_ids = robot.shape_ids(asset_cfg.body_ids)
         source = robot.options.friction_source
         self._column = 0 if source == "static" else 1
-        self._ground = float(env.scene.options.ground[f"{source}_friction"])
+        self._ground = getattr(env.scene.options.ground, f"{source}_friction")
         self.materials = torch.zeros(env.num_envs, len(self._geom_ids), 3)
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
@@ -116,10 +124,11 @@ def randomize_rigid_body_mass(
     min_mass: float = 1e-6,
 ) -> None:
     """Change masses (kg) from their defaults; inertias follow in proportion, centres of mass stay."""
-    if operation == "scale" and mass_distribution_params[0] <= 0:
-        raise ConfigError(
-            f"is {list(mass_distribution_params)}", key="mass_distribution_params", expected="factors above 0"
-        )
+    key = "mass_distribution_params"
+    if distribution == "gaussian":
+        require_numbers(mass_distribution_params, 2, key)  # mean and standard deviation
+    elif interval(mass_distribution_params, key)[0] <= 0 and operation == "scale":
+        raise ConfigError(f"is {list(mass_distribution_params)}", key=key, expected="factors above 0")
     robot = env.scene[asset_cfg.name]
     chosen = all_ids(env, env_ids)
     ids, bodies, sim = chosen.unsqueeze(1), robot.body_ids[asset_cfg.body_ids], env.scene.sim
@@ -174,7 +183,8 @@ def set_permanent_body_wrench(
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
     bodies = torch.arange(len(robot.body_names))[asset_cfg.body_ids].tolist()
-    limits = torch.tensor([force_range] * 3 + [torque_range] * 3, dtype=torch.float32)
+    force, torque = interval(force_range, "force_range"), interval(torque_range, "torque_range")
+    limits = torch.tensor([force] * 3 + [torque] * 3)
     drawn = rotation.uniform(limits[:, 0], limits[:, 1], len(ids) * len(bodies), generator)
     robot.set_permanent_wrench(ids, bodies, drawn.view(len(ids), len(bodies), 6))
 
@@ -317,12 +327,14 @@ def _reset_joints(
     data, joints = robot.data, asset_cfg.joint_ids
     pos, vel = data.default_joint_pos[ids][:, joints], data.default_joint_vel[ids][:, joints]
     u = torch.rand(2, *pos.shape, generator=generator)
-    drawn_pos = position_range[0] + (position_range[1] - position_range[0]) * u[0]
-    drawn_vel = velocity_range[0] + (velocity_range[1] - velocity_range[0]) * u[1]
+    low, high = interval(position_range, "position_range")
+    drawn_pos = low + (high - low) * u[0]
+    low, high = interval(velocity_range, "velocity_range")
+    drawn_vel = low + (high - low) * u[1]
     pos, vel = (pos * drawn_pos, vel * drawn_vel) if scale else (pos + drawn_pos, vel + drawn_vel)
-    low, high = data.soft_joint_pos_limits[joints].unbind(dim=1)
+    lowest, highest = data.soft_joint_pos_limits[joints].unbind(dim=1)
     fastest = data.soft_joint_vel_limits[joints]
-    robot.write_joint_state(ids, pos.clamp(low, high), vel.clamp(-fastest, fastest), joints)
+    robot.write_joint_state(ids, pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints)
 
 
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.sim.names import match_names
 
@@ -100,6 +101,10 @@ def joint_symmetry_l1(env: Env, left_cfg: SceneEntityCfg, right_cfg: SceneEntity
     """
     left = env.scene[left_cfg.name].data.joint_pos[:, left_cfg.joint_ids]
     right = env.scene[right_cfg.name].data.joint_pos[:, right_cfg.joint_ids]
+    if left.shape != right.shape:
+        raise ConfigError(
+            f"{left.shape[1]} left and {right.shape[1]} right joints", key="right_cfg.joint_names", expected="pairs"
+        )
     return (left - right).abs().sum(dim=1)
 
 
@@ -137,7 +142,7 @@ def action_l2(env: Env) -> torch.Tensor:
 
 def undesired_contacts(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Number of bodies whose contact force exceeded ``threshold`` (N) within the sensor's history."""
-    force = env.scene[sensor_cfg.name].max_force_norm()[:, sensor_cfg.body_ids]
+    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (force > threshold).sum(dim=1).float()
 
 
@@ -146,7 +151,7 @@ def no_contact_count(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> 
 
     Not in Isaac Lab: the number of wheels in the air.
     """
-    force = env.scene[sensor_cfg.name].max_force_norm()[:, sensor_cfg.body_ids]
+    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (force <= threshold).sum(dim=1).float()
 
 
@@ -155,7 +160,7 @@ def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: float = 
 
     Isaac Lab calls it ``desired_contacts``, which names the opposite.
     """
-    force = env.scene[sensor_cfg.name].max_force_norm()[:, sensor_cfg.body_ids]
+    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (~(force > threshold).any(dim=1)).float()
 
 
@@ -164,7 +169,7 @@ desired_contacts = no_desired_contact
 
 def contact_forces(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Sum of the contact forces beyond ``threshold``, N."""
-    force = env.scene[sensor_cfg.name].max_force_norm()[:, sensor_cfg.body_ids]
+    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (force - threshold).clamp(min=0.0).sum(dim=1)
 
 

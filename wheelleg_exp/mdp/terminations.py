@@ -71,7 +71,7 @@ def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> t
 
 def illegal_contact(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Some listed body's contact force exceeded ``threshold`` (N) within the sensor's history."""
-    force = env.scene[sensor_cfg.name].max_force_norm()[:, sensor_cfg.body_ids]
+    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (force > threshold).any(dim=1)
 
 

@@ -38,6 +38,13 @@ class ContactSensor:
         force_threshold: float,
         max_contacts: int,
     ) -> None:
+        for name, value, least in (
+            ("history_length", history_length, 0),
+            ("force_threshold", force_threshold, 0.0),
+            ("max_contacts", max_contacts, 1),
+        ):
+            if value < least:
+                raise ConfigError(f"is {value}", key=name, expected=f"at least {least}")
         self._expressions = body_names
         self._history_length = max(1, history_length)
         self.track_air_time = track_air_time

@@ -75,6 +75,12 @@ def values_by_name(
     return spread
 
 
+def require_numbers(values: Sequence[float], count: int, key: str) -> None:
+    """Raise ConfigError unless there are ``count`` numbers."""
+    if len(values) != count:
+        raise ConfigError(f"has {len(values)} numbers", key=key, expected=f"{count} numbers")
+
+
 def _compiled(pattern: str, key: str) -> re.Pattern[str]:
     try:
         return re.compile(pattern)

@@ -36,18 +36,44 @@ class SimOptions:
 
 
 @dataclass(frozen=True)
+class Ground:
+    """The ground plane's material (``env.scene.ground``); restitution has no counterpart in MuJoCo."""
+
+    static_friction: float = field(metadata={"minimum": 0.0})
+    dynamic_friction: float = field(metadata={"minimum": 0.0})
+    restitution: float = field(metadata={"minimum": 0.0})
+
+
+@dataclass(frozen=True)
 class SceneOptions:
     """The scene (``env.scene``).
 
     Attributes:
         env_spacing: distance between the origins of neighbouring environments, m.
-        ground: the ground plane: ``static_friction``, ``dynamic_friction``, ``restitution``.
+        ground: the ground plane's material.
         sensors: one node a sensor, by name.
     """
 
     env_spacing: float = field(metadata={"minimum": 0.0})
-    ground: dict[str, float]
+    ground: Ground
     sensors: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class InitState:
+    """The state that resets start from (``env.robot.init_state``).
+
+    Attributes:
+        pos: root link, m.
+        rot: root link, (w, x, y, z).
+        joint_pos: rad, by joint expression; others are 0.
+        joint_vel: rad/s, by joint expression; others are 0.
+    """
+
+    pos: list[float]
+    rot: list[float]
+    joint_pos: dict[str, float]
+    joint_vel: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -58,7 +84,7 @@ class RobotOptions:
         profile: name of this set of numbers; results carry it.
         asset: the robot's USD (or MJCF) file, relative to an asset folder.
         base: whether the base is free.
-        init_state: ``pos`` (m), ``rot`` (w, x, y, z), ``joint_pos`` and ``joint_vel`` by joint expression.
+        init_state: the state that resets start from.
         joint_order: joint names in the order that terms see; null is breadth-first, as in PhysX.
         soft_joint_pos_limit_factor: share of the joint range that the soft limits keep.
         friction_source: which of a material's two coefficients MuJoCo's single one is taken from.
@@ -68,7 +94,7 @@ class RobotOptions:
     profile: str
     asset: str
     base: Literal["auto", "floating", "fixed"]
-    init_state: dict[str, Any]
+    init_state: InitState
     joint_order: list[str] | None
     soft_joint_pos_limit_factor: float = field(metadata={"above": 0.0, "maximum": 1.0})
     friction_source: Literal["static", "dynamic"]

@@ -14,7 +14,7 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.actuators import ActuatorBase
 from wheelleg_exp.sim.data import RobotData
-from wheelleg_exp.sim.names import match_names, values_by_name
+from wheelleg_exp.sim.names import match_names, require_numbers, values_by_name
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.simulation import Simulation
 
@@ -40,6 +40,7 @@ class Robot:
         bodies = _breadth_first(spec.body(root_name))
         self.body_names = [body.name for body in bodies]
         self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
+        self._require_base()
         found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
         self.joint_names = self._order(found)
         self.actuators = dict(actuators)
@@ -172,6 +173,15 @@ class Robot:
         self.stale[ids] = True
         self.data.invalidate()
 
+    def _require_base(self) -> None:
+        wanted = self.options.base
+        if wanted != "auto" and (wanted == "floating") != self.floating:
+            raise ConfigError(
+                f"is '{wanted}', but the model's base is {'floating' if self.floating else 'fixed'}",
+                key="env.robot.base",
+                expected="auto, or the base that the model has",
+            )
+
     def _require_floating(self) -> None:
         if not self.floating:
             raise ConfigError(
@@ -250,18 +260,17 @@ class Robot:
         """Spread the initial state over the joints; a joint that no expression names starts at 0."""
         init, names = self.options.init_state, self.joint_names
         key = "env.robot.init_state"
-        for part, kind in (("pos", 3), ("rot", 4)):
-            if len(init[part]) != kind:
-                raise ConfigError(f"has {len(init[part])} numbers", key=f"{key}.{part}", expected=f"{kind} numbers")
-        if not any(init["rot"]):
+        require_numbers(init.pos, 3, f"{key}.pos")
+        require_numbers(init.rot, 4, f"{key}.rot")
+        if not any(init.rot):
             raise ConfigError("is no rotation", key=f"{key}.rot", expected="a quaternion (w, x, y, z)")
-        pos = values_by_name(init["joint_pos"], names, 0.0, key=f"{key}.joint_pos", what="joint")
-        vel = values_by_name(init["joint_vel"], names, 0.0, key=f"{key}.joint_vel", what="joint")
+        pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
+        vel = values_by_name(init.joint_vel, names, 0.0, key=f"{key}.joint_vel", what="joint")
         self._default_positions = [float(value) for value in pos]
         self.default_joint_pos = torch.tensor(self._default_positions)
         self.default_joint_vel = torch.tensor(vel, dtype=torch.float32)
-        self.default_root_pos = torch.tensor(init["pos"], dtype=torch.float32)
-        self.default_root_quat = torch.nn.functional.normalize(torch.tensor(init["rot"], dtype=torch.float32), dim=0)
+        self.default_root_pos = torch.tensor(init.pos, dtype=torch.float32)
+        self.default_root_quat = torch.nn.functional.normalize(torch.tensor(init.rot, dtype=torch.float32), dim=0)
 
     def _limits(self, model: mujoco.MjModel) -> None:
         """Read hard limits from the compiled model, derive soft ones, and hold the defaults against them."""

@@ -12,9 +12,10 @@ import mujoco
 import numpy as np
 import torch
 
-from wheelleg_exp.errors import AssetError
+from wheelleg_exp.errors import AssetError, ConfigError, nearest_name
 from wheelleg_exp.sim.actuators import ActuatorBase
 from wheelleg_exp.sim.contact import ContactSensor
+from wheelleg_exp.sim.names import require_numbers
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import Robot
 from wheelleg_exp.sim.simulation import Simulation
@@ -80,6 +81,18 @@ class Scene:
 
     def __iter__(self) -> Iterator[str]:
         return iter(("robot", *self.sensors))
+
+    def contact_sensor(self, name: str) -> ContactSensor:
+        """Return a contact sensor by name; ConfigError when the member is none."""
+        sensor = self.sensors.get(name)
+        if not isinstance(sensor, ContactSensor):
+            raise ConfigError(
+                f"'{name}' is no contact sensor",
+                key="sensor_cfg.name",
+                expected="one of " + (", ".join(self.sensors) or "(the scene has none)"),
+                nearest=nearest_name(name, self.sensors),
+            )
+        return sensor
 
     def model_digest(self) -> str:
         """Return the sha256 of the compiled model, the identity of everything that physics reads."""
@@ -149,16 +162,17 @@ class Scene:
             name=GROUND,
             type=mujoco.mjtGeom.mjGEOM_PLANE,
             size=[0, 0, 0.05],
-            friction=[ground["dynamic_friction"], 0.005, 0.0001],
+            friction=[ground.dynamic_friction, 0.005, 0.0001],
             rgba=[0.35, 0.38, 0.42, 1],
         )
 
     def _effective_friction(self, spec: mujoco.MjSpec, source: str) -> None:
         """Give robot geoms PhysX's average with the ground, which the higher priority makes MuJoCo use."""
+        ground = self.options.ground.static_friction if source == "static" else self.options.ground.dynamic_friction
         for geom in spec.geoms:
             if geom.name != GROUND and (geom.contype or geom.conaffinity):
                 geom.priority = _ROBOT_PRIORITY
-                geom.friction[0] = (geom.friction[0] + self.options.ground[f"{source}_friction"]) / 2
+                geom.friction[0] = (geom.friction[0] + ground) / 2
 
     def _place_at_defaults(self) -> None:
         robot, ids = self.robot, torch.arange(self.num_envs)
@@ -205,6 +219,7 @@ def _root_body(spec: mujoco.MjSpec, mjcf: Path) -> str:
 
 
 def _set_options(spec: mujoco.MjSpec, sim: SimOptions) -> None:
+    require_numbers(sim.gravity, 3, "env.sim.gravity")
     option = spec.option
     option.timestep = sim.dt
     option.gravity = sim.gravity

@@ -1,0 +1,38 @@
+"""What tests of the simulation, the managers and the environment share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from wheelleg_exp.env import ManagerBasedRLEnv
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+EnvMaker = Callable[..., "ManagerBasedRLEnv"]
+
+
+@pytest.fixture
+def make_env() -> EnvMaker:
+    """Build an environment on a small robot: ``make_env("rover", seed=1, rewards={...})``."""
+    from sim.small_envs import ASSETS, env_config
+
+    from wheelleg_exp.env import ManagerBasedRLEnv
+
+    def make(name: str = "rover", /, *, seed: int = 0, **changes: Any) -> ManagerBasedRLEnv:
+        return ManagerBasedRLEnv(env_config(name, **changes), ASSETS / f"{name}.xml", seed)
+
+    return make
+
+
+@pytest.fixture
+def allow_test_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let configs name terms that stand beside the tests."""
+    from wheelleg_exp import terms
+
+    packages = terms.allowed_packages()
+    monkeypatch.setattr(terms, "allowed_packages", lambda: (*packages, "managers", "mdp", "env", "sim"))

@@ -1,0 +1,230 @@
+"""Steps, resets, episodes and logs."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from managers import spies
+
+from wheelleg_exp.errors import ConfigError
+
+STILL = torch.zeros(4, 4)
+ALIVE = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "dt", "decimation", "steps"),
+    [
+        (5.0, 1 / 120, 2, 300),
+        (5.0, 0.008333333333333333, 2, 300),
+        (1.0, 0.01, 2, 50),
+        (1.0, 0.01, 3, 34),
+        (0.1, 0.1, 3, 1),
+    ],
+)
+def test_the_longest_episode_in_control_steps_is_rounded_up(make_env, seconds, dt, decimation, steps):
+    env = make_env(episode_length_s=seconds, sim={"dt": dt}, decimation=decimation, num_envs=1)
+    assert env.max_episode_length == steps
+
+
+def test_an_episode_ends_at_its_longest_length(make_env):
+    env = make_env(episode_length_s=0.06)
+    env.reset()
+    ends = [env.step(STILL)[3].all().item() for _ in range(7)]
+    assert ends == [False, False, True, False, False, True, False]
+
+
+def test_control_steps_are_counted_for_all_and_not_reset(make_env):
+    env = make_env(episode_length_s=0.06)
+    env.reset()
+    for _ in range(5):
+        env.step(STILL)
+    env.reset()
+    assert env.common_step_counter == 5
+    assert env.episode_length_buf.tolist() == [0] * 4
+
+
+def test_a_step_returns_the_first_observation_of_the_next_episode(make_env):
+    terms = {
+        "q": {"_target_": "wheelleg_exp.mdp.observations.joint_pos"},
+        "a": {"_target_": "wheelleg_exp.mdp.observations.last_action"},
+    }
+    env = make_env(episode_length_s=0.04, observations={"policy": {"terms": terms, "history_length": 2}})
+    start, _ = env.reset()
+    env.keep_final_obs = True
+    env.step(torch.ones(4, 4))
+    obs, *_, extras = env.step(torch.ones(4, 4))
+    assert torch.equal(obs["policy"], start["policy"])  # the same start, in every slot of the history
+    assert (extras["final_obs"]["policy"][:, 8:] == 1).all()  # the last actions, both
+    assert not torch.equal(extras["final_obs"]["policy"], obs["policy"])
+    *_, extras = env.step(torch.ones(4, 4))
+    assert "final_obs" not in extras
+
+
+def test_rewards_and_terminations_see_the_state_before_the_reset(make_env):
+    spies.VALUES["tilt"] = lambda env: env.scene.robot.data.joint_pos[:, 0]
+    env = make_env(
+        episode_length_s=0.04, rewards={"r": {"_target_": spies.HERE + "value", "key": "tilt", "weight": 1.0}}
+    )
+    env.reset()
+    env.step(torch.ones(4, 4))
+    reward = env.step(torch.ones(4, 4))[1]
+    assert (reward > 0.2 * 0.02 + 1e-4).all()  # away from the default of .2, to which the reset puts it back
+
+
+def test_a_time_out_counts_as_alive(make_env):
+    env = make_env(episode_length_s=0.02, rewards={"alive": ALIVE})
+    env.reset()
+    _, reward, terminated, time_outs, _ = env.step(STILL)
+    assert time_outs.all()
+    assert not terminated.any()
+    assert reward.tolist() == pytest.approx([0.02] * 4)
+
+
+def test_the_log_stays_between_resets_and_says_whether_it_is_new(make_env):
+    env = make_env(episode_length_s=0.06, rewards={"alive": ALIVE})
+    env.reset()
+    fresh, logs = [], []
+    for _ in range(7):
+        *_, extras = env.step(STILL)
+        fresh.append(extras["log_is_fresh"])
+        logs.append(extras["log"])
+    assert fresh == [False, False, True, False, False, True, False]
+    assert logs[2] is logs[3] is logs[4]
+    assert logs[4] is not logs[5]
+
+
+def test_the_log_has_isaac_labs_keys(make_env):
+    spies.VALUES["k"] = 1.0
+    command = {
+        "_target_": "wheelleg_exp.mdp.commands.UniformVelocityCommand",
+        "resampling_time_range": [1.0, 1.0],
+        "ranges": {},
+    }
+    env = make_env(
+        rewards={"alive": ALIVE},
+        commands={"v": command},
+        curriculum={"c": {"_target_": spies.HERE + "state_of", "key": "k"}},
+    )
+    _, extras = env.reset()
+    wanted = {
+        "Episode_Reward/alive",
+        "Episode_Termination/time_out",
+        "Metrics/v/error_vel_xy",
+        "Metrics/v/error_vel_yaw",
+        "Curriculum/c",
+    }
+    assert wanted <= set(extras["log"])
+    rest = {key.split("/")[0] for key in set(extras["log"]) - wanted}
+    assert not rest & {"Episode_Reward", "Episode_Termination", "Metrics", "Curriculum"}
+
+
+def test_some_may_be_reset_in_any_order(make_env):
+    env = make_env()
+    env.reset()
+    env.step(STILL)
+    env.reset(env_ids=torch.tensor([2, 0]))
+    assert env.episode_length_buf.tolist() == [0, 1, 0, 1]
+
+
+def test_a_reset_of_some_leaves_the_motion_of_others(make_env):
+    env = make_env()
+    env.reset()
+    for _ in range(5):
+        env.step(torch.ones(4, 4))
+    before = env.scene.sim.state.clone()
+    env.reset(env_ids=torch.tensor([1]))
+    after = env.scene.sim.state
+    assert torch.equal(after[[0, 2, 3]], before[[0, 2, 3]])
+    assert not torch.equal(after[1], before[1])
+
+
+def test_rewards_returned_do_not_change_later(make_env):
+    env = make_env(rewards={"alive": ALIVE}, episode_length_s=0.04)
+    env.reset()
+    _, reward, *_ = env.step(STILL)
+    kept = reward.clone()
+    env.reward_manager.get_term("alive").fields["weight"] = 7.0
+    env.step(STILL)
+    assert torch.equal(reward, kept)
+
+
+def test_everything_of_a_reset_environment_is_fresh_in_the_observation(make_env):
+    """Link poses and contact forces too, not only root and joints."""
+    spies.VALUES["wheel_z"] = lambda env: env.scene.robot.data.body_pos_w[:, 3, 2]
+    spies.VALUES["force"] = lambda env: env.scene["contact"].max_force_norm().amax(dim=1)
+    terms = {k: {"_target_": spies.HERE + "column", "key": k} for k in ("wheel_z", "force")}
+    env = make_env(episode_length_s=1.0, observations={"policy": {"terms": terms}})
+    start, _ = env.reset()
+    for _ in range(49):
+        obs, *_ = env.step(STILL)
+    assert (obs["policy"][:, 1] > 5).all()  # it has landed
+    assert (obs["policy"][:, 0] < start["policy"][:, 0] - 0.05).all()
+    obs, *_ = env.step(STILL)
+    torch.testing.assert_close(obs["policy"], start["policy"])
+    assert (obs["policy"][:, 1] == 0).all()
+
+
+def test_a_broken_simulation_does_not_touch_its_neighbours(make_env, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    nodes = {"terminations": {"bad": {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}}}
+    clean, broken = make_env(**nodes), make_env(**nodes)
+    for env in (clean, broken):
+        env.reset()
+        env.step(STILL)
+    broken.scene.sim.view("qvel")[1, 3] = float("nan")
+    for _ in range(5):
+        clean.step(torch.ones(4, 4))
+        broken.step(torch.ones(4, 4))
+    others = [0, 2, 3]
+    assert torch.equal(clean.scene.sim.state[others], broken.scene.sim.state[others])
+    assert broken.scene.sim.state[1].isfinite().all()
+
+
+def test_an_action_that_is_not_finite_ends_its_environment_only(make_env, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    env = make_env(
+        terminations={"bad": {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}}, rewards={"alive": ALIVE}
+    )
+    env.reset()
+    action = torch.zeros(4, 4)
+    action[3, 2] = float("nan")
+    obs, reward, terminated, *_ = env.step(action)
+    assert terminated.tolist() == [False, False, False, True]
+    assert obs["policy"].isfinite().all()
+    assert reward.isfinite().all()
+    *_, terminated, _, _ = env.step(STILL)
+    assert not terminated.any()
+
+
+def test_the_environment_runs_in_inference_mode_and_is_reset_outside(make_env):
+    env = make_env(rewards={"alive": ALIVE}, episode_length_s=0.06)
+    env.reset()
+    with torch.inference_mode():
+        for _ in range(5):
+            env.step(STILL)
+    env.reset()
+    env.step(STILL)
+
+
+@pytest.mark.parametrize("key", ["num_envs", "decimation"])
+@pytest.mark.parametrize("value", [0, -1, 2.0, True, "4"])
+def test_counts_must_be_whole_and_positive(make_env, key, value):
+    with pytest.raises(ConfigError) as caught:
+        make_env(**{key: value})
+    assert caught.value.key == f"env.{key}"
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, "long", float("nan")])
+def test_the_episode_length_must_be_positive(make_env, value):
+    with pytest.raises(ConfigError) as caught:
+        make_env(episode_length_s=value)
+    assert caught.value.key == "env.episode_length_s"
+
+
+def test_wheels_of_a_fixed_base_turn(make_env):
+    env = make_env("arm")
+    env.reset()
+    for _ in range(100):
+        obs, *_ = env.step(torch.tensor([[0.5, 0.0]] * 4))
+    assert obs["policy"][0, 0] == pytest.approx(0.6, abs=0.2)  # default .1 + .5, less what gravity pulls

@@ -1,0 +1,180 @@
+"""The order of construction, of a step and of a reset, call by call."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from managers import spies
+
+S = spies.HERE
+
+
+@pytest.fixture
+def env(make_env, monkeypatch):
+    """An environment of spies only, 3 wide, two physics steps a control step."""
+    from wheelleg_exp.sim.scene import Scene
+
+    for name, said in (("write_data_to_sim", "write"), ("update", "update"), ("refresh", "refresh"), ("play", "play")):
+        _log_calls(monkeypatch, Scene, name, said)
+    _log_calls(monkeypatch, Scene, "reset", "scene reset", ids=True)
+    event = {"_target_": S + "SpyEvent"}
+    return make_env(
+        num_envs=3,
+        scene={"sensors": {}},
+        events={
+            "on_time": event | {"mode": "interval", "name": "interval", "interval_range_s": [0.02, 0.02]},
+            "at_reset": event | {"mode": "reset", "name": "at_reset"},
+            "at_start": event | {"mode": "startup", "name": "startup"},
+            "before": {"_target_": S + "spy_prestartup", "mode": "prestartup"},
+        },
+        commands={"c": {"_target_": S + "SpyCommand"}},
+        actions={"a": {"_target_": S + "SpyAction"}},
+        observations={"policy": {"terms": {"o": {"_target_": S + "SpyObservation"}}}},
+        rewards={"r": {"_target_": S + "SpyReward", "weight": 1.0}},
+        terminations={"t": {"_target_": S + "SpyTermination"}},
+        curriculum={"k": {"_target_": S + "SpyCurriculum"}},
+    )
+
+
+def _log_calls(monkeypatch, owner, name, said, ids=False):
+    original = getattr(owner, name)
+
+    def logged(self, *args):
+        spies.LOG.append(f"{said} {args[0].tolist()}" if ids else said)
+        return original(self, *args)
+
+    monkeypatch.setattr(owner, name, logged)
+
+
+def _log_steps(env):
+    step = env.scene.sim.step
+
+    def logged():
+        spies.LOG.append("physics")
+        step()
+
+    env.scene.sim.step = logged
+
+
+def _calls(function):
+    spies.LOG.clear()
+    function()
+    return spies.LOG.copy()
+
+
+RESETS = [
+    "scene reset {ids}",
+    "event at_reset {ids}",
+    "observation reset {ids}",
+    "action reset {ids}",
+    "reward reset {ids}",
+    "curriculum reset {ids}",
+    "command draw {ids}",
+    "event interval reset {ids}",
+    "event at_reset reset {ids}",
+    "event startup reset {ids}",
+    "termination reset {ids}",
+]
+
+
+def _resets(ids):
+    return [line.format(ids=ids) for line in RESETS]
+
+
+def test_construction(env):
+    said = [line for line in spies.LOG if line != "refresh"]
+    assert said == [
+        "event prestartup None, compiled: False",
+        "play",
+        "event interval made",
+        "event at_reset made",
+        "event startup made",
+        "command made",
+        "action made",
+        "observation made",
+        "observation",  # once, for its size
+        "observation reset [0, 1, 2]",
+        "termination made",
+        "reward made",
+        "curriculum made",
+        "event startup None",
+    ]
+
+
+def test_a_step_without_an_end(env):
+    env.reset()
+    _log_steps(env)
+    env.observers.append(lambda: spies.LOG.append("observer"))
+    physics = ["action apply", "write", "physics", "update"]
+    assert _calls(lambda: env.step(torch.zeros(3, 1))) == [
+        "action process",
+        *physics,
+        *physics,
+        "termination",
+        "reward",
+        "observer",
+        "command compute",
+        "event interval [0, 1, 2]",
+        "refresh",
+        "observation",
+    ]
+
+
+def test_a_step_in_which_an_episode_ends(env):
+    env.reset()
+    _log_steps(env)
+    env.observers.append(lambda: spies.LOG.append("observer"))
+    env.step(torch.zeros(3, 1))
+    spies.VALUES["done"] = torch.tensor([0.0, 1.0, 0.0])
+    said = _calls(lambda: env.step(torch.zeros(3, 1)))
+    start = said.index("termination")
+    assert said[start:] == [
+        "termination",
+        "reward",
+        "observer",
+        "curriculum [1] at length [2]",
+        *_resets([1]),
+        "command compute",
+        "event interval [0, 1, 2]",
+        "refresh",
+        "observation",
+    ]
+    assert env.episode_length_buf.tolist() == [2, 0, 2]
+
+
+def test_a_final_observation_is_read_before_anything_is_reset(env):
+    env.reset()
+    env.keep_final_obs = True
+    spies.VALUES["done"] = torch.tensor([0.0, 1.0, 0.0])
+    said = _calls(lambda: env.step(torch.zeros(3, 1)))
+    assert said.index("reward") < said.index("observation") < said.index("curriculum [1] at length [1]")
+
+
+def test_without_automatic_resets_nothing_is_reset(env):
+    env.reset()
+    env.auto_reset = False
+    spies.VALUES["done"] = torch.tensor([0.0, 1.0, 0.0])
+    said = _calls(lambda: env.step(torch.zeros(3, 1)))
+    assert not [line for line in said if "reset" in line]
+    assert env.episode_length_buf.tolist() == [1, 1, 1]
+
+
+def test_a_reset(env):
+    """No command is computed: standing and heading do not act yet."""
+    assert _calls(env.reset) == [
+        "curriculum [0, 1, 2] at length [0, 0, 0]",
+        *_resets([0, 1, 2]),
+        "refresh",
+        "observation",
+    ]
+
+
+def test_a_reset_of_some(env):
+    env.reset()
+    env.step(torch.zeros(3, 1))
+    assert _calls(lambda: env.reset(env_ids=torch.tensor([0, 2]))) == [
+        "curriculum [0, 2] at length [1, 1]",
+        *_resets([0, 2]),
+        "refresh",
+        "observation",
+    ]

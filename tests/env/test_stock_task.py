@@ -1,0 +1,137 @@
+"""The stock task, on a small robot whose joints and bodies have the stock names."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from sim.small_envs import ASSETS
+
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+
+
+@pytest.fixture(scope="module")
+def config():
+    return compose(["task=stand", "env.num_envs=8", "env.sim.nthread=1"]).config["env"]
+
+
+@pytest.fixture
+def env(config):
+    return ManagerBasedRLEnv(config, ASSETS / "legged.xml", 0)
+
+
+def test_the_layout_of_the_observation_is_the_articles(env):
+    assert env.observation_manager.group_obs_dim == {"policy": (135,), "critic": (180,)}
+    slices = env.observation_manager.term_slices("policy")
+    assert {name: (s.start, s.stop) for name, s in slices.items()} == {
+        "base_ang_vel": (0, 15),
+        "projected_gravity": (15, 30),
+        "velocity_commands": (30, 45),
+        "joint_pos_rel": (45, 75),
+        "joint_vel_rel": (75, 105),
+        "last_action": (105, 135),
+    }
+    critic = env.observation_manager.term_slices("critic")
+    assert (critic["base_lin_vel"].start, critic["base_lin_vel"].stop) == (135, 150)
+    assert (critic["joint_effort"].start, critic["joint_effort"].stop) == (150, 180)
+
+
+def test_each_place_of_the_observation_holds_what_the_map_says(env):
+    """Oldest first within a term, joints breadth first within a sample, with the stock scales."""
+    env.reset()
+    data, frames = env.scene.robot.data, []
+    for k in range(6):
+        action = torch.randn(8, 6, generator=torch.Generator().manual_seed(k)) * 0.1
+        obs, *_ = env.step(action)
+        frames.append(
+            {
+                "base_ang_vel": data.root_ang_vel_b * 0.25,
+                "projected_gravity": data.projected_gravity_b,
+                "joint_pos_rel": data.joint_pos - data.default_joint_pos,
+                "joint_vel_rel": data.joint_vel * 0.05,
+                "last_action": action,
+                "base_lin_vel": data.root_lin_vel_b,
+                "joint_effort": data.applied_torque * 0.01,
+            }
+        )
+        frames[-1] = {name: value.clone() for name, value in frames[-1].items()}
+    assert env.scene.robot.joint_names == ["l01", "r01", "l02", "r02", "l03", "r03"]
+    critic = obs["critic"]
+    begin = {"base_ang_vel": 0, "projected_gravity": 15, "joint_pos_rel": 45, "joint_vel_rel": 75, "last_action": 105}
+    begin |= {"base_lin_vel": 135, "joint_effort": 150}
+    for name, start in begin.items():
+        width = frames[0][name].shape[1]
+        for age in range(5):
+            place = slice(start + age * width, start + (age + 1) * width)
+            torch.testing.assert_close(critic[:, place], frames[1 + age][name], msg=f"{name}, sample {age}")
+    assert torch.equal(critic[:, :135], obs["policy"])
+    assert (critic[:, 30:45] == 0).all()
+
+
+def test_actions_go_left_leg_right_leg_wheels(env):
+    env.reset()
+    env.action_manager.process_action(torch.tensor([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 8))
+    env.action_manager.apply_action()
+    data = env.scene.robot.data
+    # l01, r01, l02, r02: default + .15 * action, actions in the order l01 l02 r01 r02
+    expected = torch.tensor([0.9599 + 0.15, 0.9599 + 0.45, -1.885 + 0.30, -1.885 + 0.60])
+    torch.testing.assert_close(data.joint_pos_target[0, :4], expected)
+    assert data.joint_vel_target[0, 4:].tolist() == [25.0, 30.0]
+
+
+def test_an_episode_is_300_steps_and_pushes_never_come(env):
+    assert env.max_episode_length == 300
+    left = env.event_manager._time_left["push_robot"]
+    assert float(left.min()) >= env.max_episode_length_s
+
+
+def test_failing_costs_200_times_the_time_step(env, config):
+    assert config["rewards"]["terminating"]["weight"] * env.step_dt == pytest.approx(-3.333, abs=1e-3)
+    env.reset()
+    env.scene.robot.write_root_pose(
+        torch.tensor([3]),
+        torch.tensor([[0.0, 0.0, 0.017]]),
+        torch.tensor([[0.0, 1.0, 0.0, 0.0]]),  # on its back
+    )
+    env.scene.refresh()
+    _, reward, terminated, *_ = env.step(torch.zeros(8, 6))
+    assert terminated.tolist() == [k == 3 for k in range(8)]
+    assert reward[3] == pytest.approx(-200 / 60, abs=0.2)
+    assert reward[0] == pytest.approx(5 / 60, abs=0.1)
+
+
+def test_materials_masses_and_wrenches_lie_where_the_article_says(env):
+    env.reset()
+    friction = torch.as_tensor(env.scene.sim.batch.expanded("geom_friction").copy())
+    robot = [g for g in range(env.scene.model.ngeom) if env.scene.model.geom_bodyid[g] > 0]
+    assert float(friction[:, robot, 0].min()) >= 0.55
+    assert float(friction[:, robot, 0].max()) <= 0.85
+    mass = env.scene.sim.batch.expanded("body_mass")[:, env.scene.model.body("base_link").id]
+    assert mass.min() >= 0.28 - 1e-9
+    assert mass.max() <= 0.33 + 1e-9
+    wrench = env.scene.robot._wrench[:, 0]
+    assert wrench[..., 0].abs().max() <= 0.2
+    assert wrench[..., 1].abs().max() <= 0.005
+    assert (env.scene.robot._wrench[:, 1:] == 0).all()
+
+
+@pytest.mark.parametrize("overrides", [["robot=physical"], ["robot=explicit", "sim=fine", "env.decimation=8"]])
+def test_the_other_profiles_run(overrides):
+    config = compose(["task=stand", "env.num_envs=2", "env.sim.nthread=1", *overrides]).config["env"]
+    env = ManagerBasedRLEnv(config, ASSETS / "legged.xml", 0)
+    env.reset()
+    for _ in range(5):
+        obs, reward, *_ = env.step(torch.zeros(2, 6))
+    assert obs["policy"].isfinite().all()
+    assert reward.isfinite().all()
+
+
+def test_relative_wheel_positions_run():
+    overrides = ["env.num_envs=2", "env.sim.nthread=1", "action@env.actions=[leg_pos,wheel_rel_pos]"]
+    config = compose(["task=stand", *overrides, "env.robot.actuators.wheels.stiffness=1.0"]).config["env"]
+    env = ManagerBasedRLEnv(config, ASSETS / "legged.xml", 0)
+    env.reset()
+    before = env.scene.robot.data.joint_pos[:, 4:].clone()
+    for _ in range(10):
+        env.step(torch.tensor([[0.0, 0.0, 0.0, 0.0, 1.0, 1.0]] * 2))
+    assert (env.scene.robot.data.joint_pos[:, 4:] > before).all()

@@ -1,0 +1,180 @@
+"""Actions: what raw actions become and when."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError, WheellegError
+
+A = "wheelleg_exp.mdp.actions."
+
+
+def _env(make_env, robot="rover", **nodes):
+    env = make_env(robot, actions={n: {**node, "_target_": A + node["_target_"]} for n, node in nodes.items()})
+    env.reset()
+    return env
+
+
+def _position(**fields):
+    return {"_target_": "JointPositionAction", "joint_names": [".*_hip"], "use_default_offset": False} | fields
+
+
+def test_scale_comes_first_then_offset_then_clip(make_env):
+    env = _env(make_env, a=_position(scale=2.0, offset=0.5, clip={".*": [-1.0, 3.0]}))
+    env.action_manager.process_action(torch.tensor([[1.0, -2.0]] * 4))
+    term = env.action_manager.get_action_term("a")
+    # 1*2 + .5 = 2.5; -2*2 + .5 = -3.5, cut to -1. Clipping the raw action would give -1.5 and 2.5.
+    assert term.processed_actions[0].tolist() == [2.5, -1.0]
+    assert term.raw_actions[0].tolist() == [1.0, -2.0]
+
+
+def test_numbers_by_expression_leave_other_joints_alone(make_env):
+    node = {
+        "_target_": "JointVelocityAction",
+        "joint_names": [".*"],
+        "use_default_offset": False,
+        "scale": {".*_axle": 3.0},
+        "offset": {"left_hip": 0.25},
+        "clip": {"right_axle": [-1.0, 1.0]},
+    }
+    env = _env(make_env, a=node)
+    env.action_manager.process_action(torch.full((4, 4), 2.0))
+    # left_hip, right_hip, left_axle, right_axle
+    assert env.action_manager.get_action_term("a").processed_actions[0].tolist() == [2.25, 2.0, 6.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("fields", "key"),
+    [
+        ({"scale": {"hip": 1.0}}, "scale"),  # no whole name
+        ({"scale": {".*": 1.0, "left_.*": 2.0}}, "scale"),  # matched twice
+        ({"clip": {"left_axle": [0, 1]}}, "clip"),  # not a joint of this term
+        ({"clip": [-1.0, 1.0]}, "clip"),
+        ({"joint_names": ["ankle"]}, "joint_names"),
+    ],
+)
+def test_wrong_settings_name_their_key(make_env, fields, key):
+    with pytest.raises(ConfigError) as caught:
+        _env(make_env, a=_position(**fields))
+    assert caught.value.key == f"env.actions.a.{key}"
+
+
+@pytest.mark.parametrize(("preserve", "expected"), [(True, [2.0, 1.0]), (False, [1.0, 2.0])])
+def test_the_order_of_the_expressions_is_kept_when_asked(make_env, preserve, expected):
+    env = _env(make_env, a=_position(joint_names=["right_hip", "left_hip"], preserve_order=preserve))
+    env.action_manager.process_action(torch.tensor([[1.0, 2.0]] * 4))
+    env.action_manager.apply_action()
+    assert env.scene.robot.data.joint_pos_target[0, :2].tolist() == expected
+
+
+def test_the_order_is_kept_when_a_term_covers_all_joints(make_env):
+    names = ["right_axle", "left_axle", "right_hip", "left_hip"]
+    env = _env(make_env, a=_position(joint_names=names, preserve_order=True))
+    env.action_manager.process_action(torch.tensor([[1.0, 2.0, 3.0, 4.0]] * 4))
+    env.action_manager.apply_action()
+    assert env.scene.robot.data.joint_pos_target[0].tolist() == [4.0, 3.0, 2.0, 1.0]
+
+
+def test_the_default_position_is_the_offset_of_a_position_action(make_env):
+    env = _env(make_env, a=_position(use_default_offset=True, scale=0.5))
+    env.action_manager.process_action(torch.tensor([[1.0, 0.0]] * 4))
+    env.action_manager.apply_action()
+    assert env.scene.robot.data.joint_pos_target[0, :2].tolist() == pytest.approx([0.7, 0.2])
+
+
+def test_a_velocity_action_sets_velocity_targets_within_the_velocity_limit(make_env):
+    env = _env(make_env, a={"_target_": "JointVelocityAction", "joint_names": [".*_axle"], "scale": 10.0})
+    env.action_manager.process_action(torch.tensor([[1.0, -5.0]] * 4))
+    env.action_manager.apply_action()
+    assert env.scene.robot.data.joint_vel_target[0].tolist() == [0, 0, 10, -20]
+
+
+def test_an_effort_action_sets_efforts_and_moves_the_joint(make_env):
+    env = _env(make_env, "arm", a={"_target_": "JointEffortAction", "joint_names": ["hinge"], "scale": 2.0})
+    env.step(torch.full((4, 1), 1.5))
+    assert env.scene.robot.data.joint_effort_target[0].tolist() == [3.0, 0.0]
+
+
+def test_a_relative_action_adds_to_the_position_at_each_physics_step(make_env):
+    env = _env(make_env, a={"_target_": "RelativeJointPositionAction", "joint_names": [".*_hip"], "scale": 0.5})
+    robot = env.scene.robot
+    seen, write = [], env.scene.write_data_to_sim
+
+    def spy():
+        seen.append((robot.data.joint_pos[:, :2].clone(), robot.data.joint_pos_target[:, :2].clone()))
+        write()
+
+    env.scene.write_data_to_sim = spy
+    env.step(torch.tensor([[1.0, -1.0]] * 4))
+    assert len(seen) == 2
+    for position, target in seen:
+        torch.testing.assert_close(target, position + torch.tensor([0.5, -0.5]))
+    assert not torch.equal(seen[0][1], seen[1][1])
+
+
+def test_a_relative_action_takes_an_offset_only_without_zero_offset(make_env):
+    node = {"_target_": "RelativeJointPositionAction", "joint_names": [".*_hip"], "offset": 0.3}
+    for zero, expected in ((True, 0.0), (False, 0.3)):
+        env = _env(make_env, a=node | {"use_zero_offset": zero})
+        env.action_manager.process_action(torch.zeros(4, 2))
+        processed = env.action_manager.get_action_term("a").processed_actions
+        assert processed[0].tolist() == pytest.approx([expected] * 2)
+
+
+def test_position_and_velocity_terms_of_one_joint_write_their_own_targets(make_env):
+    env = _env(make_env, p=_position(), v={"_target_": "JointVelocityAction", "joint_names": [".*_hip"]})
+    env.action_manager.process_action(torch.tensor([[0.1, 0.2, 3.0, 4.0]] * 4))
+    env.action_manager.apply_action()
+    data = env.scene.robot.data
+    assert data.joint_pos_target[0, :2].tolist() == pytest.approx([0.1, 0.2])
+    assert data.joint_vel_target[0, :2].tolist() == [3.0, 4.0]
+
+
+def test_terms_take_their_slices_in_the_order_of_the_config(make_env):
+    wheel = {"_target_": "JointVelocityAction", "joint_names": [".*_axle"]}
+    env = _env(make_env, b=wheel, a=_position())
+    assert env.action_manager.total_action_dim == 4
+    assert env.action_manager.action_term_dim == [2, 2]
+    env.action_manager.process_action(torch.tensor([[1.0, 2.0, 3.0, 4.0]] * 4))
+    assert env.action_manager.get_action_term("b").raw_actions[0].tolist() == [1, 2]
+    assert env.action_manager.get_action_term("a").raw_actions[0].tolist() == [3, 4]
+
+
+def test_the_last_two_raw_actions_are_kept_unclipped(make_env):
+    env = _env(make_env, a=_position(clip={".*": [-1.0, 1.0]}))
+    env.action_manager.process_action(torch.full((4, 2), 50.0))
+    env.action_manager.process_action(torch.full((4, 2), 70.0))
+    assert (env.action_manager.action == 70).all()
+    assert (env.action_manager.prev_action == 50).all()
+
+
+def test_a_reset_zeroes_the_actions_of_its_environments_and_leaves_processed_ones(make_env):
+    env = _env(make_env, a=_position())
+    for _ in range(2):
+        env.action_manager.process_action(torch.ones(4, 2))
+    env.action_manager.reset(torch.tensor([0, 3]))
+    manager, term = env.action_manager, env.action_manager.get_action_term("a")
+    for kept in (manager.action, manager.prev_action, term.raw_actions):
+        assert kept.sum(dim=1).tolist() == [0, 2, 2, 0]
+    assert (term.processed_actions == 1).all()
+
+
+def test_the_caller_may_change_its_tensor_afterwards(make_env):
+    env = _env(make_env, a=_position())
+    action = torch.ones(4, 2)
+    env.action_manager.process_action(action)
+    action.zero_()
+    assert (env.action_manager.action == 1).all()
+
+
+@pytest.mark.parametrize("shape", [(4, 1), (1, 2), (2,), (4, 3), (3, 2)])
+def test_an_action_of_a_wrong_shape_is_refused(make_env, shape):
+    env = _env(make_env, a=_position())
+    with pytest.raises((ValueError, WheellegError), match="action"):
+        env.step(torch.zeros(shape))
+
+
+def test_a_term_that_is_no_action_is_refused(make_env):
+    with pytest.raises(ConfigError, match="action term"):
+        make_env(actions={"a": {"_target_": "wheelleg_exp.mdp.rewards.is_alive"}})

@@ -1,0 +1,222 @@
+"""Commands: timers, counters, standing, headings, metrics."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+
+STILL = torch.zeros(4, 4)
+RANGES = {"lin_vel_x": [-0.3, 0.3], "lin_vel_y": [0.1, 0.2], "ang_vel_z": [-0.5, 0.5]}
+
+
+def _command(**changes):
+    node = {
+        "_target_": "wheelleg_exp.mdp.commands.UniformVelocityCommand",
+        "resampling_time_range": [0.1, 0.1],
+        "ranges": RANGES,
+    }
+    return {"v": {**node, **changes}}
+
+
+def _env(make_env, steps_of=None, **changes):
+    sections = {k: changes.pop(k) for k in ("num_envs", "episode_length_s", "seed") if k in changes}
+    env = make_env(commands=_command(**changes), **sections)
+    env.reset()
+    return env, env.command_manager.get_command_term("v")
+
+
+def test_commands_are_uniform_in_their_ranges(make_env):
+    _, term = _env(make_env, num_envs=3000)
+    for column, (low, high) in enumerate(RANGES.values()):
+        values = term.command[:, column]
+        assert low <= float(values.min()) < low + 0.01
+        assert high - 0.01 < float(values.max()) <= high
+        assert float(values.mean()) == pytest.approx((low + high) / 2, abs=0.02)
+    assert abs(float(torch.corrcoef(term.command.T)[0, 2])) < 0.06
+
+
+def test_a_command_is_redrawn_when_its_time_is_up(make_env):
+    """.1 s at .02 s a step: the fifth compute finds the timer at 0."""
+    env, term = _env(make_env)
+    changed = []
+    for _ in range(11):
+        before = term.command.clone()
+        env.command_manager.compute(0.02)
+        changed.append(not torch.equal(before, term.command))
+    at = [k + 1 for k, c in enumerate(changed) if c]
+    # .1 is no multiple of .02 in float32, so the timer may reach 0 at the fifth or the sixth step; it starts anew
+    # from the drawn time, so the distances are equal.
+    assert at[0] in (5, 6)
+    assert at[1] - at[0] == at[0]
+
+
+def test_the_timer_starts_again_from_the_drawn_time(make_env):
+    env, term = _env(make_env, resampling_time_range=[0.05, 0.05])
+    for _ in range(3):
+        env.command_manager.compute(0.02)
+    torch.testing.assert_close(term.time_left, torch.full((4,), 0.05))
+
+
+def test_the_counter_is_one_after_a_reset_and_grows_with_each_draw(make_env):
+    env, term = _env(make_env, resampling_time_range=[0.05, 0.05])
+    assert term.command_counter.tolist() == [1] * 4
+    for _ in range(3):
+        env.step(STILL)
+    assert term.command_counter.tolist() == [2] * 4
+    env.reset(env_ids=torch.tensor([3]))
+    assert term.command_counter.tolist() == [2, 2, 2, 1]
+
+
+def test_a_fresh_timer_loses_a_control_step_at_an_automatic_reset(make_env):
+    env, term = _env(make_env, resampling_time_range=[1.0, 1.0], episode_length_s=0.02)
+    torch.testing.assert_close(term.time_left, torch.full((4,), 1.0))
+    env.step(STILL)
+    torch.testing.assert_close(term.time_left, torch.full((4,), 0.98))
+
+
+def test_env_reset_takes_nothing_from_the_timer(make_env):
+    env, term = _env(make_env, resampling_time_range=[1.0, 1.0])
+    env.reset()
+    assert term.time_left.tolist() == [1.0] * 4
+
+
+def test_who_stands_still_is_seen_only_from_the_first_compute_on(make_env):
+    env, term = _env(make_env, rel_standing_envs=1.0)
+    assert (term.command[:, 1] != 0).all()
+    env.step(STILL)
+    assert (term.command == 0).all()
+
+
+def test_the_share_that_stands_is_the_one_asked_for(make_env):
+    env, term = _env(make_env, rel_standing_envs=0.4, num_envs=3000)
+    env.command_manager.compute(0.02)
+    standing = (term.command == 0).all(dim=1)
+    assert float(standing.float().mean()) == pytest.approx(0.4, abs=0.03)
+    assert torch.equal(standing, term.is_standing_env)
+
+
+def _turn_to(env, yaw):
+    half = torch.tensor(yaw / 2)
+    quat = torch.tensor([[torch.cos(half), 0.0, 0.0, torch.sin(half)]]).expand(4, 4)
+    robot = env.scene.robot
+    robot.write_root_pose(torch.arange(4), robot.data.root_pos_w.clone(), quat)
+
+
+def test_headings_are_followed_proportionally_and_clipped(make_env):
+    ranges = RANGES | {"ang_vel_z": [-0.5, 0.4], "heading": [3.0, 3.0]}
+    env, term = _env(make_env, ranges=ranges, heading_command=True, rel_heading_envs=1.0, heading_control_stiffness=0.5)
+    for yaw, expected in (
+        (2.5, 0.25),  # .5 * (3 - 2.5)
+        (1.0, 0.4),  # clipped
+        (-3.0, 0.5 * (6.0 - 2 * math.pi)),  # the short way round, backwards
+        (-2.0, -0.5),  # 5 rad wraps to -1.283
+    ):
+        _turn_to(env, yaw)
+        env.command_manager.compute(0.0)
+        torch.testing.assert_close(term.command[:, 2], torch.full((4,), expected), atol=1e-5, rtol=0)
+
+
+def test_the_heading_acts_only_from_the_first_compute_on(make_env):
+    ranges = RANGES | {"heading": [3.0, 3.0], "ang_vel_z": [0.1, 0.2]}
+    env, term = _env(make_env, ranges=ranges, heading_command=True)
+    drawn = term.command[:, 2].clone()
+    assert ((drawn >= 0.1) & (drawn <= 0.2)).all()
+    env.step(STILL)
+    assert term.command[:, 2].tolist() == pytest.approx([0.2] * 4)  # steered, at the range's end
+
+
+def test_standing_goes_over_heading(make_env):
+    ranges = RANGES | {"heading": [3.0, 3.0]}
+    env, term = _env(make_env, ranges=ranges, heading_command=True, rel_standing_envs=1.0)
+    env.step(STILL)
+    assert (term.command == 0).all()
+
+
+def test_metrics_are_divided_by_the_longest_command_time_and_logged_as_means(make_env):
+    """Two steps of a robot at rest: error is the command itself; .02 s of at most .5 s each."""
+    env, term = _env(make_env, resampling_time_range=[0.4, 0.5])
+    data = env.scene.robot.data
+    env.scene.robot.write_root_com_velocity(
+        torch.arange(4), torch.tensor([[0.3, 0.1, 0]] * 4), torch.tensor([[0, 0, 0.2]] * 4)
+    )
+    command = term.command.clone()
+    v, w = data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2]
+    xy = (command[:, :2] - v).norm(dim=1)
+    yaw = (command[:, 2] - w).abs()
+    for _ in range(2):
+        env.command_manager.compute(0.02)
+    log = env.command_manager.reset(torch.tensor([1, 3]))
+    assert float(log["Metrics/v/error_vel_xy"]) == pytest.approx(float(xy[[1, 3]].mean()) * 2 * 0.02 / 0.5, rel=1e-5)
+    assert float(log["Metrics/v/error_vel_yaw"]) == pytest.approx(float(yaw[[1, 3]].mean()) * 2 * 0.02 / 0.5, rel=1e-5)
+    assert float(log["Episode_Metrics/v/error_vel_xy_per_step"]) == pytest.approx(float(xy[[1, 3]].mean()), rel=1e-5)
+
+
+def test_metrics_start_again_at_a_reset_for_the_environments_that_reset(make_env):
+    env, term = _env(make_env)
+    env.command_manager.compute(0.02)
+    env.command_manager.reset(torch.tensor([1]))
+    assert (term.metrics[:, 1] == 0).all()
+    assert (term.metrics[:, 0] > 0).all()
+    log = env.command_manager.reset(torch.tensor([1]))
+    assert float(log["Metrics/v/error_vel_xy"]) == 0.0
+
+
+def test_the_metric_is_sampled_before_the_command_is_redrawn(make_env):
+    env, term = _env(make_env, resampling_time_range=[0.02, 0.02])
+    old = term.command[:, :2].clone()
+    env.command_manager.compute(0.02)
+    assert not torch.equal(old, term.command[:, :2])
+    torch.testing.assert_close(term.metrics[0], old.norm(dim=1) * 0.02 / 0.02)
+
+
+def test_commands_and_timers_go_round(make_env):
+    changes = {"rel_standing_envs": 0.3, "resampling_time_range": [0.05, 0.3]}
+    first, term = _env(make_env, **changes)
+    for _ in range(3):
+        first.command_manager.compute(0.02)
+    second, other = _env(make_env, seed=7, **changes)
+    second.load_state_dict(first.state_dict())
+    for _ in range(20):
+        first.command_manager.compute(0.02)
+        second.command_manager.compute(0.02)
+    assert torch.equal(term.command, other.command)
+    assert torch.equal(term.metrics, other.metrics)
+    assert torch.equal(term.command_counter, other.command_counter)
+
+
+def test_a_changed_range_is_not_undone_by_a_restored_state(make_env):
+    first, _ = _env(make_env)
+    second, term = _env(make_env, ranges={k: [2.0, 3.0] for k in RANGES}, resampling_time_range=[0.02, 0.02])
+    second.load_state_dict(first.state_dict())
+    second.command_manager.reset(torch.arange(4))
+    assert (term.command >= 2.0).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"heading_command": True}, "ranges.heading"),
+        ({"ranges": RANGES | {"lin_vel_z": [0, 1]}}, "ranges"),
+        ({"ranges": RANGES | {"lin_vel_x": [1, 0]}}, "ranges.lin_vel_x"),
+        ({"resampling_time_range": [2.0, 1.0]}, "resampling_time_range"),
+        ({"resampling_time_range": [0.0, 0.0]}, "resampling_time_range"),
+    ],
+)
+def test_wrong_settings_name_their_key(make_env, changes, key):
+    with pytest.raises(ConfigError) as caught:
+        make_env(commands=_command(**changes))
+    assert caught.value.key == f"env.commands.v.{key}"
+
+
+def test_a_heading_range_without_headings_is_warned_of(make_env):
+    with pytest.warns(UserWarning, match="heading"):
+        make_env(commands=_command(ranges=RANGES | {"heading": [0, 1]}))
+
+
+def test_a_term_that_is_no_command_is_refused(make_env):
+    with pytest.raises(ConfigError, match="command term"):
+        make_env(commands={"v": {"_target_": "wheelleg_exp.mdp.rewards.is_alive"}})

@@ -1,0 +1,198 @@
+"""When events run."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from managers import spies
+from wheelleg_exp.errors import ConfigError
+
+STILL = torch.zeros(4, 4)
+
+
+def _event(mode, **fields):
+    return {"_target_": spies.HERE + "noted", "mode": mode, **fields}
+
+
+def _interval(low, high=None, **fields):
+    return _event("interval", interval_range_s=[low, low if high is None else high], **fields)
+
+
+def _run(env, steps):
+    for _ in range(steps):
+        env.step(STILL)
+    return [step for _, step, _ in spies.LOG]
+
+
+def test_an_interval_event_fires_when_its_time_is_up_and_carries_nothing_over(make_env):
+    env = make_env(events={"e": _interval(0.05)})  # control step .02 s
+    env.reset()
+    assert _run(env, 12) == [2 + 1, 5 + 1, 8 + 1, 11 + 1]
+
+
+def test_the_first_timers_run_without_a_reset_too(make_env):
+    """The third step of .02 s is the first at which .05 s have passed."""
+    env = make_env(events={"e": _interval(0.05)})
+    left = env.event_manager._time_left["e"]
+    fired = []
+    for step in range(12):
+        env.event_manager.apply_interval(0.02)
+        if bool((left > 0.04).all()) and step:
+            fired.append(step)
+    assert fired == [2, 5, 8, 11]
+    assert [ids for _, _, ids in spies.LOG] == [[0, 1, 2, 3]] * 4
+
+
+def test_timers_are_redrawn_at_an_environments_reset(make_env):
+    env = make_env(events={"e": _interval(0.05)})
+    env.reset()
+    env.step(STILL)
+    env.step(STILL)
+    env.reset(env_ids=torch.tensor([1]))
+    env.step(STILL)
+    assert spies.LOG == [("event", 3, [0, 2, 3])]
+    _run(env, 2)
+    assert spies.LOG[1:] == [("event", 5, [1])]
+
+
+def test_timers_lose_a_control_step_at_an_automatic_reset(make_env):
+    """The reset comes before the interval events of the same step."""
+    env = make_env(events={"e": _interval(0.05)}, episode_length_s=0.02)
+    env.reset()
+    env.step(STILL)
+    torch.testing.assert_close(env.event_manager._time_left["e"], torch.full((4,), 0.03))
+
+
+def test_an_interval_as_long_as_the_episode_never_fires(make_env):
+    env = make_env(events={"e": _interval(0.2, 0.4)}, episode_length_s=0.2)
+    env.reset()
+    assert _run(env, 200) == []
+
+
+def test_intervals_are_uniform_in_their_range_for_each_environment(make_env):
+    env = make_env(events={"e": _interval(1.0, 3.0)}, num_envs=2000)
+    left = env.event_manager._time_left["e"]
+    assert 1.0 <= float(left.min()) < 1.02
+    assert 2.98 < float(left.max()) <= 3.0
+    assert float(left.mean()) == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_global_timer_fires_for_all_at_once_and_is_not_redrawn_at_resets(make_env):
+    env = make_env(events={"e": _interval(0.05, is_global_time=True)})
+    env.reset()
+    env.step(STILL)
+    env.step(STILL)
+    env.reset()
+    env.step(STILL)
+    assert spies.LOG == [("event", 3, None)]
+
+
+def test_the_new_interval_is_drawn_before_the_event_runs(make_env):
+    env = make_env(events={"e": _interval(0.04)})
+    seen = []
+    env.event_manager._terms["e"].func = lambda e, ids: seen.append(e.event_manager._time_left["e"].clone())
+    env.event_manager.apply_interval(0.02)
+    env.event_manager.apply_interval(0.02)
+    torch.testing.assert_close(seen[0], torch.full((4,), 0.04))
+
+
+def test_a_reset_event_runs_for_the_environments_that_reset(make_env):
+    env = make_env(events={"e": _event("reset")})
+    env.reset(env_ids=torch.tensor([0, 2]))
+    assert spies.LOG == [("event", 0, [0, 2])]
+
+
+def test_a_reset_event_waits_its_least_number_of_steps(make_env):
+    env = make_env(events={"e": _event("reset", min_step_count_between_reset=5)})
+    for step in (0, 3, 4, 8):
+        env.event_manager.apply("reset", torch.tensor([1]), step)
+    env.event_manager.apply("reset", torch.tensor([0, 1]), 9)
+    assert [ids for _, _, ids in spies.LOG] == [[1], [1], [0]]
+    # At 0 and 8 for environment 1; at 9 only environment 0 is due, for the first time.
+    assert len(spies.LOG) == 3
+
+
+def test_the_wait_is_counted_in_control_steps_of_the_environment(make_env):
+    env = make_env(events={"e": _event("reset", min_step_count_between_reset=5)})
+    env.reset()
+    for _ in range(4):
+        env.step(STILL)
+    env.reset()
+    env.step(STILL)
+    env.reset()
+    assert [step for _, step, _ in spies.LOG] == [0, 5]
+
+
+def test_a_mode_of_the_callers_own_runs_only_when_asked_for(make_env):
+    env = make_env(events={"e": _event("my_mode")})
+    env.reset()
+    _run(env, 3)
+    assert spies.LOG == []
+    env.event_manager.apply("my_mode", torch.tensor([3]))
+    env.apply_event("my_mode")
+    assert spies.LOG == [("event", 3, [3]), ("event", 3, None)]
+    assert env.event_manager.available_modes == ["my_mode"]
+
+
+def test_startup_runs_once_for_all(make_env):
+    env = make_env(events={"e": _event("startup")})
+    env.reset()
+    env.reset()
+    assert spies.LOG == [("event", 0, None)]
+
+
+def test_events_of_a_mode_run_in_the_order_of_the_config(make_env):
+    events = {name: _event("reset", key=name) for name in ("zeta", "alpha", "mid")}
+    make_env(events=events).reset()
+    assert [key for key, _, _ in spies.LOG] == ["zeta", "alpha", "mid"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "key"),
+    [
+        ({"mode": "interval"}, "interval_range_s"),
+        ({"mode": "interval", "interval_range_s": [2.0, 1.0]}, "interval_range_s"),
+        ({"mode": "interval", "interval_range_s": [1.0]}, "interval_range_s"),
+        ({"mode": "reset", "min_step_count_between_reset": -1}, "min_step_count_between_reset"),
+        ({}, "mode"),
+    ],
+)
+def test_wrong_settings_name_their_key(make_env, fields, key):
+    with pytest.raises(ConfigError) as caught:
+        make_env(events={"e": {"_target_": spies.HERE + "noted", **fields}})
+    assert caught.value.key == f"env.events.e.{key}"
+
+
+def test_interval_events_are_not_applied_by_name(make_env):
+    env = make_env(events={"e": _interval(1.0)})
+    with pytest.raises(ValueError, match="interval"):
+        env.event_manager.apply("interval")
+
+
+def test_reset_events_need_the_step_count(make_env):
+    env = make_env(events={"e": _event("reset")})
+    with pytest.raises(ValueError, match="step_count"):
+        env.event_manager.apply("reset")
+
+
+def test_timers_and_counters_go_round(make_env):
+    events = {
+        "i": _interval(0.05, 0.5),
+        "g": _interval(0.3, is_global_time=True),
+        "r": _event("reset", min_step_count_between_reset=4),
+    }
+    first, second = make_env(events=events), make_env(events=events, seed=5)
+    first.reset()
+    for _ in range(3):
+        first.step(STILL)
+    second.load_state_dict(first.state_dict())
+    logs = []
+    for env in (first, second):
+        spies.LOG.clear()
+        for _ in range(20):
+            env.step(STILL)
+        env.reset()
+        logs.append(list(spies.LOG))
+    assert logs[0] == logs[1]
+    assert len(logs[0]) > 3

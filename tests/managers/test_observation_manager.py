@@ -1,0 +1,289 @@
+"""Observations: the order of processing, histories, layout, and reading without a trace."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from managers import spies
+from wheelleg_exp.errors import ConfigError
+
+O = "wheelleg_exp.mdp.observations."
+N = "wheelleg_exp.mdp.noise."
+M = "wheelleg_exp.mdp.modifiers."
+STILL = torch.zeros(4, 4)
+
+
+def _value(key="x", **fields):
+    spies.VALUES.setdefault(key, 1.0)
+    return {"_target_": spies.HERE + "column", "key": key, **fields}
+
+
+def _env(make_env, terms, **group):
+    return make_env(observations={"policy": {"terms": terms, **group}})
+
+
+def _read(env):
+    return env.observation_manager.compute()["policy"]
+
+
+def _series(env, key, *values):
+    out = None
+    for number in values:
+        spies.VALUES[key] = number
+        out = _read(env)
+    return out
+
+
+# ---- processing ----
+
+
+def test_noise_comes_before_clip_and_clip_before_scale(make_env):
+    """2 + .25 -> within (-inf, 4) -> times 10."""
+    noise = {"_target_": N + "ConstantNoise", "bias": 0.25}
+    env = _env(make_env, {"x": _value(noise=noise, clip=[-100.0, 4.0], scale=10.0)}, enable_corruption=True)
+    assert float(_series(env, "x", 2.0)[0]) == 22.5
+    assert float(_series(env, "x", 3.9)[0]) == 40.0  # noise lifts it to 4.15, which is cut to 4
+
+
+def test_modifiers_come_before_noise_in_their_order(make_env):
+    modifiers = [
+        {"_target_": M + "Bias", "value": 1.0},
+        {"_target_": M + "Scale", "multiplier": 3.0},
+        {"_target_": M + "Clip", "bounds": [0.0, 8.0]},
+    ]
+    noise = {"_target_": N + "ConstantNoise", "bias": 0.5}
+    env = _env(make_env, {"x": _value(modifiers=modifiers, noise=noise)}, enable_corruption=True)
+    assert float(_series(env, "x", 1.0)[0]) == 6.5  # (1 + 1) * 3 + .5
+    assert float(_series(env, "x", 2.0)[0]) == 8.5  # 9 cut to 8, then noise
+
+
+def test_without_corruption_noise_is_off_and_modifiers_stay(make_env):
+    node = _value(
+        noise={"_target_": N + "ConstantNoise", "bias": 100.0}, modifiers=[{"_target_": M + "Scale", "multiplier": 2.0}]
+    )
+    assert float(_series(_env(make_env, {"x": node}, enable_corruption=False), "x", 3.0)[0]) == 6.0
+    assert float(_series(_env(make_env, {"x": node}), "x", 3.0)[0]) == 6.0  # off by default
+
+
+def test_a_scale_may_have_one_number_a_column(make_env):
+    scale = [1.0, 2.0, 3.0, 4.0]
+    env = _env(make_env, {"q": {"_target_": O + "joint_pos", "scale": scale}})
+    torch.testing.assert_close(_read(env), env.scene.robot.data.joint_pos * torch.tensor(scale))
+    with pytest.raises(ConfigError, match="width 4"):
+        _env(make_env, {"q": {"_target_": O + "joint_pos", "scale": [1.0, 2.0]}})
+
+
+# ---- history ----
+
+
+def test_the_first_sample_after_a_reset_fills_the_history(make_env):
+    env = _env(make_env, {"x": _value()}, history_length=3)
+    assert _series(env, "x", 5.0)[0].tolist() == [5, 5, 5]
+    assert _series(env, "x", 6.0)[0].tolist() == [5, 5, 6]
+
+
+def test_history_is_oldest_first(make_env):
+    env = _env(make_env, {"x": _value()}, history_length=3)
+    assert _series(env, "x", 1.0, 2.0, 3.0, 4.0)[0].tolist() == [2, 3, 4]
+
+
+def test_a_reset_forgets_only_its_environments(make_env):
+    env = _env(make_env, {"x": _value()}, history_length=3)
+    _series(env, "x", 1.0, 2.0)
+    env.observation_manager.reset(torch.tensor([1]))
+    out = _series(env, "x", 9.0)
+    assert out[1].tolist() == [9, 9, 9]
+    assert out[0].tolist() == [1, 2, 9]
+
+
+def test_histories_are_flattened_term_by_term(make_env):
+    env = _env(make_env, {"x": _value("x"), "y": _value("y")}, history_length=2)
+    spies.VALUES["y"] = 10.0
+    _series(env, "x", 1.0)
+    spies.VALUES["y"] = 20.0
+    assert _series(env, "x", 2.0)[0].tolist() == [1, 2, 10, 20]
+
+
+def test_a_term_of_several_columns_is_flattened_sample_by_sample(make_env):
+    env = _env(make_env, {"q": {"_target_": O + "joint_pos"}}, history_length=2)
+    robot = env.scene.robot
+    frames = []
+    for _ in range(3):
+        robot.write_joint_state(torch.arange(4), torch.randn(4, 4), torch.zeros(4, 4))
+        frames.append(robot.data.joint_pos.clone())
+        out = _read(env)
+    assert torch.equal(out, torch.cat(frames[1:], dim=1))
+
+
+def test_unflattened_histories_keep_their_time_axis(make_env):
+    env = _env(make_env, {"x": _value("x"), "y": _value("y")}, history_length=2, flatten_history_dim=False)
+    spies.VALUES["y"] = 7.0
+    out = _series(env, "x", 1.0, 2.0)
+    assert out.shape == (4, 2, 2)
+    assert out[0].tolist() == [[1, 7], [2, 7]]
+    assert env.observation_manager.group_obs_dim["policy"] == (2, 2)
+
+
+def test_a_terms_own_history_is_overridden_by_the_groups(make_env):
+    terms = {"x": _value("x", history_length=4), "y": _value("y")}
+    own = _env(make_env, terms)
+    assert own.observation_manager.group_obs_term_dim["policy"] == [(4,), (1,)]
+    group = _env(make_env, terms, history_length=2)
+    assert group.observation_manager.group_obs_term_dim["policy"] == [(2,), (2,)]
+    none = _env(make_env, terms, history_length=0)
+    assert none.observation_manager.group_obs_term_dim["policy"] == [(1,), (1,)]
+
+
+def test_scale_is_inside_the_history(make_env):
+    env = _env(make_env, {"x": _value(scale=2.0)}, history_length=2)
+    assert _series(env, "x", 1.0, 3.0)[0].tolist() == [2, 6]
+
+
+# ---- layout ----
+
+
+def test_terms_and_groups_stand_in_the_order_of_the_config(make_env):
+    groups = {g: {"terms": {t: _value(t) for t in ("z", "a", "m")}} for g in ("late", "early")}
+    env = make_env(observations=groups)
+    spies.VALUES.update(z=1.0, a=2.0, m=3.0)
+    out = env.observation_manager.compute()
+    assert list(out) == ["late", "early"]
+    assert out["late"][0].tolist() == [1, 2, 3]
+    assert env.observation_manager.active_terms["late"] == ["z", "a", "m"]
+    assert env.observation_manager.term_slices("late") == {"z": slice(0, 1), "a": slice(1, 2), "m": slice(2, 3)}
+
+
+def test_groups_may_stay_apart_by_term(make_env):
+    env = _env(make_env, {"x": _value("x"), "q": {"_target_": O + "joint_pos"}}, concatenate_terms=False)
+    out = _read(env)
+    assert {k: v.shape for k, v in out.items()} == {"x": (4, 1), "q": (4, 4)}
+    assert env.observation_manager.group_obs_dim["policy"] == [(1,), (4,)]
+
+
+def test_a_returned_observation_does_not_change_later(make_env):
+    terms = {
+        "action": {"_target_": O + "last_action"},
+        "q": {"_target_": O + "joint_pos"},
+        "past": {"_target_": O + "last_action", "history_length": 2},
+    }
+    env = make_env(observations={"policy": {"terms": terms, "concatenate_terms": False}})
+    env.reset()
+    first, *_ = env.step(torch.ones(4, 4))
+    kept = {k: v.clone() for k, v in first["policy"].items()}
+    env.step(torch.full((4, 4), 2.0))
+    env.reset()
+    for name, value in kept.items():
+        assert torch.equal(first["policy"][name], value), name
+
+
+@pytest.mark.parametrize(
+    ("group", "key"),
+    [
+        ({"terms": {}}, "env.observations.policy.terms"),
+        (
+            {"terms": {"q": {"_target_": O + "joint_pos"}}, "histroy_length": 2},
+            "env.observations.policy.histroy_length",
+        ),
+    ],
+)
+def test_a_wrong_group_names_its_key(make_env, group, key):
+    with pytest.raises(ConfigError) as caught:
+        make_env(observations={"policy": group})
+    assert caught.value.key == key
+
+
+def test_an_observation_of_a_wrong_shape_is_refused(make_env):
+    spies.VALUES["x"] = 1.0
+    with pytest.raises(ConfigError, match="shape"):
+        _env(make_env, {"x": {"_target_": spies.HERE + "value", "key": "x"}})
+
+
+# ---- reading without a trace ----
+
+
+def _busy_terms():
+    return {
+        "filter": _value(modifiers=[{"_target_": M + "Integrator", "dt": 0.1}]),
+        "count": {"_target_": spies.HERE + "CountingObservation"},
+        "drawn": {"_target_": spies.HERE + "drawing_observation"},
+        "noisy": _value(noise={"_target_": N + "UniformNoise", "n_min": -1.0, "n_max": 1.0}),
+        "biased": _value(
+            noise={
+                "_target_": N + "NoiseModelWithAdditiveBias",
+                "noise_cfg": {"_target_": N + "GaussianNoise", "std": 0.1},
+                "bias_noise_cfg": {"_target_": N + "UniformNoise", "operation": "abs"},
+            }
+        ),
+    }
+
+
+def test_a_peek_changes_nothing_and_draws_nothing(make_env):
+    plain, looked = (_env(make_env, _busy_terms(), history_length=3, enable_corruption=True) for _ in range(2))
+    for k in range(5):
+        spies.VALUES["x"] = float(k)
+        looked.observation_manager.peek()
+        expected, got = _read(plain), _read(looked)
+        looked.observation_manager.peek()
+        assert torch.equal(expected, got)
+
+
+def test_a_peek_is_the_coming_observation_without_noise(make_env):
+    terms = {"x": _value("x"), "noisy": _value("y", noise={"_target_": N + "ConstantNoise", "bias": 9.0})}
+    env = _env(make_env, terms, history_length=2, enable_corruption=True)
+    spies.VALUES.update(x=1.0, y=5.0)
+    assert env.observation_manager.peek()["policy"][0].tolist() == [1, 1, 5, 5]  # an empty history
+    _read(env)
+    spies.VALUES.update(x=2.0)
+    assert env.observation_manager.peek()["policy"][0].tolist() == [1, 2, 14, 5]
+
+
+def test_construction_draws_no_noise(make_env):
+    """Sizes are probed without noise, so an uncorrupted twin has the same stream."""
+    env = _env(make_env, _busy_terms(), enable_corruption=True)
+    path = "env.observations.policy.terms.noisy.noise"
+    fresh = type(env.streams)(0).get(path).get_state()
+    assert torch.equal(env.streams.get(path).get_state(), fresh)
+
+
+def test_stateful_terms_begin_at_zero_after_construction_and_reset(make_env):
+    env = _env(make_env, {"count": {"_target_": spies.HERE + "CountingObservation"}})
+    assert _read(env).flatten().tolist() == [1, 1, 1, 1]
+    env.observation_manager.reset(torch.tensor([2]))
+    assert _read(env).flatten().tolist() == [2, 2, 1, 2]
+
+
+def test_noise_of_one_term_does_not_depend_on_other_terms(make_env):
+    noisy = {"_target_": N + "UniformNoise"}
+    alone = _env(make_env, {"a": _value("a", noise=noisy)}, enable_corruption=True)
+    both = _env(make_env, {"b": _value("b", noise=noisy), "a": _value("a", noise=noisy)}, enable_corruption=True)
+    for _ in range(3):
+        assert torch.equal(_read(alone)[:, 0], _read(both)[:, 1])
+
+
+def test_everything_that_survives_a_step_goes_round(make_env):
+    first, second = (
+        make_env(
+            observations={"policy": {"terms": _busy_terms(), "history_length": 3, "enable_corruption": True}}, seed=s
+        )
+        for s in (0, 4)
+    )
+    first.reset()
+    for k in range(3):
+        spies.VALUES["x"] = float(k)
+        first.step(STILL)
+    first.reset(env_ids=torch.tensor([1]))
+    second.load_state_dict(first.state_dict())
+    assert torch.equal(first.observation_manager.obs_buf["policy"], second.observation_manager.obs_buf["policy"])
+    for k in range(4):
+        spies.VALUES["x"] = 10.0 * k
+        assert torch.equal(_read(first), _read(second))
+        first.observation_manager.reset(torch.tensor([0]))
+        second.observation_manager.reset(torch.tensor([0]))
+
+
+def test_the_cached_observation_is_the_one_returned_last(make_env):
+    env = _env(make_env, _busy_terms(), enable_corruption=True)
+    env.reset()
+    out, *_ = env.step(STILL)
+    assert torch.equal(env.observation_manager.obs_buf["policy"], out["policy"])

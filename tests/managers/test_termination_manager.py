@@ -1,0 +1,114 @@
+"""Terminations: failing, running out of time, and which of them ended the last episode."""
+
+from __future__ import annotations
+
+import torch
+
+from managers import spies
+
+STILL = torch.zeros(4, 4)
+
+
+def _term(key, **fields):
+    spies.VALUES.setdefault(key, 0.0)
+    return {"_target_": spies.HERE + "flag", "key": key, **fields}
+
+
+def _at(*ids):
+    return torch.tensor([float(i in ids) for i in range(4)])
+
+
+def _env(make_env):
+    env = make_env(terminations={"fall": _term("fall"), "hit": _term("hit"), "late": _term("late", time_out=True)})
+    env.reset()
+    return env
+
+
+def test_a_time_out_truncates_and_anything_else_terminates(make_env):
+    env = _env(make_env)
+    spies.VALUES.update(fall=_at(0), late=_at(1))
+    *_, terminated, time_outs, _ = env.step(STILL)
+    assert terminated.tolist() == [True, False, False, False]
+    assert time_outs.tolist() == [False, True, False, False]
+    assert env.termination_manager.dones.tolist() == [True, True, False, False]
+
+
+def test_both_may_happen_in_one_step(make_env):
+    env = _env(make_env)
+    spies.VALUES.update(fall=_at(3), late=_at(3))
+    *_, terminated, time_outs, _ = env.step(STILL)
+    assert terminated[3]
+    assert time_outs[3]
+
+
+def test_terms_that_fired_can_be_asked_for(make_env):
+    env = _env(make_env)
+    spies.VALUES.update(hit=_at(2))
+    env.termination_manager.compute()
+    assert env.termination_manager.get_fired("hit").tolist() == [False, False, True, False]
+    assert not env.termination_manager.get_fired("fall").any()
+
+
+def _shares(env):
+    log = env.extras["log"]
+    return [float(log[f"Episode_Termination/{name}"]) for name in ("fall", "hit", "late")]
+
+
+def test_the_log_is_the_share_of_all_environments_whose_last_episode_a_term_ended(make_env):
+    env = _env(make_env)
+    seen = []
+    for ids in ([0], [1], []):
+        spies.VALUES.update(fall=_at(*ids))
+        env.step(STILL)
+        seen.append(_shares(env)[0])
+    assert seen == [0.25, 0.5, 0.5]
+
+
+def test_a_new_end_replaces_the_old_one(make_env):
+    env = _env(make_env)
+    spies.VALUES.update(fall=_at(0, 1))
+    env.step(STILL)
+    assert _shares(env) == [0.5, 0.0, 0.0]
+    spies.VALUES.update(fall=_at(), hit=_at(0), late=_at(0))
+    env.step(STILL)
+    assert _shares(env) == [0.25, 0.25, 0.25]
+
+
+def test_the_outcome_returned_does_not_change_later(make_env):
+    env = _env(make_env)
+    spies.VALUES.update(fall=_at(0))
+    *_, terminated, _, _ = env.step(STILL)
+    spies.VALUES.update(fall=_at())
+    env.step(STILL)
+    assert terminated[0]
+
+
+def test_an_environment_forced_to_end_has_failed_by_no_term(make_env):
+    env = _env(make_env)
+    spies.VALUES.update(fall=_at(0))
+    env.step(STILL)
+    spies.VALUES.update(fall=_at())
+    env.termination_manager.compute()
+    assert env.termination_manager.force(torch.tensor([0])).tolist() == [True, False, False, False]
+    assert _last(env, "fall") == 0.0
+
+
+def _last(env, name):
+    return float(env.termination_manager.reset(torch.arange(4))[f"Episode_Termination/{name}"])
+
+
+def test_shares_go_round(make_env):
+    first, second = _env(make_env), _env(make_env)
+    spies.VALUES.update(fall=_at(0, 1))
+    first.step(STILL)
+    second.load_state_dict(first.state_dict())
+    assert _last(second, "fall") == 0.5
+    assert second.termination_manager.terminated.tolist() == [True, True, False, False]
+
+
+def test_an_environment_without_terminations_runs_on(make_env):
+    env = make_env(terminations={})
+    env.reset()
+    for _ in range(3):
+        *_, terminated, time_outs, _ = env.step(STILL)
+    assert not (terminated | time_outs).any()

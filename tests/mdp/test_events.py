@@ -1,0 +1,453 @@
+"""What events write."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.mdp import events
+from wheelleg_exp.sim import rotation
+
+ALL = torch.arange(4)
+
+
+def _event(name, mode="startup", **fields):
+    return {"_target_": f"wheelleg_exp.mdp.events.{name}", "mode": mode, **fields}
+
+
+def _bodies(*names):
+    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": list(names)}
+
+
+def _joints(*names):
+    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": list(names)}
+
+
+# ---- material ----
+
+MATERIAL = {
+    "static_friction_range": [0.6, 1.2],
+    "dynamic_friction_range": [0.5, 1.0],
+    "restitution_range": [0.0, 0.05],
+    "num_buckets": 8,
+}
+
+
+def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
+    env = make_env(events={"m": _event("randomize_rigid_body_material", **MATERIAL)}, num_envs=50)
+    term = env.event_manager.get_term("m").func
+    friction = torch.from_numpy(np.array(env.scene.sim.batch.expanded("geom_friction")))
+    model = env.scene.model
+    robot = [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0]
+    written = friction[:, robot, 0]
+    allowed = (term.buckets[:, 0].double() + 0.5) / 2
+    distance = (written.unsqueeze(2) - allowed).abs().amin(dim=2)
+    assert distance.max() < 1e-6
+    assert float(written.min()) >= 0.55
+    assert float(written.max()) <= 0.85
+    assert len(written.unique()) == 8
+    assert (written != written[:, :1]).any()  # per shape, not per robot
+    assert (friction[:, model.geom("ground").id, 0] == model.geom("ground").friction[0]).all()
+    assert (friction[:, :, 1:] == torch.from_numpy(model.geom_friction[:, 1:])).all()
+    assert (term.buckets[:, 2] >= 0).all()
+    assert (term.buckets[:, 2] <= 0.05).all()
+
+
+def test_the_dynamic_coefficient_is_written_when_the_robot_asks_for_it(make_env):
+    node = _event("randomize_rigid_body_material", **MATERIAL | {"dynamic_friction_range": [0.2, 0.2]})
+    env = make_env(events={"m": node}, robot={"friction_source": "dynamic"})
+    friction = env.scene.sim.batch.expanded("geom_friction")
+    assert friction[0, env.scene.model.geom("left_wheel").id, 0] == pytest.approx((0.2 + 0.4) / 2)
+
+
+def test_only_shapes_of_the_bodies_asked_for_are_written(make_env):
+    node = _event("randomize_rigid_body_material", **MATERIAL, asset_cfg=_bodies(".*_wheel"))
+    env = make_env(events={"m": node})
+    friction, model = env.scene.sim.batch.expanded("geom_friction"), env.scene.model
+    assert friction[0, model.geom("base_box").id, 0] == pytest.approx((0.9 + 0.5) / 2)
+    assert friction[0, model.geom("left_wheel").id, 0] != pytest.approx((1.0 + 0.5) / 2)
+
+
+def test_dynamic_friction_may_exceed_static_unless_made_consistent(make_env):
+    many = MATERIAL | {"num_buckets": 500}
+    loose = make_env(events={"m": _event("randomize_rigid_body_material", **many)})
+    tight = make_env(events={"m": _event("randomize_rigid_body_material", **many, make_consistent=True)})
+    loose, tight = (e.event_manager.get_term("m").func.buckets for e in (loose, tight))
+    assert (loose[:, 1] > loose[:, 0]).any()
+    assert (tight[:, 1] <= tight[:, 0]).all()
+    assert torch.equal(loose[:, 0], tight[:, 0])
+
+
+def test_the_written_friction_acts(make_env):
+    """A cube pushed at half its weight stays with an effective .65 and slides with .35."""
+    speeds = []
+    for cube in (0.8, 0.2):
+        ranges = {"static_friction_range": [cube, cube], "dynamic_friction_range": [cube, cube]}
+        env = make_env("block", events={"m": _event("randomize_rigid_body_material", **MATERIAL | ranges)})
+        env.reset()
+        wrench = torch.zeros(4, 1, 6)
+        wrench[:, 0, 0] = 0.5 * 2.001 * 9.81
+        env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
+        for _ in range(30):
+            env.step(torch.zeros(4, 1))
+        speeds.append(float(env.scene.robot.data.root_lin_vel_w[0, 0]))
+    assert abs(speeds[0]) < 0.02
+    assert speeds[1] == pytest.approx((0.5 - 0.35) * 9.81 * 0.6, rel=0.2)
+
+
+# ---- mass and centre of mass ----
+
+
+def _mass(make_env, operation, params, **fields):
+    node = _event(
+        "randomize_rigid_body_mass",
+        operation=operation,
+        mass_distribution_params=params,
+        asset_cfg=_bodies("base", "left_wheel"),
+        **fields,
+    )
+    env = make_env(events={"m": node}, num_envs=200)
+    model = env.scene.model
+    ids = [model.body("base").id, model.body("left_wheel").id]
+    mass, inertia = (env.scene.sim.batch.expanded(field) for field in ("body_mass", "body_inertia"))
+    return env, model, ids, mass.copy(), inertia
+
+
+@pytest.mark.parametrize(
+    ("operation", "params", "low", "high"),
+    [
+        ("add", [-0.05, 0.1], [1.15, 0.05], [1.3, 0.2]),
+        ("scale", [0.5, 2.0], [0.6, 0.05], [2.4, 0.2]),
+        ("abs", [3.0, 4.0], [3.0, 3.0], [4.0, 4.0]),
+    ],
+)
+def test_masses_are_drawn_from_the_default_for_each_environment_and_body(make_env, operation, params, low, high):
+    _, model, ids, mass, inertia = _mass(make_env, operation, params)
+    drawn = mass[:, ids]
+    assert (drawn >= np.array(low) - 1e-6).all()
+    assert (drawn <= np.array(high) + 1e-6).all()
+    assert len(np.unique(drawn)) == drawn.size
+    others = [b for b in range(model.nbody) if b not in ids]
+    assert (mass[:, others] == model.body_mass[others]).all()
+    ratio = drawn / model.body_mass[ids]
+    np.testing.assert_allclose(inertia[:, ids], model.body_inertia[ids] * ratio[..., None])
+
+
+def test_masses_drawn_again_do_not_add_up(make_env):
+    env, _, ids, mass, _ = _mass(make_env, "add", [0.1, 0.1])
+    env.event_manager.apply("startup")
+    again = np.array(env.scene.sim.batch.expanded("body_mass"))
+    np.testing.assert_allclose(again[:, ids], mass[:, ids])
+
+
+def test_a_mass_never_falls_below_its_minimum(make_env):
+    *_, ids, mass, _ = _mass(make_env, "add", [-5.0, -5.0], min_mass=0.25)
+    assert (mass[:, ids] == 0.25).all()
+
+
+def test_inertia_may_be_left_alone(make_env):
+    *_, inertia = _mass(make_env, "add", [0.1, 0.1], recompute_inertia=False)
+    assert inertia is None
+
+
+def test_the_drawn_mass_is_what_the_engine_moves(make_env):
+    """Weight on the ground: the contact force follows the mass."""
+    node = _event(
+        "randomize_rigid_body_mass", operation="add", mass_distribution_params=[0.0, 3.0], asset_cfg=_bodies("block")
+    )
+    env = make_env("block", events={"m": node})
+    env.reset()
+    for _ in range(60):
+        env.step(torch.zeros(4, 1))
+    mass = np.array(env.scene.sim.batch.expanded("body_mass")).sum(axis=1)
+    np.testing.assert_allclose(env.scene["contact"].net_forces_w[:, 0, 2], mass * 9.81, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("fields", "key"),
+    [
+        ({"operation": "ad", "mass_distribution_params": [0, 1]}, "operation"),
+        ({"operation": "add", "mass_distribution_params": [0, 1], "distribution": "loguniform"}, "distribution"),
+        ({"operation": "scale", "mass_distribution_params": [0.0, 1.0]}, "mass_distribution_params"),
+    ],
+)
+def test_wrong_settings_are_refused(make_env, fields, key):
+    with pytest.raises(ConfigError) as caught:
+        make_env(events={"m": _event("randomize_rigid_body_mass", **fields)})
+    assert caught.value.key == f"env.events.m.{key}"
+
+
+@pytest.mark.parametrize(
+    ("distribution", "mean", "std"),
+    [("uniform", 1.5, 1 / math.sqrt(12)), ("gaussian", 1.0, 2.0), ("log_uniform", 1 / math.log(2), None)],
+)
+def test_distributions(distribution, mean, std):
+    drawn = events.draw(1.0, 2.0, (40000,), distribution, torch.Generator().manual_seed(0))
+    assert float(drawn.mean()) == pytest.approx(mean, abs=0.03)
+    if std is not None:
+        assert float(drawn.std()) == pytest.approx(std, abs=0.03)
+    else:
+        assert float(drawn.log().mean()) == pytest.approx(math.log(2) / 2, abs=0.01)
+
+
+def test_centres_of_mass_shift_together_and_add_up(make_env):
+    ranges = {"x": [-0.01, 0.02], "y": [0.005, 0.005]}
+    node = _event(
+        "randomize_rigid_body_com_cumulative", mode="custom", com_range=ranges, asset_cfg=_bodies("base", "left_arm")
+    )
+    env = make_env(events={"c": node})
+    env.reset()
+    model = env.scene.model
+    ids = [model.body("base").id, model.body("left_arm").id]
+    env.apply_event("custom")
+    once = np.array(env.scene.sim.batch.expanded("body_ipos")) - model.body_ipos
+    assert ((once[:, ids, 0] >= -0.01) & (once[:, ids, 0] <= 0.02)).all()
+    np.testing.assert_allclose(once[:, ids, 1], 0.005, atol=1e-7)
+    np.testing.assert_allclose(once[:, ids[0]], once[:, ids[1]], atol=1e-15)  # one offset for all listed bodies
+    assert len(np.unique(once[:, ids[0], 0])) == 4
+    env.apply_event("custom", torch.tensor([2]))
+    twice = np.array(env.scene.sim.batch.expanded("body_ipos")) - model.body_ipos
+    np.testing.assert_allclose(twice[:, ids[0], 1], [0.005, 0.005, 0.01, 0.005], atol=1e-7)
+    torch.testing.assert_close(
+        env.scene.robot.data.com_b.double(),
+        torch.from_numpy(model.body_ipos[ids[0]] + twice[:, ids[0]]),
+        atol=1e-7,
+        rtol=0,
+    )
+
+
+def test_a_shifted_centre_of_mass_moves_the_engines(make_env):
+    """It must reach what the engine computes, at once: subtree_com moves by m/M times the offset."""
+    node = _event("randomize_rigid_body_com", mode="custom", com_range={"x": [0.03, 0.03]}, asset_cfg=_bodies("base"))
+    env = make_env(events={"c": node})
+    env.reset()
+    root = env.scene.model.body("base").id
+    before = env.scene.sim.derived("subtree_com")[:, root].clone()
+    velocity = env.scene.robot.data.root_lin_vel_w.clone()
+    env.apply_event("custom", torch.tensor([1]))
+    moved = env.scene.sim.derived("subtree_com")[:, root] - before
+    assert moved[:, 0].tolist() == pytest.approx([0, 0.03 * 1.2 / 1.8, 0, 0], abs=1e-9)
+    assert torch.equal(env.scene.robot.data.root_lin_vel_w, velocity)
+
+
+# ---- wrench and pushes ----
+
+
+def test_wrenches_are_drawn_within_their_ranges_for_the_bodies_asked_for(make_env):
+    node = _event(
+        "apply_external_force_torque",
+        mode="reset",
+        force_range=[1.0, 2.0],
+        torque_range=[-0.2, -0.1],
+        asset_cfg=_bodies("base", "right_arm"),
+    )
+    env = make_env(events={"w": node}, num_envs=64)
+    env.reset()
+    env.step(torch.zeros(64, 4))
+    applied = env.scene.robot._wrench  # link axes, (N, bodies, 3, [force, torque])
+    named = [env.scene.robot.body_names.index(n) for n in ("base", "right_arm")]
+    force, torque = applied[:, named, :, 0], applied[:, named, :, 1]
+    assert ((force >= 1.0) & (force <= 2.0)).all()
+    assert ((torque >= -0.2) & (torque <= -0.1)).all()
+    assert len(force.unique()) == force.numel()
+    others = [b for b in range(5) if b not in named]
+    assert (applied[:, others] == 0).all()
+
+
+def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
+    node = _event(
+        "apply_external_force_torque",
+        mode="reset",
+        force_range=[1.0, 1.0],
+        torque_range=[0.0, 0.0],
+        min_step_count_between_reset=5,
+        asset_cfg=_bodies("base"),
+    )
+    env = make_env(events={"w": node})
+    body = env.scene.model.body("base").id
+    present = []
+    for _ in range(3):
+        env.reset()
+        for _ in range(3):
+            env.step(torch.zeros(4, 4))
+        present.append(bool((env.scene.sim.view("xfrc_applied")[:, body].norm(dim=1) > 1).all()))
+    assert present == [True, False, True]
+
+
+RANGES = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "yaw": [0.5, 0.5]}
+
+
+def _moving(make_env, name):
+    env = make_env(events={"p": _event(name, mode="custom", velocity_range=RANGES)})
+    env.reset()
+    pos = env.scene.robot.data.root_pos_w.clone()
+    quat = torch.nn.functional.normalize(torch.tensor([[1.0, 0.5, -0.3, 0.2]]), dim=1).expand(4, 4)
+    env.scene.robot.write_root_pose(ALL, pos, quat)
+    env.scene.robot.write_root_com_velocity(
+        ALL, torch.tensor([[0.1, 0.2, 0.3]] * 4), torch.tensor([[1.0, 2.0, 3.0]] * 4)
+    )
+    env.apply_event("custom", torch.tensor([0, 2]))
+    return env.scene.robot.data
+
+
+@pytest.mark.parametrize("name", ["push_by_adding_velocity", "push_by_setting_velocity"])
+def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes(make_env, name):
+    data = _moving(make_env, name)
+    torch.testing.assert_close(data.root_lin_vel_w[[0, 2]], torch.tensor([[1.1, -1.8, 0.3]] * 2), atol=1e-5, rtol=0)
+    torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[1.0, 2.0, 3.5]] * 2), atol=1e-5, rtol=0)
+    torch.testing.assert_close(data.root_lin_vel_w[[1, 3]], torch.tensor([[0.1, 0.2, 0.3]] * 2), atol=1e-5, rtol=0)
+
+
+def test_a_velocity_that_is_set_is_the_drawn_one(make_env):
+    data = _moving(make_env, "set_root_velocity")
+    torch.testing.assert_close(data.root_lin_vel_w[[0, 2]], torch.tensor([[1.0, -2.0, 0.0]] * 2), atol=1e-5, rtol=0)
+    torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[0.0, 0.0, 0.5]] * 2), atol=1e-5, rtol=0)
+
+
+def test_two_pushes_in_a_row_add_up(make_env):
+    env = make_env(events={"p": _event("push_by_adding_velocity", mode="custom", velocity_range=RANGES)})
+    env.reset()
+    for _ in range(2):
+        env.apply_event("custom", torch.tensor([3]))
+    velocity = env.scene.robot.data.root_lin_vel_w
+    torch.testing.assert_close(velocity[3], torch.tensor([2.0, -4.0, 0.0]), atol=1e-5, rtol=0)
+    assert velocity[:3].abs().max() == 0
+
+
+def test_a_push_shows_in_the_observation_of_the_same_step(make_env):
+    node = _event(
+        "push_by_adding_velocity", mode="interval", interval_range_s=[0.04, 0.04], velocity_range={"x": [3.0, 3.0]}
+    )
+    env = make_env(
+        events={"r": _event("reset_scene_to_default", mode="reset"), "p": node},
+        observations={"policy": {"terms": {"v": {"_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"}}}},
+    )
+    env.reset()
+    speeds = [float(env.step(torch.zeros(4, 4))[0]["policy"][0, 0]) for _ in range(3)]
+    assert abs(speeds[0]) < 0.5
+    assert speeds[1] == pytest.approx(3.0, abs=0.5)
+
+
+# ---- where episodes begin ----
+
+
+def _placed(make_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0), num_envs=4, **ranges):
+    init = {"pos": [0.1, 0.2, 0.5], "rot": list(rot), "joint_pos": {".*": 0.0}, "joint_vel": {".*": 0.0}}
+    env = make_env(events={"p": _event(name, mode="reset", **ranges)}, robot={"init_state": init}, num_envs=num_envs)
+    env.reset()
+    return env, env.scene.robot.data
+
+
+def test_the_root_stands_at_its_default_plus_origin_plus_draw(make_env):
+    env, data = _placed(make_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
+    expected = env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6])
+    torch.testing.assert_close(data.root_pos_w, expected)
+    assert data.root_lin_vel_w.abs().max() == 0
+
+
+def test_the_drawn_angles_turn_the_default_orientation_in_body_axes(make_env):
+    rot = (0.8, 0.0, 0.6, 0.0)
+    angles = (0.3, -0.2, 0.5)
+    pose = {"roll": [0.3, 0.3], "pitch": [-0.2, -0.2], "yaw": [0.5, 0.5]}
+    _, data = _placed(make_env, rot=rot, pose_range=pose, velocity_range={})
+    turn, expected = np.zeros(4), np.zeros(4)
+    mujoco.mju_euler2Quat(turn, np.array(angles), "XYZ")
+    mujoco.mju_mulQuat(expected, np.array(rot), turn)
+    np.testing.assert_allclose(data.root_quat_w[0], expected, atol=1e-6)
+
+
+def test_the_drawn_velocity_is_that_of_the_com_in_world_axes(make_env):
+    velocity = {"x": [1.0, 1.0], "z": [2.0, 2.0], "pitch": [3.0, 3.0]}
+    _, data = _placed(make_env, rot=(0.8, 0.6, 0.0, 0.0), pose_range={"yaw": [1.0, 1.0]}, velocity_range=velocity)
+    torch.testing.assert_close(data.root_lin_vel_w, torch.tensor([[1.0, 0.0, 2.0]] * 4), atol=1e-5, rtol=0)
+    torch.testing.assert_close(data.root_ang_vel_w, torch.tensor([[0.0, 3.0, 0.0]] * 4), atol=1e-5, rtol=0)
+
+
+def test_draws_are_independent_between_axes_and_environments(make_env):
+    env, data = _placed(make_env, num_envs=400, pose_range={"x": [-1, 1], "y": [-1, 1]}, velocity_range={})
+    offset = data.root_pos_w - env.scene.env_origins - torch.tensor([0.1, 0.2, 0.5])
+    assert offset[:, :2].abs().max() <= 1 + 1e-4
+    assert abs(float(torch.corrcoef(offset[:, :2].T)[0, 1])) < 0.15
+    assert float(offset[:, 0].std()) == pytest.approx(2 / math.sqrt(12), abs=0.05)
+
+
+def test_random_orientations_cover_the_sphere(make_env):
+    _, data = _placed(
+        make_env, "reset_root_state_with_random_orientation", num_envs=500, pose_range={}, velocity_range={}
+    )
+    up = rotation.quat_to_matrix(data.root_quat_w)[:, 2, 2]
+    assert float(up.min()) < -0.9
+    assert float(up.max()) > 0.9
+    assert abs(float(up.mean())) < 0.1
+
+
+@pytest.mark.parametrize(("pose", "axis"), [({"X": [0, 1]}, ""), ({"x": [1, 0]}, ".x"), ({"x": [1]}, ".x")])
+def test_a_wrong_range_is_refused(make_env, pose, axis):
+    with pytest.raises(ConfigError) as caught:
+        _placed(make_env, pose_range=pose, velocity_range={})
+    assert caught.value.key == f"env.events.p.pose_range{axis}"
+
+
+def _joint_reset(make_env, name, position, velocity, defaults=0.5, speed=2.0, **fields):
+    init = {"pos": [0, 0, 1], "rot": [1, 0, 0, 0], "joint_pos": {".*": defaults}, "joint_vel": {".*": speed}}
+    node = _event(name, mode="reset", position_range=position, velocity_range=velocity, **fields)
+    env = make_env(events={"j": node}, robot={"init_state": init}, num_envs=100)
+    env.reset()
+    return env.scene.robot.data
+
+
+def test_joints_by_scale(make_env):
+    data = _joint_reset(make_env, "reset_joints_by_scale", [0.5, 1.5], [-1.0, 1.0])
+    assert ((data.joint_pos >= 0.25 - 1e-6) & (data.joint_pos <= 0.75 + 1e-6)).all()
+    assert ((data.joint_vel >= -2 - 1e-6) & (data.joint_vel <= 2 + 1e-6)).all()
+    assert len(data.joint_pos.unique()) == 400
+
+
+def test_a_default_velocity_of_zero_scaled_stays_zero(make_env):
+    data = _joint_reset(make_env, "reset_joints_by_scale", [1.0, 1.0], [-0.2, 0.2], speed=0.0)
+    assert (data.joint_vel == 0).all()
+
+
+def test_joints_by_offset(make_env):
+    data = _joint_reset(make_env, "reset_joints_by_offset", [0.1, 0.2], [-3.0, -2.0], speed=0.0)
+    assert ((data.joint_pos >= 0.6 - 1e-6) & (data.joint_pos <= 0.7 + 1e-6)).all()
+    assert ((data.joint_vel >= -3) & (data.joint_vel <= -2)).all()
+
+
+def test_joints_are_clamped_to_their_limits_already_in_the_first_reset(make_env):
+    data = _joint_reset(make_env, "reset_joints_by_offset", [5.0, 5.0], [100.0, 100.0])
+    assert data.joint_pos[0].tolist() == [1.5, 1.5, 5.5, 5.5]
+    assert data.joint_vel[0].tolist() == [30, 30, 20, 20]
+
+
+def test_only_the_joints_asked_for_are_reset(make_env):
+    data = _joint_reset(
+        make_env, "reset_joints_by_offset", [0.2, 0.2], [1.0, 1.0], speed=0.0, asset_cfg=_joints(".*_hip")
+    )
+    torch.testing.assert_close(data.joint_pos[0], torch.tensor([0.7, 0.7, 0.5, 0.5]))
+    assert data.joint_vel[0].tolist() == [1, 1, 0, 0]
+
+
+@pytest.mark.parametrize("targets", [True, False])
+def test_everything_goes_back_to_its_default(make_env, targets):
+    env = make_env(events={"d": _event("reset_scene_to_default", mode="reset", reset_joint_targets=targets)})
+    env.reset()
+    start = env.scene.sim.view("qpos").clone()
+    for _ in range(20):
+        env.step(torch.ones(4, 4))
+    env.reset()
+    torch.testing.assert_close(env.scene.sim.view("qpos"), start, atol=1e-7, rtol=0)
+    assert env.scene.sim.view("qvel").abs().max() == 0
+    at_default = torch.allclose(env.scene.robot.data.joint_pos_target, env.scene.robot.data.default_joint_pos)
+    assert at_default == targets
+
+
+def test_isaac_labs_names_are_kept():
+    assert events.push_by_setting_velocity is events.push_by_adding_velocity
+    assert events.apply_external_force_torque is events.set_permanent_body_wrench
+    assert events.randomize_rigid_body_com is events.randomize_rigid_body_com_cumulative

@@ -1,0 +1,150 @@
+"""Noise models and modifiers against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.mdp import modifiers, noise
+
+T = torch.tensor
+
+
+def gen(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+@pytest.mark.parametrize(("operation", "expected"), [("add", 5.0), ("scale", 6.0), ("abs", 2.0)])
+def test_constant_noise(operation, expected):
+    assert noise.ConstantNoise(2.0, operation)(torch.full((2, 2), 3.0), gen()).tolist() == [[expected] * 2] * 2
+
+
+def test_uniform_noise_lies_between_its_bounds():
+    drawn = noise.UniformNoise(-0.5, 1.5)(torch.full((4000, 2), 10.0), gen())
+    assert 9.5 <= float(drawn.min()) < 9.51
+    assert 11.49 < float(drawn.max()) <= 11.5
+    assert float(drawn.mean()) == pytest.approx(10.5, abs=0.03)
+    assert abs(float(torch.corrcoef(drawn.T)[0, 1])) < 0.05
+
+
+def test_gaussian_noise_has_its_mean_and_deviation():
+    drawn = noise.GaussianNoise(1.0, 0.5, "scale")(torch.full((20000, 1), 4.0), gen())
+    assert float(drawn.mean()) == pytest.approx(4.0, abs=0.05)
+    assert float(drawn.std()) == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("kind", [noise.ConstantNoise, noise.UniformNoise, noise.GaussianNoise])
+def test_an_unknown_operation_is_refused(kind):
+    with pytest.raises(ConfigError, match="ad"):
+        kind(operation="ad")
+
+
+def _biased(operation="abs"):
+    return noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(0.0), noise.UniformNoise(-1.0, 1.0, operation))
+
+
+def test_a_bias_that_would_add_up_is_refused():
+    for operation in ("add", "scale"):
+        with pytest.raises(ConfigError, match="abs"):
+            _biased(operation)
+
+
+def test_a_bias_stays_between_resets_and_is_fresh_after_one():
+    model, generator = _biased(), gen()
+    zero = torch.zeros(3, 2)
+    first = model(zero, generator).clone()
+    assert torch.equal(model(zero, generator), first)
+    assert len(first.unique()) == 6  # per component
+    seen = []
+    for _ in range(300):
+        model.reset(T([1]), generator)
+        seen.append(model(zero, generator).clone())
+    stacked = torch.stack(seen)
+    assert torch.equal(stacked[:, 0], first[0].expand(300, 2))
+    assert stacked[:, 1].abs().max() <= 1.0  # no random walk
+    assert len(stacked[:, 1].unique()) > 590
+
+
+def test_a_bias_comes_on_top_of_the_noise():
+    model = noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(10.0), noise.ConstantNoise(0.5, "abs"))
+    assert model(T([[1.0]]), gen()).item() == 11.5
+
+
+def test_a_bias_goes_round():
+    model, other, generator = _biased(), _biased(), gen()
+    model(torch.zeros(2, 2), generator)
+    other.load_state_dict(model.state_dict())
+    assert torch.equal(other(torch.zeros(2, 2), gen(5)), model(torch.zeros(2, 2), gen(6)))
+
+
+def test_a_bias_drawn_inside_inference_mode_may_be_redrawn_outside():
+    model, generator = _biased(), gen()
+    with torch.inference_mode():
+        model(torch.zeros(2, 2), generator)
+    model.reset(T([0]), generator)
+
+
+def _run(modifier, series, width=1):
+    values = T(series, dtype=torch.float32).view(-1, 1, 1).expand(-1, 2, width)
+    modifier.start(values[0])
+    return [modifier(v)[0, 0].item() for v in values]
+
+
+def test_a_filter_is_its_difference_equation():
+    feedback, forward = [0.5, -0.25], [1.0, 2.0, 0.5]
+    series = [1.0, 0.0, -2.0, 3.0, 1.0, 1.0]
+    x, y = [0.0, 0.0, *series], [0.0, 0.0]
+    for i in range(2, len(x)):
+        y.append(x[i] + 2 * x[i - 1] + 0.5 * x[i - 2] - 0.5 * y[-1] + 0.25 * y[-2])
+    assert _run(modifiers.DigitalFilter(feedback, forward), series) == pytest.approx(y[2:])
+
+
+def test_a_filter_without_feedback_is_a_moving_sum():
+    assert _run(modifiers.DigitalFilter([], [0.5, 0.5]), [2.0, 4.0, 8.0]) == [1.0, 3.0, 6.0]
+
+
+def test_an_integral_is_the_trapezoidal_rule():
+    x = np.sin(np.arange(20) / 3)
+    expected = [np.trapezoid(np.concatenate(([0.0], x[: k + 1])), dx=0.1) for k in range(20)]
+    assert _run(modifiers.Integrator(0.1), x.tolist()) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("modifier", [modifiers.DigitalFilter([0.5], [1.0, 1.0]), modifiers.Integrator(0.1)])
+def test_a_reset_forgets_only_its_environments(modifier):
+    start = torch.ones(2, 1)
+    modifier.start(start)
+    fresh = modifier(start).clone()
+    modifier(start)
+    modifier.reset(T([1]))
+    after = modifier(start)
+    assert after[1] == fresh[1]
+    assert after[0] != fresh[0]
+
+
+def test_simple_modifiers():
+    assert _run(modifiers.Scale(3.0), [2.0]) == [6.0]
+    assert _run(modifiers.Bias(3.0), [2.0]) == [5.0]
+    assert _run(modifiers.Clip([-1.0, 1.0]), [2.0, -3.0, 0.5]) == [1.0, -1.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: modifiers.DigitalFilter([0.5], [1.0, 1.0]), lambda: modifiers.Integrator(0.1)]
+)
+def test_memories_go_round(make):
+    first, second = make(), make()
+    sample = torch.ones(2, 1)
+    first.start(sample)
+    second.start(sample)
+    first(sample)
+    second.load_state_dict(first.state_dict())
+    assert torch.equal(first(sample * 2), second(sample * 2))
+
+
+def test_the_coefficients_of_a_filter_are_config_and_not_state():
+    first, second = modifiers.DigitalFilter([0.5], [1.0, 1.0]), modifiers.DigitalFilter([0.0], [2.0, 0.0])
+    for f in (first, second):
+        f.start(torch.ones(1, 1))
+    second.load_state_dict(first.state_dict())
+    assert second(torch.ones(1, 1)).item() == 2.0

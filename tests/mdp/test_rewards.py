@@ -1,0 +1,156 @@
+"""Every reward against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from mdp.fakes import entity, fake_env
+from wheelleg_exp.mdp import rewards
+
+T = torch.tensor
+
+
+def close(got, expected):
+    torch.testing.assert_close(got.float(), T(expected, dtype=torch.float32), atol=1e-6, rtol=1e-6)
+    assert got.dtype == torch.float32
+
+
+def _ends(terminated, time_outs, **fired):
+    manager = SimpleNamespace(
+        terminated=T(terminated),
+        time_outs=T(time_outs),
+        active_terms=list(fired),
+        get_fired=lambda name: T(fired[name]),
+    )
+    return fake_env(termination_manager=manager)
+
+
+def test_alive_is_one_unless_failed_and_a_time_out_is_alive():
+    env = _ends([True, False, False, True], [False, True, False, True])
+    close(rewards.is_alive(env), [0, 1, 1, 0])
+
+
+def test_terminated_leaves_out_time_outs():
+    env = _ends([True, False, False], [False, True, False])
+    close(rewards.is_terminated(env), [1, 0, 0])
+
+
+def test_terminated_by_terms_counts_them_and_is_nothing_on_a_time_out():
+    fired = {"fall": [True, True, False, True], "hit": [True, False, False, True], "time": [False, False, True, True]}
+    env = _ends([True, True, False, True], [False, False, True, True], **fired)
+    close(rewards.is_terminated_term(env)(env), [2, 1, 0, 0])
+    close(rewards.is_terminated_term(env, "hit")(env), [1, 0, 0, 0])
+    close(rewards.is_terminated_term(env, ["fall", "h.*"])(env), [2, 1, 0, 0])
+
+
+VELOCITY = {
+    "data_root_lin_vel_b": T([[1.0, 2.0, 3.0], [0.0, -1.0, -2.0]]),
+    "data_root_ang_vel_b": T([[0.5, -1.0, 4.0], [0.0, 0.0, -0.5]]),
+}
+
+
+def test_vertical_velocity():
+    close(rewards.lin_vel_z_l2(fake_env(**VELOCITY)), [9, 4])
+
+
+def test_roll_and_pitch_rate():
+    close(rewards.ang_vel_xy_l2(fake_env(**VELOCITY)), [1.25, 0])
+
+
+def test_tilt_and_pitch_alone():
+    env = fake_env(data_projected_gravity_b=T([[0.6, 0.0, -0.8], [0.3, 0.4, -0.86]]))
+    close(rewards.flat_orientation_l2(env), [0.36, 0.25])
+    close(rewards.pitch_orientation_l2(env), [0.36, 0.09])
+
+
+def test_height():
+    env = fake_env(data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.1]]))
+    close(rewards.base_height_l2(env, target_height=0.3), [0.04, 0.04])
+
+
+JOINTS = {
+    "data_joint_pos": T([[0.5, -1.0, 2.0], [0.0, 0.0, 0.0]]),
+    "data_default_joint_pos": T([[0.0, -1.5, 2.0], [0.1, 0.0, 0.0]]),
+    "data_joint_vel": T([[1.0, -2.0, 0.5], [0.0, 3.0, 0.0]]),
+    "data_joint_acc": T([[10.0, 0.0, -2.0], [0.0, 0.0, 0.0]]),
+    "data_applied_torque": T([[1.0, -2.0, 0.0], [0.0, 0.5, 0.0]]),
+    "data_computed_torque": T([[1.0, -5.0, 0.0], [0.0, 0.5, 1.0]]),
+    "data_soft_joint_pos_limits": T([[-0.25, 0.25], [-0.75, 1.0], [-math.inf, math.inf]]),
+    "data_soft_joint_vel_limits": T([1.0, 1.0, math.inf]),
+}
+
+
+@pytest.mark.parametrize(
+    ("function", "all_joints", "last_two"),
+    [
+        (rewards.joint_torques_l2, [5, 0.25], [4, 0.25]),
+        (rewards.joint_vel_l1, [3.5, 3], [2.5, 3]),
+        (rewards.joint_vel_l2, [5.25, 9], [4.25, 9]),
+        (rewards.joint_acc_l2, [104, 0], [4, 0]),
+        (rewards.joint_deviation_l1, [1, 0.1], [0.5, 0]),
+        (rewards.joint_pos_limits, [0.5, 0], [0.25, 0]),
+        (rewards.applied_torque_limits, [3, 1], [3, 1]),
+    ],
+)
+def test_sums_over_joints(function, all_joints, last_two):
+    close(function(fake_env(**JOINTS)), all_joints)
+    close(function(fake_env(**JOINTS), asset_cfg=entity(joints=[1, 2])), last_two)
+
+
+def test_speeds_beyond_their_limits_are_cut_at_one_each():
+    close(rewards.joint_vel_limits(fake_env(**JOINTS), soft_ratio=0.9), [1.1, 1.0])  # .1 + 1 (of 1.1); 1 (of 2.1)
+
+
+def test_differences_between_left_and_right():
+    env = fake_env(**JOINTS)
+    close(rewards.joint_symmetry_l1(env, entity(joints=[0, 1]), entity(joints=[2, 0])), [3.0, 0.0])
+
+
+def test_raw_actions():
+    manager = SimpleNamespace(action=T([[1.0, 2.0], [0.0, 0.0]]), prev_action=T([[0.0, 4.0], [3.0, 0.0]]))
+    close(rewards.action_rate_l2(fake_env(action_manager=manager)), [5, 9])
+    close(rewards.action_l2(fake_env(action_manager=manager)), [5, 0])
+
+
+def _contact():
+    return fake_env(contact_norm=T([[0.0, 2.0, 5.0], [0.5, 1.0, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("function", "threshold", "all_bodies", "first_two"),
+    [
+        (rewards.undesired_contacts, 1.0, [2, 0], [1, 0]),
+        (rewards.no_contact_count, 1.0, [1, 3], [1, 2]),
+        (rewards.no_desired_contact, 1.0, [0, 1], [0, 1]),
+        (rewards.no_desired_contact, 3.0, [0, 1], [1, 1]),
+        (rewards.contact_forces, 0.75, [5.5, 0.5], [1.25, 0.25]),
+    ],
+)
+def test_contacts(function, threshold, all_bodies, first_two):
+    """A force at the threshold does not exceed it."""
+    close(function(_contact(), threshold=threshold, sensor_cfg=entity("contact")), all_bodies)
+    close(function(_contact(), threshold=threshold, sensor_cfg=entity("contact", bodies=[0, 1])), first_two)
+
+
+def test_tracking():
+    command = T([[1.0, 1.5, 4.5], [0.0, -1.0, -0.5]])
+    env = fake_env(**VELOCITY, command_manager=SimpleNamespace(get_command=lambda name: {"v": command}[name]))
+    close(rewards.track_lin_vel_xy_exp(env, std=0.5, command_name="v"), [math.exp(-0.25 / 0.25), 1.0])
+    close(rewards.track_ang_vel_z_exp(env, std=2.0, command_name="v"), [math.exp(-0.25 / 4), 1.0])
+
+
+def test_isaac_labs_names_are_kept():
+    assert rewards.desired_contacts is rewards.no_desired_contact
+    assert rewards.no_desired_contact.__defaults__ == (1.0,)
+
+
+def test_a_value_that_is_not_finite_stays_so():
+    """It is the manager that ends the environment; no term may hide it."""
+    env = fake_env(data_root_lin_vel_b=T([[0.0, 0.0, math.nan], [0.0, 0.0, math.inf]]))
+    got = rewards.lin_vel_z_l2(env)
+    assert math.isnan(got[0])
+    assert math.isinf(got[1])

@@ -1,0 +1,139 @@
+"""Every termination against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from mdp.fakes import entity, fake_env
+from wheelleg_exp.mdp import terminations
+
+T = torch.tensor
+STILL = torch.zeros(4, 4)
+
+
+def test_time_runs_out_at_the_longest_length():
+    env = fake_env(episode_length_buf=T([9, 10, 11]), max_episode_length=10)
+    assert terminations.time_out(env).tolist() == [False, True, True]
+
+
+def test_a_command_about_to_be_redrawn():
+    command = SimpleNamespace(time_left=T([0.01, 0.02, 0.03, 0.01]), command_counter=T([1, 1, 1, 2]))
+    env = fake_env(step_dt=0.02, command_manager=SimpleNamespace(get_command_term=lambda name: command))
+    assert terminations.command_resample(env, "v").tolist() == [True, True, False, False]
+    assert terminations.command_resample(env, "v", num_resamples=2).tolist() == [False, False, False, True]
+
+
+def _tilted(*angles):
+    return fake_env(data_projected_gravity_b=T([[math.sin(a), 0.0, -math.cos(a)] for a in angles]))
+
+
+def test_tilt():
+    assert terminations.bad_orientation(_tilted(0.0, 0.9, 1.1, -1.1, 3.0), 1.0).tolist() == [
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
+
+
+def test_upside_down_counts_even_when_rounding_leaves_the_range_of_acos():
+    env = fake_env(data_projected_gravity_b=T([[0.0, 0.0, 1.0000002], [0.0, 0.0, -1.0000002]]))
+    assert terminations.bad_orientation(env, 1.0).tolist() == [True, False]
+
+
+def test_height():
+    env = fake_env(data_root_pos_w=T([[0.0, 0.0, 0.1], [0.0, 0.0, 0.3]]))
+    assert terminations.root_height_below_minimum(env, 0.2).tolist() == [True, False]
+
+
+JOINTS = {
+    "data_joint_pos": T([[0.5, 0.0], [0.2, -2.0], [0.0, 0.0]]),
+    "data_joint_vel": T([[3.0, 0.0], [0.0, -1.5], [1.0, 0.0]]),
+    "data_soft_joint_pos_limits": T([[-0.3, 0.3], [-math.inf, math.inf]]),
+    "data_soft_joint_vel_limits": T([2.0, 1.0]),
+}
+
+
+def test_positions():
+    env = fake_env(**JOINTS)
+    assert terminations.joint_pos_out_of_limit(env).tolist() == [True, False, False]
+    assert terminations.joint_pos_out_of_manual_limit(env, bounds=(-1.0, 0.4)).tolist() == [True, True, False]
+    only = entity(joints=[1])
+    assert terminations.joint_pos_out_of_manual_limit(env, bounds=(-1.0, 0.4), asset_cfg=only).tolist() == [
+        False,
+        True,
+        False,
+    ]
+
+
+def test_velocities():
+    env = fake_env(**JOINTS)
+    assert terminations.joint_vel_out_of_limit(env).tolist() == [True, True, False]
+    assert terminations.joint_vel_out_of_manual_limit(env, max_velocity=2.0).tolist() == [True, False, False]
+
+
+def test_contacts():
+    env = fake_env(contact_norm=T([[0.0, 2.0], [0.3, 0.0], [0.31, 0.0]]))
+    cfg = entity("contact")
+    assert terminations.illegal_contact(env, 0.3, cfg).tolist() == [True, False, True]
+    assert terminations.illegal_contact(env, 0.3, entity("contact", bodies=[0])).tolist() == [False, False, True]
+
+
+def _ended_by(make_env, name, **fields):
+    return make_env(terminations={"t": {"_target_": f"wheelleg_exp.mdp.terminations.{name}", **fields}})
+
+
+def test_a_torque_within_its_limit_is_not_out_of_it(make_env):
+    """However the engine rounds: no joint is ever near its limit here."""
+    env = _ended_by(make_env, "joint_effort_out_of_limit")
+    env.reset()
+    for k in range(60):
+        *_, terminated, _, _ = env.step(0.05 * torch.randn(4, 4, generator=torch.Generator().manual_seed(k)))
+        assert (env.scene.robot.data.computed_torque.abs() < env.scene.robot.data.joint_effort_limits).all()
+        assert not terminated.any()
+
+
+def test_a_torque_that_is_cut_is_out_of_its_limit(make_env):
+    env = _ended_by(make_env, "joint_effort_out_of_limit")
+    env.reset()
+    action = torch.zeros(4, 4)
+    action[1, 0] = 2.0  # 1 rad off at 20 N·m/rad, of 4
+    *_, terminated, _, _ = env.step(action)
+    assert terminated.tolist() == [False, True, False, False]
+
+
+@pytest.mark.parametrize("field", ["qvel", "qpos"])
+def test_a_state_that_is_not_finite_ends_its_environment_only(make_env, field, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there
+    env = _ended_by(make_env, "non_finite_state")
+    env.reset()
+    env.step(STILL)
+    env.scene.sim.view(field)[2, 8] = math.nan
+    obs, _, terminated, _, _ = env.step(STILL)
+    assert terminated.tolist() == [False, False, True, False]
+    assert obs["policy"].isfinite().all()
+    *_, terminated, _, _ = env.step(STILL)
+    assert not terminated.any()
+
+
+def test_a_state_that_breaks_in_the_last_physics_step_is_noticed_at_once(make_env, tmp_path, monkeypatch):
+    """The engine looks at a state only when it steps from it; the check must not wait for that."""
+    monkeypatch.chdir(tmp_path)
+    env = _ended_by(make_env, "non_finite_state")
+    env.reset()
+    step, count = env.scene.sim.step, iter(range(100))
+
+    def breaking_step():
+        step()
+        if next(count) == 1:
+            env.scene.sim.view("qvel")[2, 8] = math.nan
+
+    env.scene.sim.step = breaking_step
+    obs, _, terminated, _, _ = env.step(STILL)
+    assert terminated.tolist() == [False, False, True, False]
+    assert obs["policy"].isfinite().all()

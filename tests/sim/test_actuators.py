@@ -1,0 +1,124 @@
+"""Actuator models against PD by hand."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+
+ALL = torch.arange(4)
+KP = torch.tensor([20.0, 20.0, 0.0, 0.0])
+KD = torch.tensor([1.0, 1.0, 0.5, 0.5])
+LIMIT = torch.tensor([4.0, 4.0, 2.0, 2.0])
+
+
+def _env(make_env, model: str, **changes):
+    actuators = make_env().cfg["robot"]["actuators"]
+    for group in actuators.values():
+        group["_target_"] = f"wheelleg_exp.sim.actuators.{model}"
+    env = make_env(robot={"actuators": actuators}, **changes)
+    env.reset()
+    return env
+
+
+@pytest.mark.parametrize("model", ["ImplicitActuator", "IdealPDActuator"])
+def test_the_reported_torque_is_the_clipped_pd_of_the_state_before_the_physics_step(make_env, model):
+    env = _env(make_env, model)
+    robot, data = env.scene.robot, env.scene.robot.data
+    gen = torch.Generator().manual_seed(0)
+    clipped = False
+    for _ in range(30):
+        robot.set_joint_position_target(torch.randn(4, 4, generator=gen) * 0.4, slice(None))
+        robot.set_joint_velocity_target(torch.randn(4, 4, generator=gen) * 4, slice(None))
+        robot.set_joint_effort_target(torch.randn(4, 4, generator=gen) * 0.2, slice(None))
+        q, qd = data.joint_pos.clone(), data.joint_vel.clone()
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+        expected = KP * (data.joint_pos_target - q) + KD * (data.joint_vel_target - qd) + data.joint_effort_target
+        torch.testing.assert_close(data.computed_torque, expected, atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(data.applied_torque, torch.clamp(expected, -LIMIT, LIMIT), atol=1e-4, rtol=1e-4)
+        clipped |= bool((expected.abs() > LIMIT).any())
+    assert clipped
+
+
+def test_after_a_control_step_the_torque_is_that_of_the_last_physics_step(make_env):
+    env = _env(make_env, "ImplicitActuator")
+    env.scene.sim.view("actuator_force")
+    robot = env.scene.robot
+    seen = []
+    update = env.scene.update
+
+    def spy():
+        update()
+        seen.append(robot.data.applied_torque.clone())
+
+    env.scene.update = spy
+    env.step(torch.ones(4, 4))
+    assert len(seen) == 2
+    assert not torch.equal(seen[0], seen[1])
+    assert torch.equal(robot.data.applied_torque, seen[1])
+
+
+def test_the_effort_limit_limits_what_the_engine_applies(make_env):
+    env = _env(make_env, "ImplicitActuator")
+    env.scene.robot.set_joint_velocity_target(torch.full((4, 2), 20.0), torch.tensor([2, 3]))
+    env.scene.write_data_to_sim()
+    env.scene.sim.step()
+    force = env.scene.sim.view("actuator_force")
+    assert force.abs().max() == pytest.approx(2.0)
+
+
+def test_a_drive_without_stiffness_ignores_the_position_target(make_env):
+    env = _env(make_env, "ImplicitActuator")
+    env.scene.robot.set_joint_position_target(torch.full((4, 2), 100.0), torch.tensor([2, 3]))
+    env.scene.write_data_to_sim()
+    assert (env.scene.sim.view("ctrl")[:, 2:] == 0).all()
+
+
+def test_armatures_and_gains_reach_the_model(make_env):
+    model = _env(make_env, "ImplicitActuator").scene.model
+    assert model.joint("left_hip").damping[0] == 0
+    assert model.dof_armature[model.joint("right_axle").dofadr[0]] == 0.01
+    drive = model.actuator("right_hip")
+    assert drive.biasprm[:3].tolist() == [0, -20, -1]
+    assert drive.gainprm[0] == 1
+    assert drive.forcerange.tolist() == [-4, 4]
+
+
+def test_without_an_armature_the_assets_own_is_kept(make_env, tmp_path):
+    from sim.small_envs import ASSETS, env_config
+    from wheelleg_exp.env import ManagerBasedRLEnv
+
+    text = (ASSETS / "rover.xml").read_text().replace('name="left_hip"', 'name="left_hip" armature=".07"')
+    (tmp_path / "rover.xml").write_text(text)
+    config = env_config()
+    config["robot"]["actuators"]["hips"]["armature"] = None
+    env = ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
+    assert env.scene.model.joint("left_hip").armature[0] == 0.07
+
+
+def test_numbers_by_joint_reach_their_joints(make_env):
+    actuators = make_env().cfg["robot"]["actuators"]
+    actuators["hips"]["stiffness"] = {"left_.*": 5.0, "right_.*": 7.0}
+    env = make_env(robot={"actuators": actuators})
+    assert env.scene.model.actuator("left_hip").biasprm[1] == -5
+    assert env.scene.model.actuator("right_hip").biasprm[1] == -7
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("stiffness", {"left_.*": 5.0}, "no value for joint 'right_hip'"),
+        ("damping", -1.0, "negative"),
+        ("joint_names_expr", ["hip"], "matches nothing"),
+        ("effort_limit", {"left_ankle": 1.0}, "matches nothing"),
+    ],
+)
+def test_wrong_numbers_name_their_key(make_env, key, value, message):
+    actuators = make_env().cfg["robot"]["actuators"]
+    actuators["hips"][key] = value
+    with pytest.raises(ConfigError, match=message) as caught:
+        make_env(robot={"actuators": actuators})
+    assert caught.value.key == f"env.robot.actuators.hips.{key}"

@@ -1,0 +1,171 @@
+"""The contact sensor on a cube of known weight."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import WheellegError
+
+WEIGHT = 2.001 * 9.81
+STILL = torch.zeros(4, 1)
+
+
+@pytest.fixture
+def env(make_env):
+    env = make_env("block")
+    env.reset()
+    return env
+
+
+def _settle(env, steps=60):
+    for _ in range(steps):
+        env.step(STILL)
+
+
+def test_the_force_on_a_resting_body_is_its_weight_upwards(env):
+    _settle(env)
+    force = env.scene["contact"].net_forces_w
+    expected = torch.tensor([0.0, 0.0, WEIGHT]).expand(4, 3)
+    torch.testing.assert_close(force[:, 0], expected, atol=0.02, rtol=0)
+    assert (force[:, 1] == 0).all()
+
+
+def test_the_force_keeps_its_direction_when_the_body_is_upside_down(env):
+    robot = env.scene.robot
+    robot.write_root_pose(
+        torch.arange(4), robot.data.root_pos_w.clone(), torch.tensor([[0.0, 1.0, 0.0, 0.0]]).expand(4, 4)
+    )
+    env.scene.refresh()
+    _settle(env)
+    assert float(robot.data.projected_gravity_b[0, 2]) == pytest.approx(1.0, abs=1e-3)
+    torch.testing.assert_close(env.scene["contact"].net_forces_w[:, 0, 2], torch.full((4,), WEIGHT), atol=0.02, rtol=0)
+
+
+def test_friction_is_left_out(env):
+    """A body pushed below its friction limit stays; the sensor still shows only the normal force."""
+    _settle(env)
+    wrench = torch.zeros(4, 1, 6)
+    wrench[:, 0, 0] = 5.0  # friction takes up 5 N of at most .65 * 19.6 N
+    env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
+    _settle(env)
+    force = env.scene["contact"].net_forces_w[:, 0]
+    assert env.scene.robot.data.root_lin_vel_w.abs().max() < 5e-3
+    assert force[:, :2].abs().max() < 0.01
+    torch.testing.assert_close(force[:, 2], torch.full((4,), WEIGHT), atol=0.05, rtol=0)
+
+
+def test_history_is_newest_first_and_rolls_each_physics_step(env):
+    sensor = env.scene["contact"]
+    seen = []
+    for _ in range(12):
+        env.action_manager.apply_action()
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+        seen.append(sensor.net_forces_w.clone())
+    for age in range(3):
+        assert torch.equal(sensor.net_forces_w_history[:, age], seen[-1 - age])
+    assert not torch.equal(seen[-1], seen[-2])
+
+
+def test_history_and_times_are_clean_after_a_reset(env):
+    _settle(env)
+    env.reset(env_ids=torch.tensor([1, 3]))
+    sensor = env.scene["contact"]
+    assert (sensor.net_forces_w_history[[1, 3]] == 0).all()
+    assert (sensor.current_contact_time[[1, 3]] == 0).all()
+    assert (sensor.current_air_time[[1, 3]] == 0).all()
+    assert (sensor.net_forces_w_history[[0, 2]] != 0).any()
+    assert (sensor.max_force_norm()[[1, 3]] == 0).all()
+
+
+def test_the_largest_norm_looks_over_the_history(env):
+    sensor = env.scene["contact"]
+    sensor.net_forces_w_history[:] = 0.0
+    sensor._norms = None
+    sensor.net_forces_w_history[0, 2, 0] = torch.tensor([3.0, 0.0, 4.0])
+    sensor.net_forces_w_history[0, 1, 0] = torch.tensor([0.0, 0.0, 2.0])
+    assert sensor.max_force_norm()[:, 0].tolist() == [5.0, 0.0, 0.0, 0.0]
+
+
+def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
+    init = {"pos": [0.0, 0.0, 0.3], "rot": [1.0, 0, 0, 0], "joint_pos": {"spin": 0.0}, "joint_vel": {"spin": 0.0}}
+    env = make_env("block", decimation=1, robot={"init_state": init})
+    env.reset()
+    sensor = env.scene["contact"]
+    dt = env.physics_dt
+    fall = math.sqrt(2 * 0.2 / 9.81)  # 0.2 s from .2 m of clearance
+    landed = None
+    for k in range(1, 41):
+        env.step(STILL)
+        touching = sensor.net_forces_w[0, 0].norm() > 1.0
+        if not touching and landed is None:
+            assert float(sensor.current_air_time[0, 0]) == pytest.approx(k * dt, abs=1e-6)
+            assert not sensor.compute_first_contact(dt).any()
+        elif landed is None:
+            landed = k
+            assert sensor.compute_first_contact(dt)[:, 0].all()
+            assert float(sensor.last_air_time[0, 0]) == pytest.approx(k * dt, abs=1e-6)
+            assert float(sensor.current_air_time[0, 0]) == 0.0
+        elif k == landed + 1 and touching:
+            assert not sensor.compute_first_contact(dt)[:, 0].any()
+            assert sensor.compute_first_contact(2 * dt)[:, 0].all()
+    assert landed is not None
+    assert landed * dt == pytest.approx(fall, abs=2.5 * dt)
+
+
+def test_a_body_that_leaves_the_ground_is_timed(env):
+    _settle(env, 30)
+    robot, sensor = env.scene.robot, env.scene["contact"]
+    spent = float(sensor.current_contact_time[0, 0])
+    robot.write_root_com_velocity(torch.arange(4), torch.tensor([[0.0, 0, 3.0]]).expand(4, 3), torch.zeros(4, 3))
+    env.scene.refresh()
+    for _ in range(2):
+        env.step(STILL)
+    assert float(sensor.last_contact_time[0, 0]) >= spent
+    assert float(sensor.current_contact_time[0, 0]) == 0.0
+    assert sensor.compute_first_air(0.2)[:, 0].all()
+
+
+def test_times_without_tracking_are_an_error(make_env):
+    sensor = make_env().cfg["scene"]["sensors"]["contact"] | {"track_air_time": False}
+    env = make_env("block", scene={"sensors": {"contact": sensor}})
+    env.reset()
+    with pytest.raises(WheellegError, match="track_air_time"):
+        env.scene["contact"].compute_first_contact(0.02)
+
+
+def test_more_contacts_than_are_summed_are_logged_when_the_episode_ends(make_env):
+    sensor = make_env().cfg["scene"]["sensors"]["contact"]
+    few = make_env("block", scene={"sensors": {"contact": sensor | {"max_contacts": 2}}})
+    enough = make_env("block")
+    for env, share in ((few, 1.0), (enough, 0.0)):
+        env.reset()
+        _settle(env, 50)
+        assert env.scene["contact"].overflowed(torch.arange(4)).all() == bool(share)
+        _, extras = env.reset()
+        assert float(extras["log"]["Diagnostics/contact_overflow"]) == share
+        _, extras = env.reset()
+        assert float(extras["log"]["Diagnostics/contact_overflow"]) == 0.0  # forgotten with the episode
+
+
+def test_bodies_of_the_sensor_are_found_by_name(make_env):
+    sensor = make_env().cfg["scene"]["sensors"]["contact"] | {"body_names": [".*_wheel", "base"]}
+    env = make_env(scene={"sensors": {"contact": sensor}})
+    assert env.scene["contact"].body_names == ["base", "left_wheel", "right_wheel"]
+    assert env.scene["contact"].find_bodies(["right_.*"], key="k")[0] == [2]
+
+
+def test_a_state_restored_gives_the_same_forces_and_times(env):
+    _settle(env, 20)
+    sensor = env.scene["contact"]
+    saved = sensor.state_dict()
+    norm, time = sensor.max_force_norm().clone(), sensor.current_contact_time.clone()
+    _settle(env, 3)
+    sensor.reset(torch.arange(4))
+    sensor.load_state_dict(saved)
+    assert torch.equal(sensor.max_force_norm(), norm)
+    assert torch.equal(sensor.current_contact_time, time)

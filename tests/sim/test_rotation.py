@@ -1,0 +1,103 @@
+"""Rotations against MuJoCo's own quaternion functions."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.sim import rotation
+
+
+@pytest.fixture
+def quats() -> torch.Tensor:
+    q = torch.randn(50, 4, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    return torch.nn.functional.normalize(q, dim=1)
+
+
+@pytest.fixture
+def vectors() -> torch.Tensor:
+    return torch.randn(50, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+
+
+def _matrix(q: torch.Tensor) -> np.ndarray:
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, q.numpy())
+    return out.reshape(3, 3)
+
+
+def test_matrices_are_mujocos(quats):
+    expected = np.stack([_matrix(q) for q in quats])
+    np.testing.assert_allclose(rotation.quat_to_matrix(quats), expected, atol=1e-14)
+
+
+def test_matrices_of_float32_stay_float32(quats):
+    assert rotation.quat_to_matrix(quats.float()).dtype == torch.float32
+
+
+def test_rotating_and_rotating_back(quats, vectors):
+    expected = np.zeros((50, 3))
+    for row, q, v in zip(expected, quats, vectors, strict=True):
+        mujoco.mju_rotVecQuat(row, v.numpy(), q.numpy())
+    matrix = rotation.quat_to_matrix(quats)
+    turned = rotation.rotate(matrix, vectors)
+    np.testing.assert_allclose(turned, expected, atol=1e-14)
+    np.testing.assert_allclose(rotation.rotate_inverse(matrix, turned), vectors, atol=1e-14)
+
+
+def test_products_are_mujocos(quats):
+    others = quats.flip(0)
+    expected = np.zeros((50, 4))
+    for row, a, b in zip(expected, quats, others, strict=True):
+        mujoco.mju_mulQuat(row, a.numpy(), b.numpy())
+    np.testing.assert_allclose(rotation.quat_mul(quats, others), expected, atol=1e-14)
+
+
+def test_euler_angles_turn_about_x_then_y_then_z_of_the_world():
+    roll, pitch, yaw = 0.3, -0.7, 1.9
+    expected = np.zeros(4)
+    mujoco.mju_euler2Quat(expected, np.array([roll, pitch, yaw]), "XYZ")  # extrinsic: Rz Ry Rx
+    got = rotation.quat_from_euler_xyz(*(torch.tensor([a], dtype=torch.float64) for a in (roll, pitch, yaw)))
+    np.testing.assert_allclose(got[0], expected, atol=1e-14)
+
+
+def test_random_orientations_are_uniform_on_the_sphere():
+    q = rotation.random_quat(20_000, torch.Generator().manual_seed(3))
+    torch.testing.assert_close(q.norm(dim=1), torch.ones(20_000))
+    # The z axis of a uniform rotation has uniform height on [-1, 1]: mean 0, variance 1/3.
+    height = rotation.quat_to_matrix(q)[:, 2, 2]
+    assert abs(float(height.mean())) < 0.02
+    assert float(height.var()) == pytest.approx(1 / 3, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("angle", "wrapped"),
+    [
+        (0.0, 0.0),
+        (math.pi, math.pi),
+        (-math.pi, -math.pi),
+        (3 * math.pi, math.pi),
+        (-3 * math.pi, -math.pi),
+        (2 * math.pi, 0.0),
+        (-2 * math.pi, 0.0),
+        (math.pi + 0.1, -math.pi + 0.1),
+        (-math.pi - 0.1, math.pi - 0.1),
+        (7.0, 7.0 - 2 * math.pi),
+    ],
+)
+def test_wrapping_to_pi_keeps_the_sign_of_odd_multiples(angle, wrapped):
+    got = rotation.wrap_to_pi(torch.tensor([angle], dtype=torch.float64))
+    assert float(got) == pytest.approx(wrapped, abs=1e-12)
+
+
+def test_uniform_draws_stay_in_bounds_and_axes_are_independent():
+    low, high = torch.tensor([-1.0, 2.0]), torch.tensor([1.0, 2.0])
+    drawn = rotation.uniform(low, high, 5000, torch.Generator().manual_seed(0))
+    assert drawn.shape == (5000, 2)
+    assert float(drawn[:, 0].min()) >= -1
+    assert float(drawn[:, 0].max()) <= 1
+    assert float(drawn[:, 0].std()) == pytest.approx(2 / math.sqrt(12), abs=0.02)
+    assert (drawn[:, 1] == 2.0).all()
