@@ -34,6 +34,11 @@ def task_env(
     require_valid(composed)
     with composed.placing():
         env = build_env(composed.config, composed.asset_roots)
+        _require_concatenated(env)
+    return env
+
+
+def _require_concatenated(env: ManagerBasedRLEnv) -> None:
     for group, concatenated in env.observation_manager.group_obs_concatenate.items():
         if not concatenated:
             raise ConfigError(
@@ -41,7 +46,6 @@ def task_env(
                 key=f"env.observations.{group}.concatenate_terms",
                 expected="true",
             )
-    return env
 
 
 def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:

@@ -81,8 +81,7 @@ class Trainer:
             self._collect()
             collected = time.perf_counter()
             losses = self.algorithm.update()
-            if not all(math.isfinite(value) for value in losses.values()):
-                self._fail("a loss went to NaN or infinity")
+            self._require_sane(losses)
             learned = time.perf_counter()
             scalars = self.log.collect()
             scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
@@ -115,6 +114,13 @@ class Trainer:
             bad.append("rewards")
         if bad:
             self._fail(f"{' and '.join(bad)} went to NaN or infinity")
+
+    def _require_sane(self, losses: Mapping[str, float]) -> None:
+        parameters = [*self.algorithm.actor.parameters(), *self.algorithm.critic.parameters()]
+        if not all(math.isfinite(value) for value in losses.values()):
+            self._fail("a loss went to NaN or infinity")
+        if not all(bool(parameter.isfinite().all()) for parameter in parameters):
+            self._fail("the networks' parameters went to NaN or infinity")
 
     def _fail(self, message: str) -> NoReturn:
         raise SimulationFailure(f"{message} in iteration {self.iteration}", expected="finite numbers")
