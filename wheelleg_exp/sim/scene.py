@@ -202,7 +202,8 @@ def _robot_spec(mjcf: Path) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(mjcf))
     except ValueError as error:
-        raise AssetError(f"MuJoCo cannot read it: {error}", key=str(mjcf), expected="an MJCF file") from error
+        reason = " ".join(str(error).split())
+        raise AssetError(f"MuJoCo cannot read it: {reason}", key=str(mjcf), expected="an MJCF file") from error
     # Controls and initial state come from the config.
     for element in [*spec.actuators, *spec.keys, *spec.sensors]:
         spec.delete(element)
