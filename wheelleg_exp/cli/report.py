@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import shutil
+import sys
 from pathlib import Path
 
 from wheelleg_exp.cli.common import print_table
@@ -34,7 +36,13 @@ def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
 def print_recording(path: Path | None) -> None:
     """Print how to look at a recording."""
     if path is not None:
-        print(f"\nrecording: {shown(path)}\nopen it:   rerun {shown(path)}")
+        print(f"\nrecording: {shown(path)}\nopen it:   {tool('rerun')} {shown(path)}")
+
+
+def tool(name: str) -> str:
+    """Return how a program that came with this one is called from here: by name where it is on the PATH."""
+    beside = Path(sys.executable).parent / name
+    return name if shutil.which(name) or not beside.exists() else shown(beside)
 
 
 def shown(path: Path) -> str:

@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     require_valid(composed)
 
     from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.report import shown
+    from wheelleg_exp.cli.report import shown, tool
     from wheelleg_exp.jobs import training
 
     with ConsoleDisplay() as display:
@@ -43,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_OK
     path = shown(directory.path)
     print(f"trained {results['iterations']} iterations in {results['seconds']:.0f} s: {path}")
-    print(f"next: wheelleg play {path}")
-    print(f"      tensorboard --logdir {path}")
-    print(f"      rerun {path}/recording.rrd")
+    print(f"next: {tool('wheelleg')} play {path}")
+    print(f"      {tool('tensorboard')} --logdir {path}")
+    if directory.recording.is_file():
+        print(f"      {tool('rerun')} {path}/recording.rrd")
     return EXIT_OK
