@@ -93,7 +93,7 @@ def _run(name: str, words: list[str]) -> int:
     args = _parse(parser, words)
     if args is None:
         return EXIT_OK
-    args.command = name
+    args.command = ["wheelleg", name, *words]
     return int(getattr(module, command.run)(args))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs.play import play
 
     with ConsoleDisplay(quiet=True) as display:
-        played = play(directory, checkpoint, args.overrides, sys.argv, display)
+        played = play(directory, checkpoint, args.overrides, args.command, display)
     if args.json:
         print_json({"run": str(directory.path), "folder": str(played.folder), "figures": played.figures.as_dict()})
         return EXIT_OK

@@ -15,6 +15,7 @@ def print_figures(figures: StandFigures) -> None:
     """Print how a policy stood."""
     rows = [
         ("episodes", f"{figures.episodes}"),
+        *((("still running", f"{figures.unfinished}"),) if figures.unfinished else ()),
         ("survived to the time-out", f"{figures.survival:.1%}"),
         ("base height, RMSE to target", _millimetres(figures.height_rmse_m)),
         ("base height, mean", _millimetres(figures.height_mean_m)),

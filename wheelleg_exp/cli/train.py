@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from wheelleg_exp.cli.common import add_json, add_overrides, print_json
 from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK
@@ -28,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs import training
 
     with ConsoleDisplay() as display:
-        ready = training.prepare(composed, sys.argv, display)
+        ready = training.prepare(composed, args.command, display)
         directory = ready.directory
         display.note(f"run directory: {shown(directory.path)}")
         try:

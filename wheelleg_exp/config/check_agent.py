@@ -52,7 +52,12 @@ def check_agent(agent: Any, groups: Collection[str]) -> list[ConfigError]:
 
 def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
     named = sets.items() if isinstance(sets, Mapping) and groups else ()
-    return [
+    empty = [
+        ConfigError("names no group", key=f"agent.obs_groups.{name}", expected="some of " + ", ".join(groups))
+        for name, members in named
+        if members == []
+    ]
+    return empty + [
         ConfigError(
             f"there is no observation group '{group}'",
             key=f"agent.obs_groups.{name}",
@@ -143,6 +148,8 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
 
 
 def _check_range(key: str, name: str, value: Any) -> list[ConfigError]:
+    if name == "learning_rate" and value <= 0:
+        return [ConfigError(f"is {value}", key=key, expected="more than 0")]
     if name in _AT_LEAST_ONE and value < 1:
         return [ConfigError(f"is {value}", key=key, expected="at least 1")]
     if name == "hidden_dims" and (not value or min(value) < 1):

@@ -59,7 +59,8 @@ class Composed:
         try:
             yield
         except WheellegError as error:
-            if error.where is None and error.key is not None:
+            # A whole section comes from many places.
+            if error.where is None and error.key is not None and "." in error.key:
                 error.where = self.provenance.where(error.key)
             raise
 

@@ -54,8 +54,8 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
         display: receives progress.
     """
     config = composed.config
-    require_env_ids(config["recording"]["env_ids"], config["env"]["num_envs"])
     with composed.placing():
+        require_env_ids(config["recording"]["env_ids"], config["env"]["num_envs"])
         env = build_env(config, composed.asset_roots)
     display.environment(env.describe())
     run, task, seed = config["run"], config["task"]["name"], config["seed"]

@@ -17,6 +17,7 @@ class StandFigures:
 
     Attributes:
         episodes: number of episodes.
+        unfinished: episodes that had not ended when the rollout did.
         survival: share that reached the time-out.
         height_rmse_m: root mean square of base height minus target, after the settling time; None without target.
         height_mean_m: mean base height after the settling time.
@@ -27,6 +28,7 @@ class StandFigures:
     """
 
     episodes: int
+    unfinished: int
     survival: float
     height_rmse_m: float | None
     height_mean_m: float
@@ -79,6 +81,7 @@ class StandMeter:
         error = None if self._target is None else heights - self._target
         return StandFigures(
             episodes=self._env.num_envs,
+            unfinished=int(self.running.sum()),
             survival=float(self._survived.float().mean()),
             height_rmse_m=None if error is None else _rms(error),
             height_mean_m=float(heights.mean()) if len(heights) else float("nan"),

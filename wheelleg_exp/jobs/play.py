@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -78,7 +79,11 @@ def play(
     policy = load_policy(checkpoint, adapter, tree["agent"])
     meter = StandMeter(env, float(tree["play"]["settle_s"]))
     folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
-    recording = _roll(env, adapter, policy, meter, folder, tree["recording"], display)
+    try:
+        recording = _roll(env, adapter, policy, meter, folder, tree["recording"], display)
+    except BaseException:  # an interrupted play leaves nothing that looks like one
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     figures = meter.figures()
     content = {"checkpoint": str(checkpoint), "checkpoint_sha256": sha256(checkpoint), "seed": tree["seed"]}
     content |= {"overrides": list(overrides), **figures.as_dict()}

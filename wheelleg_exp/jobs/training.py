@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.files import write_bytes, write_text
 from wheelleg_exp.run.lock import RunLock
-from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.manifest import MANIFEST_NAME, Manifest
 from wheelleg_exp.run.snapshot import begin
 
 
@@ -58,18 +59,23 @@ def _prepare(composed: Composed, command: Sequence[str], display: Display) -> Tr
     run = config["run"]
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
     display.environment(env.describe())
-    keep_asset(directory, asset, config["env"]["robot"]["asset"], env.scene.model_digest())
-    manifest = begin(
-        directory,
-        command=command,
-        params={"env": config["env"], "agent": agent},
-        hydra_files=composed.hydra_files(),
-        source_roots=[configs_dir().parent, *composed.config_dirs],
-        seed=config["seed"],
-        task=config["task"]["name"],
-        threads=threads,
-        max_patch_mb=run.get("max_patch_mb"),
-    )
+    try:
+        keep_asset(directory, asset, config["env"]["robot"]["asset"], env.scene.model_digest())
+        manifest = begin(
+            directory,
+            command=command,
+            params={"env": config["env"], "agent": agent},
+            hydra_files=composed.hydra_files(),
+            source_roots=[configs_dir().parent, *composed.config_dirs],
+            seed=config["seed"],
+            task=config["task"]["name"],
+            threads=threads,
+            max_patch_mb=run.get("max_patch_mb"),
+        )
+    except BaseException:
+        if not (directory.path / MANIFEST_NAME).exists():  # nobody could tell what it is
+            shutil.rmtree(directory.path, ignore_errors=True)
+        raise
     return Training(composed, trainer, directory, manifest)
 
 

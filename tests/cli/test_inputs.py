@@ -1,0 +1,202 @@
+"""Wrong input: exit status 2, one message with key, place, expectation and nearest name, and nothing left behind."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from jobs.small import TINY, cache_of, wheelleg
+
+from wheelleg_exp.paths import assets_dir
+
+# Wrong overrides, and what their messages hold beside the key and the override itself.
+# What is found by looking at the config alone is told all at once: each set is one command.
+TOLD_TOGETHER = [
+    {
+        "env.num_envs=0": ["at least 1"],
+        "env.decimation=-2": ["at least 1"],
+        "env.episode_length_s=0": ["more than 0"],
+        "env.sim.dt=0": ["more than 0"],
+        "env.sim.nthread=-1": ["at least 0"],
+        "agent.max_iterations=0": ["at least 1"],
+        "agent.save_interval=0": ["at least 1"],
+        "agent.num_steps_per_env=0": ["at least 1"],
+        "agent.torch_threads=0": ["at least 1"],
+        "recording.interval=0": ["at least 1"],
+        "recording.steps=0": ["at least 1"],
+        "seed=-1": ["at least 0"],
+        "env.rewards.alive.weight=heavy": ["a number"],
+        "env.robot.base=flying": ["floating"],
+        "+env.rewards.terminating.wieght=2": ["takes no parameter 'wieght'", "did you mean 'weight'?"],
+        "+env.extra=1": ["nothing reads this key"],
+        "env.rewards.lin_vel_z._target_=os.system": ["outside the allowed packages", "wheelleg_exp.mdp"],
+        "env.rewards.ang_vel_xy._target_=torch.load": ["outside the allowed packages"],
+        "env.rewards.base_height._target_=wheelleg_exp.mdp.rewards.base_hight_l2": ["did you mean 'base_height_l2'?"],
+    },
+    {
+        "env.num_envs=many": ["a whole number"],
+        "agent.max_iterations=-5": ["at least 1"],
+        "agent.num_steps_per_env=1.5": ["a whole number"],
+        "agent.torch_threads=true": ["a whole number"],
+        "agent.obs_groups.actor=[polcy]": ["did you mean 'policy'?"],
+        "recording.enabled=perhaps": ["true or false"],
+        "seed=abc": ["a whole number"],
+        "env.decimation=null": ["a whole number"],
+        "env.rewards.base_height.target_height=[1,2]": ["a number"],
+    },
+    {
+        "agent.algorithm.num_mini_batches=0": ["at least 1"],
+        "agent.algorithm.num_learning_epochs=0": ["at least 1"],
+        "agent.algorithm.schedule=adaptve": ["did you mean 'adaptive'?"],
+        "agent.actor.activation=eluu": ["did you mean 'elu'?"],
+        "agent.actor.hidden_dims=[]": [],
+        "agent.critic.hidden_dims=[0]": [],
+    },
+]
+# What is found while composing or building is told alone.
+TOLD_ALONE = {
+    # keys and groups
+    "env.rewards.alive.wieght=2": ["no such key", "did you mean 'env.rewards.alive.weight'?"],
+    "task=stnd": ["expected one of", "did you mean 'stand'?"],
+    "reward@env.rewards=[alvie]": ["did you mean 'alive'?"],
+    # joints and bodies
+    "env.robot.actuators.legs.joint_names_expr=[nothing.*]": ["matches nothing", "l01, r01"],
+    "env.actions.leg_pos.joint_names=[nothing]": ["matches nothing", "l01, r01"],
+    "env.rewards.leg_joint_deviation.asset_cfg.joint_names=[nothing]": ["matches nothing", "l01"],
+    "env.rewards.wheel_air.sensor_cfg.body_names=[nothing]": ["matches nothing", "base_link"],
+    "env.robot.init_state.rot=[0,0,0,0]": [],
+    "env.robot.asset=nowhere/robot.usda": ["there is no file", "nowhere/robot.usda"],
+    # the agent
+    "agent.torch_threads=100000": [],
+    "agent.algorithm.num_mini_batches=100000": [],
+    "agent.algorithm.learning_rate=-1": [],
+    "agent.algorithm.class_name=subprocess:run": ["outside the allowed packages"],
+    "agent.obs_groups.actor=[]": [],
+    "agent.device=cuda:77": [],
+    # the run
+    "recording.env_ids=[99]": ["from 0 to 15"],
+    "run.name=a/b": ["letters, digits"],
+}
+
+
+@pytest.fixture(autouse=True)
+def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+
+
+def message_of(said) -> str:
+    """The one message; standard output is empty and there is no traceback."""
+    assert said.status == 2, said.err
+    assert said.out == ""
+    assert "Traceback" not in said.err
+    (line,) = said.err.splitlines()
+    assert line.startswith("wheelleg: error: ")
+    return line
+
+
+def key_of(override: str) -> str:
+    return override.split("=")[0].lstrip("+~").split("@")[0]
+
+
+@pytest.mark.parametrize("override", TOLD_ALONE)
+def test_a_wrong_override_is_told_and_leaves_nothing_behind(override, tmp_path):
+    line = message_of(wheelleg("train", *TINY, "agent.max_iterations=1", override))
+    assert key_of(override) in line
+    assert f"override {override}" in line, "the message does not say where the value came from"
+    assert [word for word in TOLD_ALONE[override] if word not in line] == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("wrong", TOLD_TOGETHER, ids=["ranges", "types", "agent"])
+def test_every_mistake_of_a_config_is_told_at_once_and_leaves_nothing_behind(wrong, tmp_path):
+    said = wheelleg("train", *TINY, *wrong)
+    assert said.status == 2
+    assert said.out == ""
+    lines = said.err.splitlines()
+    for override, words in wrong.items():
+        (line,) = [text for text in lines if f"(override {override})" in text]
+        assert key_of(override) in line
+        assert [word for word in words if word not in line] == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "override", ["env.num_envs=0", "agent.max_iterations=-1", "env.rewards.alive._target_=os.system"]
+)
+def test_one_mistake_is_one_line(override):
+    assert f"(override {override})" in message_of(wheelleg("train", override))
+
+
+@pytest.mark.parametrize("command", ["zero-agent", "random-agent"])
+@pytest.mark.parametrize(
+    "override",
+    [
+        "env.decimation=0",
+        "env.actions.leg_pos.joint_names=[nothing]",
+        "recording.env_ids=[99]",
+    ],
+)
+def test_agents_say_the_same(command, override, tmp_path):
+    line = message_of(wheelleg(command, "env.num_envs=2", "env.sim.nthread=1", override))
+    assert f"override {override}" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_value_in_a_file_is_told_with_file_and_line(tmp_path):
+    folder = tmp_path / "configs" / "task"
+    folder.mkdir(parents=True)
+    text = "# @package _global_\ndefaults: [stand, _self_]\nenv:\n  actions:\n    leg_pos: {joint_names: [nothing]}\n"
+    (folder / "mine.yaml").write_text(text)
+    line = message_of(wheelleg("train", "--config-dir", "configs", "task=mine", *TINY))
+    assert "env.actions.leg_pos.joint_names" in line
+    assert "configs/task/mine.yaml:5" in line
+    assert not (tmp_path / "runs").exists()
+
+
+def usd(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "robot.usda"
+    path.write_text(text)
+    return f"env.robot.asset={path}"
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("", "robot.usda"),
+        ("this is no USD", "robot.usda"),
+        ('#usda 1.0\ndef Xform "robot" {}\n', "articulation"),
+        ('#usda 1.0\ndef Xform "robot" {\n', "robot.usda"),
+    ],
+    ids=["empty", "text", "without articulation", "cut off"],
+)
+def test_a_robot_file_without_a_robot_is_told(tmp_path, text, word):
+    line = message_of(wheelleg("train", *TINY, usd(tmp_path, text)))
+    assert word in line
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_robot_whose_references_are_gone_is_told(tmp_path):
+    shutil.copy(assets_dir() / "wheelleg" / "wheelleg.usda", tmp_path / "robot.usda")
+    line = message_of(wheelleg("train", *TINY, f"env.robot.asset={tmp_path / 'robot.usda'}"))
+    assert "robot.usda" in line
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_place_that_cannot_be_written_is_told(tmp_path):
+    (tmp_path / "runs").write_text("a file, not a folder")
+    said = wheelleg("train", *TINY, "agent.max_iterations=1", "run.root=runs")
+    assert "run" in message_of(said)
+    assert (tmp_path / "runs").read_text() == "a file, not a folder"
+
+
+@pytest.mark.parametrize("words", [["seed=1,2"], ["--sweep"], ["env.num_envs"], ["=3"]])
+def test_words_that_are_no_overrides_are_told(words, tmp_path):
+    line = message_of(wheelleg("train", *words))
+    assert words[0].split("=")[0] in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_config_folder_that_is_not_there_is_told(tmp_path):
+    assert "nowhere" in message_of(wheelleg("train", "--config-dir", tmp_path / "nowhere"))

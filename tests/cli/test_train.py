@@ -1,0 +1,101 @@
+"""``wheelleg train``: what it says, and where it writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
+
+pytestmark = pytest.mark.train
+
+
+@pytest.fixture(autouse=True)
+def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    return trained_once(tmp_path_factory)
+
+
+def test_the_last_lines_say_what_was_made_and_what_comes_next(trained):
+    path = str(trained.run.path)
+    lines = trained.said.out.splitlines()
+    assert lines[0].startswith(f"trained {ITERATIONS} iterations in ")
+    assert lines[0].endswith(path)
+    assert f"wheelleg play {path}" in lines[1]
+    assert any("tensorboard --logdir" in line for line in lines)
+    assert any(line.endswith("recording.rrd") for line in lines)
+
+
+def test_progress_and_tables_go_to_standard_error(trained):
+    assert "run directory: " in trained.said.err
+    for word in ("Robot", "Observations 'policy': (135,)", "Rewards: 11", "alive"):
+        assert word in trained.said.err
+        assert word not in trained.said.out
+
+
+@pytest.fixture(scope="module")
+def answered(tmp_path_factory):
+    """``--json`` in a folder of its own, with the default root and no recording."""
+    folder = tmp_path_factory.mktemp("answered")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        words = [*SMALL, "agent.max_iterations=1", "recording.enabled=false"]
+        return folder, wheelleg("train", "--json", *words)
+
+
+def test_json_is_one_document_and_nothing_else(answered):
+    folder, said = answered
+    assert said.status == 0, said.err
+    document = json.loads(said.out)
+    assert set(document) == {"run", "status", "results"}
+    assert document["status"] == "finished"
+    assert document["results"]["iterations"] == 1
+    assert Path(document["run"]).is_relative_to(folder)
+
+
+def test_a_recording_that_is_switched_off_is_not_there(answered):
+    folder, _ = answered
+    assert not list(folder.rglob("*.rrd"))
+
+
+def test_runs_stand_below_the_working_folder_by_default(answered):
+    folder, _ = answered
+    assert [path.name for path in folder.iterdir()] == ["runs"]
+    (run,) = (folder / "runs" / "stand").iterdir()
+    assert (run / "manifest.json").is_file()
+
+
+def test_a_taken_name_is_never_shared(tmp_path, monkeypatch):
+    """Two runs of the same second stand side by side."""
+    from datetime import datetime
+
+    from wheelleg_exp.run import directory
+
+    class Frozen(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime(2030, 1, 2, 3, 4, 5, tzinfo=tz)
+
+    monkeypatch.setattr(directory, "datetime", Frozen)
+    words = [*SMALL, "agent.max_iterations=1", "recording.enabled=false", f"run.root={tmp_path}"]
+    taken = tmp_path / "stand" / "2030-01-02_03-04-05_0"
+    taken.mkdir(parents=True)
+    said = wheelleg("train", *words)
+    assert said.status == 0, said.err
+    assert "recording.rrd" not in said.out  # there is nothing to open
+    assert sorted(path.name for path in taken.parent.iterdir()) == [taken.name, f"{taken.name}-2"]
+    assert list(taken.iterdir()) == []
+
+
+def test_help_tells_the_options():
+    said = wheelleg("train", "--help")
+    assert said.status == 0
+    assert "--config-dir" in said.out
+    assert "--json" in said.out

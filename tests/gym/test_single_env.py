@@ -1,0 +1,183 @@
+"""``gymnasium.make``: Gymnasium's own checker, spaces, seeds, and an environment that never resets itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.gym import ENV_ID, register
+
+ONE_THREAD = ["env.sim.nthread=1"]
+# What the checker says of unbounded spaces: raw actions and observations have no bounds.
+ABOUT_BOUNDS = ("A Box action space", "A Box observation space", "For Box action spaces")
+
+
+def make(**options):
+    options["overrides"] = [*ONE_THREAD, *options.get("overrides", [])]
+    return gymnasium.make(ENV_ID, **options)
+
+
+@pytest.fixture(scope="module")
+def env(shared_cache):
+    """Every test begins with a reset of its own."""
+    made = make()
+    yield made
+    made.close()
+
+
+def actions(count, seed=0):
+    return np.random.default_rng(seed).uniform(-0.3, 0.3, (count, 6)).astype(np.float32)
+
+
+def rollout(env, seed, count=25):
+    observations, _ = env.reset(seed=seed)
+    found = [observations["policy"].copy()]
+    for action in actions(count):
+        observations, reward, *_ = env.step(action)
+        found += [observations["critic"].copy(), np.array(reward)]
+    return found
+
+
+def same(first, second):
+    return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_gymnasiums_checker_finds_nothing_but_missing_bounds(env):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    said = [str(w.message) for w in caught]
+    assert [text for text in said if not any(known in text for known in ABOUT_BOUNDS)] == []
+
+
+def test_spaces_are_float32_vectors_by_group(env):
+    assert {group: box.shape for group, box in env.observation_space.items()} == {"policy": (135,), "critic": (180,)}
+    boxes = [*env.observation_space.values(), env.action_space]
+    assert {box.dtype for box in boxes} == {np.dtype(np.float32)}
+    assert env.action_space.shape == (6,)
+
+
+def test_observations_lie_in_their_space_and_are_the_callers_own(env):
+    first, info = env.reset(seed=0)
+    assert info == {}
+    assert env.observation_space.contains(first)
+    kept = {group: value.copy() for group, value in first.items()}
+    second, reward, terminated, truncated, _ = env.step(np.zeros(6, np.float32))
+    assert env.observation_space.contains(second)
+    assert [type(x) for x in (reward, terminated, truncated)] == [float, bool, bool]
+    assert all(np.array_equal(first[group], kept[group]) for group in kept)
+
+
+def test_the_same_seed_gives_the_same_episode_again_and_elsewhere(env):
+    first = rollout(env, 5)
+    assert same(first, rollout(env, 5))
+    assert same(first, rollout(make(), 5))
+    assert not same(first, rollout(env, 6))
+
+
+def test_a_reset_without_a_seed_goes_on_with_the_streams(env):
+    env.reset(seed=1)
+    one = env.reset()[0]["policy"]
+    two = env.reset()[0]["policy"]
+    assert not np.array_equal(one, two)
+    env.reset(seed=1)
+    assert np.array_equal(env.reset()[0]["policy"], one)
+
+
+def test_it_never_resets_by_itself():
+    env = make(overrides=["env.episode_length_s=0.1"])  # 6 steps
+    env.reset(seed=0)
+    ended = [env.step(np.zeros(6, np.float32))[2:4] for _ in range(10)]
+    assert ended == [(False, k >= 5) for k in range(10)]
+    assert env.unwrapped.env.episode_length_buf.tolist() == [10]
+    env.reset()
+    assert env.unwrapped.env.episode_length_buf.tolist() == [0]
+
+
+def test_a_robot_that_fell_stays_on_the_ground(env):
+    env.reset(seed=0)
+    fallen = None
+    for k in range(200):
+        observations, _, terminated, _, _ = env.step(np.zeros(6, np.float32))
+        if terminated:
+            fallen = k if fallen is None else fallen
+        if fallen is not None and k == fallen + 20:
+            break
+    assert fallen is not None
+    upright = observations["policy"][27:30]  # newest sample of projected gravity
+    assert upright[2] > -0.9
+
+
+def test_task_and_overrides_are_composed():
+    env = make(task="stand", overrides=["env.episode_length_s=0.5", "env.observations.policy.history_length=2"])
+    assert env.unwrapped.env.max_episode_length == 30
+    assert env.observation_space["policy"].shape == (54,)
+
+
+def test_a_users_own_task_is_found(tmp_path):
+    (tmp_path / "task").mkdir()
+    text = "# @package _global_\ndefaults: [stand, _self_]\ntask: {name: mine}\nenv: {episode_length_s: 0.2}\n"
+    (tmp_path / "task" / "mine.yaml").write_text(text)
+    env = make(task="mine", config_dirs=[tmp_path])
+    assert env.unwrapped.env.max_episode_length == 12
+
+
+def test_an_unknown_task_is_told_with_the_nearest():
+    with pytest.raises(ConfigError) as caught:
+        gymnasium.make(ENV_ID, task="stnd")
+    assert (caught.value.key, caught.value.nearest) == ("task", "stand")
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [
+        ("env.rewards.alive.wieght=2", "env.rewards.alive.wieght"),
+        ("env.rewards.alive.weight=heavy", "env.rewards.alive.weight"),
+        ("env.robot.asset=nowhere.usda", "env.robot.asset"),
+        ("env.actions.leg_pos.joint_names=[nothing]", "env.actions.leg_pos.joint_names"),
+        ("env.observations.policy.concatenate_terms=false", "env.observations.policy.concatenate_terms"),
+    ],
+)
+def test_a_wrong_override_is_told(override, key):
+    with pytest.raises(ConfigError if "asset" not in key else Exception) as caught:
+        gymnasium.make(ENV_ID, overrides=[override])
+    assert caught.value.key == key
+    assert override in str(caught.value.where)
+
+
+def test_a_number_of_environments_is_not_passed_over():
+    with pytest.raises(ConfigError, match=r"env\.num_envs"):
+        make(overrides=["env.num_envs=8"])
+
+
+def test_an_action_of_another_shape_is_refused(env):
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"\(1, 5\)"):
+        env.unwrapped.step(np.zeros(5, np.float32))
+
+
+def test_registering_again_changes_nothing():
+    before = gymnasium.spec(ENV_ID)
+    register()
+    assert gymnasium.spec(ENV_ID) is before
+
+
+def test_importing_the_package_registers_it_and_imports_little():
+    code = (
+        "import sys, gymnasium, wheelleg_exp;"
+        f"print(gymnasium.spec('{ENV_ID}').id, 'torch' in sys.modules, 'mujoco' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.split() == [ENV_ID, "False", "False"], done.stderr
+
+
+def test_gymnasium_imports_the_package_that_the_id_names(monkeypatch):
+    made = gymnasium.make(f"wheelleg_exp:{ENV_ID}", overrides=ONE_THREAD)
+    assert made.spec.id == ENV_ID

@@ -1,0 +1,190 @@
+"""``gymnasium.make_vec``: batched spaces and same-step autoreset, against a hand-run environment."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.gym import ENV_ID
+
+N = 4
+ONE_THREAD = ["env.sim.nthread=1"]
+
+
+def make(*overrides, num_envs=N):
+    return gymnasium.make_vec(ENV_ID, num_envs=num_envs, overrides=[*ONE_THREAD, *overrides])
+
+
+@pytest.fixture(scope="module")
+def env(shared_cache):
+    """Every test begins with a reset of its own."""
+    return make()
+
+
+def actions(count):
+    return np.random.default_rng(0).uniform(-1.0, 1.0, (count, N, 6)).astype(np.float32)
+
+
+def test_it_is_the_projects_own_vector_env(env):
+    assert type(env.unwrapped).__name__ == "WheellegVectorEnv"
+    assert isinstance(env, VectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert env.num_envs == N
+
+
+def test_spaces_are_batched_float32(env):
+    assert {g: b.shape for g, b in env.observation_space.items()} == {"policy": (N, 135), "critic": (N, 180)}
+    assert {g: b.shape for g, b in env.single_observation_space.items()} == {"policy": (135,), "critic": (180,)}
+    assert (env.action_space.shape, env.single_action_space.shape) == ((N, 6), (6,))
+    assert env.action_space.dtype == env.observation_space["policy"].dtype == np.float32
+
+
+def test_what_a_step_returns_fits_the_spaces(env):
+    observations, infos = env.reset(seed=0)
+    assert infos == {}
+    assert env.observation_space.contains(observations)
+    observations, rewards, terminated, truncated, _ = env.step(np.zeros((N, 6), np.float32))
+    assert env.observation_space.contains(observations)
+    assert (rewards.shape, rewards.dtype.kind) == ((N,), "f")
+    assert (terminated.shape, terminated.dtype, truncated.dtype) == ((N,), np.bool_, np.bool_)
+
+
+def test_results_of_a_step_are_the_callers_own(env):
+    env.reset(seed=0)
+    kept = env.step(np.zeros((N, 6), np.float32))[:4]
+    copies = [kept[0]["policy"].copy(), *(x.copy() for x in kept[1:])]
+    for _ in range(40):
+        env.step(np.ones((N, 6), np.float32))
+    assert all(np.array_equal(a, b) for a, b in zip([kept[0]["policy"], *kept[1:]], copies, strict=True))
+
+
+@pytest.fixture
+def by_hand():
+    """The same environment, run by hand and without autoreset."""
+    config = compose(["task=stand", *ONE_THREAD, f"env.num_envs={N}"]).config
+    env = build_env(config)
+    env.auto_reset = False
+    return env
+
+
+def test_final_obs_is_the_terminal_observation_and_the_returned_one_begins_the_next(env, by_hand):
+    """Until the first end both run alike; then the hand-run one is reset by hand."""
+    observations, _ = env.reset(seed=3)
+    expected, _ = by_hand.reset(seed=3)
+    assert all(np.array_equal(observations[g], expected[g].numpy()) for g in observations)
+    for action in actions(200):
+        observations, rewards, terminated, truncated, infos = env.step(action)
+        expected, reward, failed, timed_out, _ = by_hand.step(torch.from_numpy(action))
+        np.testing.assert_array_equal(rewards, reward.numpy())
+        assert terminated.tolist() == failed.tolist()
+        assert truncated.tolist() == timed_out.tolist()
+        done = terminated | truncated
+        running = ~done
+        for group in observations:
+            np.testing.assert_array_equal(observations[group][running], expected[group].numpy()[running])
+        if done.any():
+            break
+        assert "final_obs" not in infos
+    assert infos["_final_obs"].tolist() == done.tolist()
+    assert done.any()
+    assert not done.all()
+    for group in observations:
+        np.testing.assert_array_equal(infos["final_obs"][group][done], expected[group].numpy()[done])
+    begun, _ = by_hand.reset(env_ids=torch.from_numpy(done).nonzero().squeeze(1))
+    for group in observations:
+        np.testing.assert_array_equal(observations[group][done], begun[group].numpy()[done])
+
+
+def test_the_returned_observation_knows_nothing_of_the_last_episode(env):
+    env.reset(seed=3)
+    for action in actions(200):
+        observations, _, terminated, _, infos = env.step(action)
+        if terminated.any():
+            break
+    row = observations["policy"][terminated][0]
+    gravity = row[15:30].reshape(5, 3)
+    assert (gravity == gravity[0]).all()  # the first sample fills the history
+    assert gravity[0, 2] < -0.99
+    assert (row[105:135] == 0).all()  # no last action
+    assert not (infos["final_obs"]["policy"][terminated][0][105:135] == 0).all()
+
+
+def test_time_outs_are_truncations():
+    env = make("env.episode_length_s=0.1")
+    env.reset(seed=0)
+    ends = [env.step(np.zeros((N, 6), np.float32))[2:4] for _ in range(12)]
+    assert [truncated.all() for _, truncated in ends] == [k in (5, 11) for k in range(12)]
+    assert not any(terminated.any() for terminated, _ in ends)
+
+
+def test_the_managers_log_comes_with_the_resets_alone():
+    env = make("env.episode_length_s=0.1")
+    env.reset(seed=0)
+    infos = [env.step(np.zeros((N, 6), np.float32))[4] for _ in range(7)]
+    assert ["log" in info for info in infos] == [k == 5 for k in range(7)]
+    log = infos[5]["log"]
+    assert log["Episode_Termination/time_out"] == 1.0
+    # 6 steps of weight 5 over the longest episode's 0.1 s
+    assert log["Episode_Reward/alive"] == pytest.approx(5.0 * 6 / 60 / 0.1)
+
+
+def rollout(env, seed):
+    found = [env.reset(seed=seed)[0]["policy"].copy()]
+    for action in actions(40):
+        observations, rewards, *_ = env.step(action)
+        found += [observations["critic"].copy(), rewards.copy()]
+    return found
+
+
+def same(first, second):
+    return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_the_same_seed_gives_the_same_episodes_again_and_elsewhere(env):
+    first = rollout(env, 5)
+    assert same(first, rollout(env, 5))
+    assert same(first, rollout(make(), 5))
+    assert not same(first, rollout(env, 6))
+
+
+@pytest.mark.parametrize("seed", [[], [1, 2, 3, 4]])
+def test_a_seed_for_each_environment_is_not_passed_over(env, seed):
+    with pytest.raises(ValueError, match="one seed"):
+        env.reset(seed=seed)
+
+
+def test_task_and_overrides_are_composed():
+    env = gymnasium.make_vec(
+        ENV_ID, num_envs=2, task="stand", overrides=[*ONE_THREAD, "env.observations.critic.history_length=1"]
+    )
+    assert env.observation_space["critic"].shape == (2, 36)
+
+
+def test_an_unknown_task_is_told_with_the_nearest():
+    with pytest.raises(ConfigError) as caught:
+        gymnasium.make_vec(ENV_ID, num_envs=2, task="stnd")
+    assert (caught.value.key, caught.value.nearest) == ("task", "stand")
+
+
+def test_no_environments_at_all_are_refused():
+    with pytest.raises(ConfigError, match=r"env\.num_envs"):
+        gymnasium.make_vec(ENV_ID, num_envs=0)
+
+
+def test_actions_of_another_shape_are_refused(env):
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"expected \(4, 6\)"):
+        env.step(np.zeros((N, 5), np.float32))
+
+
+def test_gymnasiums_own_batching_works_too():
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode="sync", overrides=ONE_THREAD)
+    observations, _ = env.reset(seed=0)
+    assert observations["policy"].shape == (2, 135)
+    env.step(np.zeros((2, 6), np.float32))

@@ -1,0 +1,36 @@
+"""One training for all tests, and copies of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from jobs.small import Trained, cache_of, copied, trained_once
+from wheelleg_exp.run.directory import RunDirectory
+
+
+@pytest.fixture(autouse=True)
+def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return trained_once(tmp_path_factory)
+
+
+@pytest.fixture
+def run(trained: Trained, tmp_path: Path) -> RunDirectory:
+    """A copy of the trained run that a test may add to or damage."""
+    return copied(trained, tmp_path)

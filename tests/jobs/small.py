@@ -1,0 +1,89 @@
+"""A small training that tests share: it runs once, through the command line."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.run.directory import RunDirectory
+
+ITERATIONS = 3
+NUM_ENVS = 16
+# Episodes of 18 steps, so that every rollout of 24 steps ends some.
+TINY = [
+    f"env.num_envs={NUM_ENVS}",
+    "env.episode_length_s=0.3",
+    "env.sim.nthread=1",
+    "agent.torch_threads=1",
+    "agent.num_steps_per_env=24",
+    "agent.actor.hidden_dims=[16,8]",
+    "agent.critic.hidden_dims=[16,8]",
+    "agent.algorithm.num_learning_epochs=2",
+]
+SMALL = [
+    *TINY,
+    f"agent.max_iterations={ITERATIONS}",
+    "agent.save_interval=1",
+    "recording.interval=2",
+    "recording.steps=30",
+]
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a command answered: exit status, standard output and standard error."""
+
+    status: int
+    out: str
+    err: str
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A finished run and what the command said."""
+
+    run: RunDirectory
+    said: Words
+
+
+def wheelleg(*words: str | Path) -> Words:
+    """Run a command in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        status = main([str(word) for word in words])
+    return Words(status, out.getvalue(), err.getvalue())
+
+
+def cache_of(factory: pytest.TempPathFactory) -> Path:
+    """Return the folder in which all tests keep converted robots."""
+    return factory.getbasetemp() / "wheelleg-cache"
+
+
+_trained: dict[Path, Trained] = {}
+
+
+def trained_once(factory: pytest.TempPathFactory) -> Trained:
+    """Return the one training; tests that change the run take a copy."""
+    base = factory.getbasetemp()
+    if base not in _trained:
+        root = factory.mktemp("trained") / "runs"
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
+            said = wheelleg("train", *SMALL, f"run.root={root}", "run.name=small")
+        assert said.status == 0, said.err
+        (path,) = (root / "stand").iterdir()
+        _trained[base] = Trained(RunDirectory.open(path, root), said)
+    return _trained[base]
+
+
+def copied(trained: Trained, root: Path) -> RunDirectory:
+    """Return a copy of the run below ``root``."""
+    path = root / "runs" / "stand" / trained.run.id
+    shutil.copytree(trained.run.path, path)
+    return RunDirectory.open(path, root / "runs")

@@ -1,0 +1,102 @@
+"""Zero and random agents: what they record, and that a seed gives the same again."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from jobs.test_play import Silent
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.agents import run_agent
+from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp.recording.reader import Recording
+
+FEW = ["task=stand", "env.num_envs=2", "env.sim.nthread=1", "run.root=runs"]
+
+
+def run(kind, *overrides, steps=30):
+    return run_agent(kind, compose([*FEW, *overrides]), steps, Silent())
+
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory):
+    """Zero actions on a task without disturbances, whose robot weighs what its model says."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("standing"))
+        plain = ["env.num_envs=24", "event@env.events=[reset_base,reset_robot_joints]"]
+        return run("zero", *plain, steps=60)
+
+
+def test_wheels_of_a_standing_robot_carry_half_of_its_weight_each(standing):
+    """0.5 kg times 9.81 m/s² over two wheels; nothing else touches the ground."""
+    rows = {row.body: row for row in standing.contacts["contact_forces"]}
+    wheels = [rows.pop("l_wheel_link"), rows.pop("r_wheel_link")]
+    assert sum(wheel.mean_n for wheel in wheels) == pytest.approx(0.5 * 9.81, rel=0.03)
+    for wheel in wheels:
+        assert wheel.mean_n == pytest.approx(2.4525, rel=0.03)
+        assert wheel.contact_share > 0.95
+    assert all(row.mean_n == 0.0 for row in rows.values())
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """The recordings of 30 steps of both agents."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("both"))
+        return [Recording(run(kind).recording) for kind in ("zero", "random")]
+
+
+def test_zero_actions_are_zero_and_random_ones_fill_their_range(both):
+    zero, random = (recording.values("actions/raw") for recording in both)
+    assert zero.shape == random.shape == (30, 6)
+    assert (zero == 0).all()
+    assert (np.abs(random) <= 1.0).all()
+    # 180 draws of U(-1, 1): mean 0 +- 0.043, standard deviation 0.577
+    assert abs(random.mean()) < 0.2
+    assert random.std() == pytest.approx(1 / 3**0.5, abs=0.1)
+
+
+def test_random_actions_leave_the_environments_draws_alone(both):
+    """Both begin in the same state, whatever the agent draws."""
+    first = [recording.values("observations/critic")[0] for recording in both]
+    assert np.array_equal(*first)
+
+
+def test_random_actions_repeat_with_the_seed():
+    first, again, other = (run("random", f"seed={seed}") for seed in (3, 3, 4))
+    digests = [entity_digests(made.recording) for made in (first, again, other)]
+    assert digests[0] == digests[1]
+    assert digests[0]["actions/raw"] != digests[2]["actions/raw"]
+    assert first.figures == again.figures
+
+
+def test_what_it_leaves_stands_below_agents():
+    made = run("zero")
+    assert made.folder.parent.parts[-3:] == ("runs", "agents", "stand")
+    assert sorted(p.name for p in made.folder.iterdir()) == ["config.yaml", "figures.json", "recording.rrd"]
+    config = yaml.safe_load((made.folder / "config.yaml").read_text())
+    assert config["env"]["num_envs"] == 2
+    figures = json.loads((made.folder / "figures.json").read_text())
+    assert figures["agent"] == "zero"
+    assert figures["contacts"]["contact_forces"][0]["body"] == "base_link"
+
+
+def test_one_episode_is_the_default():
+    made = run("zero", "env.episode_length_s=0.2", steps=None)
+    assert len(Recording(made.recording).values("actions/raw")) == 12
+    assert made.figures.survival == 1.0
+
+
+def test_wrong_input_leaves_nothing_behind(tmp_path):
+    with pytest.raises(ConfigError, match=r"recording\.env_ids"):
+        run("zero", "recording.env_ids=[2]")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_recording_that_is_switched_off_is_not_there():
+    made = run("zero", "recording.enabled=false")
+    assert sorted(p.name for p in made.folder.iterdir()) == ["config.yaml", "figures.json"]

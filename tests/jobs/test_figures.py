@@ -1,0 +1,208 @@
+"""Figures of rollouts, against cases worked out by hand on a pretended environment."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandMeter, target_height
+
+STEP = 0.5  # s
+
+
+class FakeEnv:
+    """Three environments whose every quantity a test sets by hand."""
+
+    def __init__(self, terms=(("alive", {}), ("base_height", {"target_height": 0.3}))):
+        self.num_envs, self.step_dt = 3, STEP
+        self.episode_length_buf = torch.zeros(3, dtype=torch.long)
+        self.reward_buf = torch.zeros(3)
+        self.data = SimpleNamespace(root_pos_w=torch.zeros(3, 3), projected_gravity_b=torch.zeros(3, 3))
+        self.sensor = SimpleNamespace(body_names=["wheel", "leg"], net_forces_w=torch.zeros(3, 2, 3))
+        self.scene = _Scene(SimpleNamespace(data=self.data), self.sensor)
+        fired = {"time_out": torch.zeros(3, dtype=torch.bool), "fell": torch.zeros(3, dtype=torch.bool)}
+        self.fired = fired
+        self.termination_manager = _Terminations(fired)
+        params = {name: SimpleNamespace(params=values) for name, values in terms}
+        self.reward_manager = SimpleNamespace(active_terms=list(params), get_term=params.__getitem__)
+
+    def set(self, heights=(0.3, 0.3, 0.3), pitches=(0.0, 0.0, 0.0), rewards=(0.0, 0.0, 0.0), out=(), fell=()):
+        """One step later: heights in m, pitches in rad, who timed out and who fell."""
+        self.episode_length_buf += 1
+        self.data.root_pos_w[:, 2] = torch.tensor(heights)
+        angle = torch.tensor(pitches)
+        # Gravity (0, 0, -1) in the axes of a base that is pitched about its y axis.
+        self.data.projected_gravity_b = torch.stack([angle.sin(), torch.zeros(3), -angle.cos()], dim=1)
+        self.reward_buf = torch.tensor(rewards)
+        self.fired["time_out"][:] = torch.tensor([i in out for i in range(3)])
+        self.fired["fell"][:] = torch.tensor([i in fell for i in range(3)])
+
+    def reset_done(self):
+        self.episode_length_buf[self.termination_manager.dones] = 0
+
+
+class _Scene:
+    def __init__(self, robot, sensor):
+        self.robot, self._sensor = robot, sensor
+
+    def __getitem__(self, name):
+        return self._sensor
+
+
+class _Terminations:
+    active_terms = ("time_out", "fell")
+
+    def __init__(self, fired):
+        self._fired = fired
+
+    def get_fired(self, name):
+        return self._fired[name]
+
+    @property
+    def time_outs(self):
+        return self._fired["time_out"]
+
+    @property
+    def terminated(self):
+        return self._fired["fell"]
+
+    @property
+    def dones(self):
+        return self.time_outs | self.terminated
+
+
+def observe(env, meter, **values):
+    env.set(**values)
+    meter.observe()
+    env.reset_done()
+
+
+def test_a_case_by_hand():
+    """Settling takes 2 steps; env 0 lives 4 steps, env 1 falls in the third, env 2 falls while it settles."""
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=2 * STEP)
+    observe(env, meter, heights=(9.0, 9.0, 9.0), pitches=(1.0, 1.0, 1.0), rewards=(1.0, 2.0, 4.0))
+    observe(env, meter, heights=(9.0, 9.0, 9.0), pitches=(1.0, 1.0, 1.0), rewards=(1.0, 2.0, 4.0), fell=(2,))
+    observe(env, meter, heights=(0.31, 0.28, 9.0), pitches=(0.1, -0.3, 1.0), rewards=(1.0, -9.0, 7.0), fell=(1,))
+    observe(env, meter, heights=(0.33, 9.0, 9.0), pitches=(0.2, 1.0, 1.0), rewards=(1.0, 7.0, 7.0), out=(0,))
+    figures = meter.figures()
+    assert not meter.running.any()
+    assert figures.episodes == 3
+    assert figures.survival == pytest.approx(1 / 3)
+    errors, angles = (0.01, -0.02, 0.03), (0.1, -0.3, 0.2)
+    assert figures.height_rmse_m == pytest.approx(math.sqrt(sum(e * e for e in errors) / 3), rel=1e-5)
+    assert figures.height_mean_m == pytest.approx((0.31 + 0.28 + 0.33) / 3)
+    assert figures.pitch_rms_deg == pytest.approx(math.degrees(math.sqrt(sum(a * a for a in angles) / 3)), rel=1e-5)
+    assert figures.pitch_mean_deg == pytest.approx(0.0, abs=1e-5)
+    assert figures.mean_return == pytest.approx((4.0 + (2 + 2 - 9) + 8.0) / 3)
+    assert figures.ended_by == {"time_out": 1, "fell": 2}
+
+
+def test_a_fall_at_the_time_out_is_no_survival():
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=0.0)
+    observe(env, meter, out=(0, 1), fell=(1, 2))
+    assert meter.figures().survival == pytest.approx(1 / 3)
+    assert meter.figures().ended_by == {"time_out": 2, "fell": 2}
+
+
+def test_second_episodes_do_not_count():
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=0.0)
+    observe(env, meter, rewards=(1.0, 1.0, 1.0), out=(0, 1, 2))
+    first = meter.figures()
+    observe(env, meter, heights=(9.0, 9.0, 9.0), pitches=(1.0, 1.0, 1.0), rewards=(9.0, 9.0, 9.0), fell=(0, 1, 2))
+    assert meter.figures() == first
+
+
+def test_leaning_forwards_is_positive():
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=0.0)
+    observe(env, meter, pitches=(0.2, 0.2, 0.2))
+    assert meter.figures().pitch_mean_deg == pytest.approx(math.degrees(0.2), rel=1e-5)
+
+
+@pytest.mark.parametrize(("settle", "left_out"), [(0.0, 0), (0.5, 1), (1.0, 2), (1.2, 2)])
+def test_the_settling_time_is_left_out(settle, left_out):
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=settle)
+    for k in range(1, 5):
+        observe(env, meter, heights=(float(k),) * 3)
+    expected = [float(k) for k in range(1, 5) if k > left_out]
+    assert meter.figures().height_mean_m == pytest.approx(sum(expected) / len(expected))
+
+
+def test_steps_that_do_not_divide_a_second_settle_in_whole_steps():
+    """1 s of 1/60 s steps is 60 steps, whatever the rounding of 2/120 says."""
+    env = FakeEnv()
+    env.step_dt = 2 * 0.008333333333333333
+    meter = StandMeter(env, settle_s=1.0)
+    for k in range(1, 62):
+        observe(env, meter, heights=(float(k),) * 3)
+    assert meter.figures().height_mean_m == 61.0
+
+
+def test_nobody_who_settled_gives_no_figures():
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=10.0)
+    observe(env, meter, fell=(0, 1, 2))
+    figures = meter.figures()
+    assert figures.survival == 0.0
+    assert math.isnan(figures.height_mean_m)
+    assert math.isnan(figures.pitch_rms_deg)
+
+
+def test_a_task_without_a_target_has_no_height_error():
+    env = FakeEnv(terms=[("alive", {})])
+    meter = StandMeter(env, settle_s=0.0)
+    observe(env, meter, heights=(0.1, 0.2, 0.3))
+    assert meter.figures().height_rmse_m is None
+    assert meter.figures().height_mean_m == pytest.approx(0.2)
+
+
+def test_the_target_is_the_one_that_a_reward_names():
+    assert target_height(FakeEnv()) == 0.3
+    assert target_height(FakeEnv(terms=[("alive", {})])) is None
+
+
+# --- what links carry ---
+
+
+def contact(env, forces, pitches=(0.0, 0.0, 0.0)):
+    env.set(pitches=pitches)
+    env.sensor.net_forces_w = torch.tensor([[[0.0, 0.0, f] for f in row] for row in forces])
+
+
+def test_contacts_by_hand():
+    """Landing takes 1 s (2 steps); a robot tilted by 0.3 rad or more is falling."""
+    env = FakeEnv()
+    meter = ContactMeter(env, "contact_forces", settle_s=1.0, upright_rad=0.3)
+    contact(env, [[99.0, 99.0]] * 3)
+    meter.observe()
+    contact(env, [[2.0, 0.0], [4.0, 1.0], [99.0, 99.0]], pitches=(0.1, -0.29, 0.31))
+    meter.observe()
+    contact(env, [[0.0, 0.0], [99.0, 99.0], [99.0, 99.0]], pitches=(0.0, 1.0, -1.0))
+    meter.observe()
+    wheel, leg = meter.figures()
+    assert wheel == ContactFigures("wheel", pytest.approx(2.0), 4.0, pytest.approx(2 / 3))
+    assert leg == ContactFigures("leg", pytest.approx(1 / 3), 1.0, pytest.approx(1 / 3))
+
+
+def test_the_length_of_a_force_counts():
+    env = FakeEnv()
+    meter = ContactMeter(env, "contact_forces", settle_s=0.0, upright_rad=0.3)
+    env.set()
+    env.sensor.net_forces_w = torch.tensor([[[3.0, 0.0, 4.0], [0.0, -2.0, 0.0]]] * 3)
+    meter.observe()
+    assert [row.mean_n for row in meter.figures()] == pytest.approx([5.0, 2.0])
+
+
+def test_nobody_who_stood_carries_nothing():
+    env = FakeEnv()
+    meter = ContactMeter(env, "contact_forces", settle_s=10.0, upright_rad=0.3)
+    contact(env, [[1.0, 1.0]] * 3)
+    meter.observe()
+    assert meter.figures() == []

@@ -1,0 +1,246 @@
+"""Playing a run: what the recording says is what the exported policy does, and figures that can be checked."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shutil
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from jobs.small import ITERATIONS, TINY
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
+from wheelleg_exp.jobs.play import play
+from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.run.directory import RunDirectory
+
+pytestmark = pytest.mark.train
+
+
+class Silent:
+    """A display that shows nothing and counts steps."""
+
+    def __init__(self):
+        self.done = 0
+
+    def environment(self, description):
+        pass
+
+    def note(self, text):
+        pass
+
+    def iteration(self, iteration, total):
+        pass
+
+    def steps(self, done, total):
+        self.done, self.total = done, total
+
+
+def played(run, *overrides, iteration=None):
+    chosen = None if iteration is None else run.checkpoint(iteration)
+    return play(run, chosen, list(overrides), ["wheelleg", "play"], Silent())
+
+
+def plays(run):
+    return sorted(run.play.iterdir()) if run.play.exists() else []
+
+
+def test_the_exported_policy_turns_recorded_observations_into_recorded_actions(run):
+    recording = Recording(played(run).recording)
+    observations = recording.values("observations/policy").astype(np.float32)
+    actions = recording.values("actions/raw")
+    assert observations.shape == (len(actions), 135)
+    assert len(actions) > 10
+    session = onnxruntime.InferenceSession(run.exported / "policy.onnx")
+    (found,) = session.run(None, {session.get_inputs()[0].name: observations})
+    np.testing.assert_allclose(found, actions, atol=1e-5)
+
+
+def test_an_earlier_checkpoint_gives_other_actions_its_own(run):
+    """The mean of the actor, by numpy from the checkpoint's weights: linear layers with ELU between."""
+    recording = Recording(played(run, iteration=0).recording)
+    x = recording.values("observations/policy").astype(np.float64)
+    weights = checkpoint.load(run.checkpoint(0))["actor_state_dict"]
+    layers = sorted({name.rsplit(".", 1)[0] for name in weights if name.startswith("mlp")}, key=lambda n: n)
+    for k, layer in enumerate(layers):
+        x = x @ weights[f"{layer}.weight"].double().numpy().T + weights[f"{layer}.bias"].double().numpy()
+        if k + 1 < len(layers):
+            x = np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
+    np.testing.assert_allclose(recording.values("actions/raw"), x, atol=1e-5)
+    last = Recording(played(run).recording).values("actions/raw")
+    assert not np.allclose(last[0], recording.values("actions/raw")[0])
+
+
+def test_figures_are_those_of_the_recorded_heights_and_pitches(run):
+    """One environment, whose every step is recorded; steps after its first episode do not count."""
+    done = played(run, "env.num_envs=1", "play.settle_s=0.1")
+    recording, figures = Recording(done.recording), done.figures
+    heights, pitches = (recording.values(f"base/{name}").ravel() for name in ("height", "pitch"))
+    settled = slice(6, None)  # 0.1 s of 60 Hz
+    assert figures.episodes == 1
+    assert figures.height_mean_m == pytest.approx(heights[settled].mean(), rel=1e-4)
+    assert figures.height_rmse_m == pytest.approx(math.sqrt(((heights[settled] - 0.07) ** 2).mean()), rel=1e-4)
+    assert figures.pitch_rms_deg == pytest.approx(
+        math.degrees(math.sqrt((pitches[settled] ** 2).mean())), rel=1e-3, abs=1e-3
+    )
+    total = recording.values("rewards/total").ravel() / 60
+    assert figures.mean_return == pytest.approx(total.sum(), rel=1e-4)
+    survived = len(heights) == 18
+    assert figures.survival == float(survived)
+    assert sum(figures.ended_by.values()) >= 1
+
+
+def test_the_manifest_gets_an_entry(run):
+    before = json.loads((run.path / "manifest.json").read_text())
+    done = played(run, "env.num_envs=2", "seed=7")
+    data = json.loads((run.path / "manifest.json").read_text())
+    (entry,) = data["additions"]
+    assert (entry["kind"], entry["command"]) == ("play", ["wheelleg", "play"])
+    folder = done.folder.relative_to(run.path)
+    assert set(entry["files"]) == {f"{folder}/figures.json", f"{folder}/recording.rrd"}
+    for name, record in entry["files"].items():
+        assert record["sha256"] == hashlib.sha256((run.path / name).read_bytes()).hexdigest()
+    assert {key: data[key] for key in before if key != "additions"} == {
+        key: before[key] for key in before if key != "additions"
+    }
+    assert not run.manifest().compare_files()
+
+
+def test_figures_json_says_which_policy_and_what_was_changed(run):
+    done = played(run, "env.num_envs=2", "seed=7", iteration=1)
+    content = json.loads((done.folder / "figures.json").read_text())
+    weights = run.checkpoint(1)
+    assert content["checkpoint"].endswith("model_1.pt")
+    assert content["checkpoint_sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
+    assert (content["seed"], content["overrides"]) == (7, ["env.num_envs=2", "seed=7"])
+    assert content["survival"] == done.figures.survival
+
+
+def test_plays_do_not_share_a_folder(run):
+    folders = {played(run, "env.num_envs=1", "recording.enabled=false").folder for _ in range(3)}
+    assert len(folders) == 3
+
+
+def test_a_play_changes_nothing_of_the_training(run):
+    before = {p.name: p.read_bytes() for p in run.path.glob("*") if p.is_file() and p.name != "manifest.json"}
+    played(run, "env.num_envs=1")
+    after = {name: (run.path / name).read_bytes() for name in before}
+    assert after == before
+
+
+def test_the_same_seed_plays_the_same(run):
+    def actions(*overrides):
+        return Recording(played(run, "env.num_envs=2", *overrides).recording).values("actions/raw")
+
+    first = actions("seed=3")
+    torch.manual_seed(99)  # what was drawn before does not matter
+    assert np.array_equal(first, actions("seed=3"))
+    other = actions("seed=4")
+    assert first.shape != other.shape or not np.array_equal(first, other)
+
+
+def test_overrides_change_the_play_alone(run):
+    before = (run.params / "env.yaml").read_bytes()
+    done = played(run, "env.num_envs=3", "env.episode_length_s=0.1")
+    assert done.figures.episodes == 3
+    assert done.figures.survival == 1.0  # nobody falls in 0.1 s
+    assert (run.params / "env.yaml").read_bytes() == before
+
+
+def test_a_play_without_a_recording_has_none(run):
+    done = played(run, "env.num_envs=1", "recording.enabled=false")
+    assert done.recording is None
+    assert [p.name for p in done.folder.iterdir()] == ["figures.json"]
+
+
+def test_a_play_ends_when_the_last_first_episode_does(run):
+    display = Silent()
+    play(run, None, ["env.num_envs=2", "recording.enabled=false"], ["wheelleg", "play"], display)
+    assert display.done <= display.total == 18
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [
+        ("env.num_evns=4", "env.num_evns"),
+        ("env.num_envs=0", "env.num_envs"),
+        ("env.num_envs=four", "env.num_envs"),
+        ("env.rewards.alive.wieght=1", "env.rewards.alive.wieght"),
+        ("env.rewards.alive.weight=heavy", "env.rewards.alive.weight"),
+        ("env.rewards.alive._target_=os.system", "env.rewards.alive._target_"),
+        ("env.rewards.base_height.target_height=null", "env.rewards.base_height.target_height"),
+        ("env.robot.asset=other.usda", "env.robot.asset"),
+        ("env.robot.base=fixed", "env.robot.base"),
+        ("env=5", "env"),
+        ("seed=x", "seed"),
+        ("seed=-1", "seed"),
+        ("play.settle_s=x", "play.settle_s"),
+        ("play.settle_s=-1", "play.settle_s"),
+        ("recording.env_ids=[99]", "recording.env_ids"),
+        ("recording.enabled=perhaps", "recording.enabled"),
+        ("agent.torch_threads=0", "agent.torch_threads"),
+    ],
+)
+def test_a_wrong_override_is_told_and_leaves_nothing_behind(run, override, key):
+    before = (run.path / "manifest.json").read_bytes()
+    with pytest.raises(ConfigError) as caught:
+        played(run, override)
+    assert key in str(caught.value)
+    assert plays(run) == []
+    assert (run.path / "manifest.json").read_bytes() == before
+
+
+def test_a_misspelled_key_is_told_with_the_nearest(run):
+    with pytest.raises(ConfigError) as caught:
+        played(run, "env.num_evns=4")
+    assert caught.value.nearest == "env.num_envs"
+
+
+@pytest.mark.parametrize(
+    "override", ["env.observations.policy.history_length=2", "~env.actions.wheel_vel", "agent.actor.hidden_dims=[4]"]
+)
+def test_a_policy_that_does_not_fit_is_told(run, override):
+    with pytest.raises(RunDirectoryError, match="fit"):
+        played(run, override)
+    assert plays(run) == []
+
+
+@pytest.mark.parametrize(
+    "name", ["params/env.yaml", "params/agent.yaml", "asset/robot.xml", f"model_{ITERATIONS - 1}.pt"]
+)
+@pytest.mark.parametrize("damage", ["missing", "garbage"])
+def test_a_damaged_run_is_told(run, name, damage):
+    file = run.path / name
+    if damage == "missing" and name.startswith("model"):
+        for path in run.checkpoints():
+            path.unlink()
+    elif damage == "missing":
+        file.unlink()
+    else:
+        file.write_bytes(b"\x00[: {broken\n" * 9)
+    with pytest.raises(WheellegError) as caught:
+        played(run)
+    message = str(caught.value)
+    assert "model_" in message if name.startswith("model") else file.name in message
+    assert len(message.splitlines()) == 1
+    assert plays(run) == []
+
+
+def test_a_robot_with_meshes_is_played_from_the_run_alone(run, monkeypatch, tmp_path):
+    """Neither the assets nor the cache are looked at."""
+    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "empty"))
+    moved = tmp_path / "elsewhere"
+    shutil.move(run.path, moved)
+    done = played(RunDirectory.open(moved, tmp_path), "env.num_envs=1")
+    assert done.recording.is_relative_to(moved)
+    assert not (tmp_path / "empty").exists()
+
+
+def test_the_small_configuration_is_what_was_trained(trained):
+    assert f"env.num_envs={16}" in TINY
+    assert trained.run.latest_checkpoint().name == f"model_{ITERATIONS - 1}.pt"

@@ -1,0 +1,413 @@
+"""A training's run directory: complete, readable, and enough to build the same environment and policy again."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+import yaml
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from jobs.small import ITERATIONS, NUM_ENVS, SMALL, cache_of, wheelleg
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.policy import load_policy
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.directory import RunDirectory
+
+pytestmark = pytest.mark.train
+
+ISAAC_LAB_KEYS = {
+    *(
+        f"Episode_Reward/{term}"
+        for term in (
+            "alive",
+            "terminating",
+            "lin_vel_z",
+            "ang_vel_xy",
+            "pitch_orientation",
+            "base_height",
+            "leg_joint_deviation",
+            "leg_joint_symmetry",
+            "wheel_air",
+            "track_lin_vel_xy",
+            "track_ang_vel_z",
+        )
+    ),
+    *(f"Episode_Termination/{term}" for term in ("time_out", "base_contact", "leg_contact", "non_finite_state")),
+    "Metrics/base_velocity/error_vel_xy",
+    "Metrics/base_velocity/error_vel_yaw",
+    "Curriculum/lin_vel_z_weight",
+    "Loss/value",
+    "Loss/surrogate",
+    "Loss/entropy",
+    "Loss/learning_rate",
+    "Policy/mean_std",
+    "Perf/total_fps",
+    "Perf/collection_time",
+    "Perf/learning_time",
+    "Train/mean_reward",
+    "Train/mean_episode_length",
+}
+
+
+def lines(run) -> list[dict]:
+    return [json.loads(line) for line in run.iterations.read_text().splitlines()]
+
+
+def checkpoints(path: Path) -> list[str]:
+    return sorted(file.name for file in path.glob("model_*.pt"))
+
+
+# --- what stands in the directory ---
+
+
+def test_every_file_is_there(trained):
+    path = trained.run.path
+    for name in (
+        "manifest.json",
+        ".hydra/config.yaml",
+        ".hydra/hydra.yaml",
+        ".hydra/overrides.yaml",
+        "params/env.yaml",
+        "params/agent.yaml",
+        "source/git.json",
+        "environment.txt",
+        "iterations.jsonl",
+        "asset/asset.json",
+        "asset/robot.xml",
+        "asset/report.json",
+        "recording.rrd",
+        "exported/policy.pt",
+        "exported/policy.onnx",
+        "exported/policy.json",
+    ):
+        assert (path / name).is_file(), name
+        assert (path / name).stat().st_size > 0, name
+    assert checkpoints(path) == [f"model_{k}.pt" for k in range(ITERATIONS)]
+    assert len(list(path.glob("events.out.tfevents.*"))) == 1
+    assert not list(path.rglob("*.tmp"))
+
+
+def test_the_name_tells_task_time_seed_and_name(trained):
+    path = trained.run.path
+    assert path.parent.name == "stand"
+    time.strptime(path.name.removesuffix("_0_small"), "%Y-%m-%d_%H-%M-%S")
+
+
+def test_the_manifest_tells_how_it_went(trained):
+    data = json.loads((trained.run.path / "manifest.json").read_text())
+    assert (data["status"], data["error"], data["task"], data["seeds"]) == ("finished", None, "stand", [0])
+    assert data["results"]["iterations"] == ITERATIONS
+    assert data["results"]["checkpoint"] == f"model_{ITERATIONS - 1}.pt"
+    assert data["threads"]["torch"] == data["threads"]["physics"] == 1
+    assert data["ended"] >= data["started"]
+
+
+def test_the_manifest_holds_the_sha256_of_every_other_file(trained):
+    path = trained.run.path
+    recorded = json.loads((path / "manifest.json").read_text())["files"]
+    present = {str(f.relative_to(path)) for f in path.rglob("*") if f.is_file()}
+    assert present - set(recorded) <= {"manifest.json", ".lock", ".manifest.lock"}
+    for name, record in recorded.items():
+        data = (path / name).read_bytes()
+        assert record == {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)}, name
+
+
+def test_hydras_files_compose_the_same_config_again(trained):
+    overrides = yaml.safe_load((trained.run.hydra / "overrides.yaml").read_text())
+    config = yaml.safe_load((trained.run.hydra / "config.yaml").read_text())
+    composed = compose(overrides).config
+    assert composed["env"] == yaml.safe_load((trained.run.params / "env.yaml").read_text())
+    assert composed["seed"] == config["seed"]
+    assert f"env.num_envs={NUM_ENVS}" in overrides
+
+
+def test_the_robot_is_kept_with_the_hash_of_its_sources(trained):
+    kept = json.loads((trained.run.asset / "asset.json").read_text())
+    assert kept["source"] == "wheelleg/wheelleg.usda"
+    from wheelleg_exp.paths import assets_dir
+
+    for name, digest in kept["sources"].items():
+        assert hashlib.sha256((assets_dir() / "wheelleg" / name).read_bytes()).hexdigest() == digest
+    assert "wheelleg.usda" in kept["sources"]
+
+
+# --- it builds the same again ---
+
+
+@pytest.fixture(scope="module")
+def params(trained):
+    folder = trained.run.params
+    return tuple(yaml.safe_load((folder / f"{part}.yaml").read_text()) for part in ("env", "agent"))
+
+
+@pytest.fixture(scope="module")
+def rebuilt(trained, params):
+    return ManagerBasedRLEnv(params[0], trained.run.asset / "robot.xml", 0)
+
+
+def test_the_parameters_build_the_same_environment(trained, rebuilt, tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        original = build_env(compose(["task=stand", *SMALL]).config)
+    kept = json.loads((trained.run.asset / "asset.json").read_text())["model_sha256"]
+    assert rebuilt.scene.model_digest() == original.scene.model_digest() == kept
+    first, second = rebuilt.reset(seed=0)[0], original.reset(seed=0)[0]
+    assert all(torch.equal(first[group], second[group]) for group in ("policy", "critic"))
+
+
+def test_the_parameters_and_a_checkpoint_build_the_exported_policy(trained, params, rebuilt):
+    adapter = RslRlVecEnv(rebuilt)
+    policy = load_policy(trained.run.latest_checkpoint(), adapter, params[1])
+    observations = adapter.get_observations()
+    with torch.no_grad():
+        expected = policy(observations).numpy()
+    session = onnxruntime.InferenceSession(trained.run.exported / "policy.onnx")
+    (found,) = session.run(None, {session.get_inputs()[0].name: observations["policy"].numpy()})
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    scripted = torch.jit.load(trained.run.exported / "policy.pt")(observations["policy"])
+    np.testing.assert_allclose(scripted.detach().numpy(), expected, atol=1e-5)
+    assert json.loads((trained.run.exported / "policy.json").read_text())["iteration"] == ITERATIONS - 1
+
+
+def test_checkpoints_are_those_of_their_iteration(trained):
+    for k in range(ITERATIONS):
+        assert checkpoint.load(trained.run.checkpoint(k))["iter"] == k
+
+
+# --- what grows ---
+
+
+def test_there_is_one_line_an_iteration(trained):
+    found = lines(trained.run)
+    assert [line["iteration"] for line in found] == list(range(ITERATIONS))
+    assert [set(line["digests"]) for line in found] == [{"parameters", "environment", "streams"}] * ITERATIONS
+    for part in ("parameters", "environment", "streams"):
+        assert len({line["digests"][part] for line in found}) == ITERATIONS, part
+
+
+def test_the_digest_of_the_parameters_is_that_of_the_checkpoint(trained):
+    """First 16 digits of the sha256 over the bytes of every parameter, the actor's first."""
+    for line in lines(trained.run):
+        saved = checkpoint.load(trained.run.checkpoint(line["iteration"]))
+        digest = hashlib.sha256()
+        for role in ("actor", "critic"):
+            for value in saved[f"{role}_state_dict"].values():
+                digest.update(value.numpy().tobytes())
+        assert line["digests"]["parameters"] == digest.hexdigest()[:16]
+
+
+def test_tensorboard_reads_isaac_labs_keys(trained):
+    events = EventAccumulator(str(trained.run.path))
+    events.Reload()
+    assert set(events.Tags()["scalars"]) >= ISAAC_LAB_KEYS
+    for key in ISAAC_LAB_KEYS:
+        assert [point.step for point in events.Scalars(key)] == list(range(ITERATIONS)), key
+    written = [line["scalars"]["Train/mean_reward"] for line in lines(trained.run)]
+    assert [p.value for p in events.Scalars("Train/mean_reward")] == pytest.approx(written, rel=1e-6)
+
+
+def test_the_recording_holds_the_segments_that_were_asked_for(trained):
+    """30 steps from iteration 0 and from iteration 2 on, 24 steps an iteration, each with its iteration."""
+    recording = Recording(trained.run.recording)
+    table = recording.table("base/height")
+    assert table.column("step").to_pylist() == [*range(1, 31), *range(49, 73)]
+    assert table.column("iteration").to_pylist() == [0] * 24 + [1] * 6 + [2] * 24
+
+
+def test_the_recording_holds_the_training_curves(trained):
+    recording = Recording(trained.run.recording)
+    written = [line["scalars"]["Loss/value"] for line in lines(trained.run)]
+    assert recording.values("training/Loss/value").ravel().tolist() == pytest.approx(written)
+    assert "num_envs: 16" in (recording.document("config") or "")
+
+
+# --- failures ---
+
+
+def only_run(root: Path) -> Path:
+    (path,) = (root / "stand").iterdir()
+    return path
+
+
+def status_of(path: Path) -> tuple[str, dict | None]:
+    data = json.loads((path / "manifest.json").read_text())
+    return data["status"], data["error"]
+
+
+@pytest.fixture
+def observations_fail(monkeypatch):
+    """From the second iteration on, one environment's angular velocity is NaN."""
+    from wheelleg_exp.mdp import observations
+
+    function, calls = observations.base_ang_vel, []
+
+    @functools.wraps(function)
+    def spoiled(env):
+        calls.append(None)
+        value = function(env).clone()
+        if env.common_step_counter > 30:
+            value[3] = float("nan")
+        return value
+
+    monkeypatch.setattr(observations, "base_ang_vel", spoiled)
+
+
+def test_a_run_that_goes_to_nan_fails(tmp_path, observations_fail):
+    said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
+    assert said.status == 3
+    message = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
+    assert len(message) == 1
+    assert "policy" in message[0]
+    assert "Traceback" not in said.err
+    path = only_run(tmp_path)
+    status, error = status_of(path)
+    assert status == "failed"
+    assert error["type"] == "SimulationFailure"
+    assert checkpoints(path) == ["model_0.pt"]
+    assert len(lines(RunDirectory.open(path, tmp_path))) == 1
+    Recording(path / "recording.rrd")
+
+
+def test_physics_that_raises_fails_the_run(tmp_path, monkeypatch):
+    from mujoco.batch import Batch
+
+    from wheelleg_exp.errors import SimulationFailure
+    from wheelleg_exp.sim.simulation import Simulation
+
+    step, calls = Simulation.step, []
+
+    def broken(self):
+        calls.append(None)
+        if len(calls) > 10:
+            raise SimulationFailure("physics failed: row 3")
+        step(self)
+
+    assert Batch is not None
+    monkeypatch.setattr(Simulation, "step", broken)
+    said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
+    assert said.status == 3
+    assert "physics failed: row 3" in said.err
+    assert status_of(only_run(tmp_path))[0] == "failed"
+
+
+def test_an_interrupt_before_the_first_iteration_is_an_interrupt(tmp_path, monkeypatch):
+    """A second Ctrl-C stops at once; there is no checkpoint yet."""
+    from wheelleg_exp.rl.trainer import Trainer
+
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Trainer, "_collect", interrupted)
+    said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
+    assert said.status == 130
+    path = only_run(tmp_path)
+    assert status_of(path)[0] == "interrupted"
+    assert checkpoints(path) == []
+
+
+def test_an_interrupt_during_the_export_is_no_failure(tmp_path, monkeypatch):
+    from wheelleg_exp.jobs import training
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, "export_policy", interrupted)
+    said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
+    assert said.status == 130
+    assert status_of(only_run(tmp_path))[0] == "interrupted"
+
+
+def test_handlers_of_signals_come_back(trained):
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+# --- signals, in processes of their own ---
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """Two long trainings at once, each sent its signal in the middle; status, run and what was said by signal."""
+    environment = {**os.environ, "WHEELLEG_CACHE": str(cache_of(tmp_path_factory))}
+    processes = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        root = tmp_path_factory.mktemp(number.name)
+        words = [*SMALL, "agent.max_iterations=100000", "agent.save_interval=1000", f"run.root={root}"]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "wheelleg_exp.cli.main", "train", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=root,
+            env=environment,
+        )
+        processes[number] = (process, root)
+    answers = {}
+    try:
+        _signal_each_after(processes, iterations=3)
+        for number, (process, root) in processes.items():
+            out, err = process.communicate(timeout=60)
+            answers[number] = (process.returncode, only_run(root), out, err)
+    finally:
+        for process, _ in processes.values():
+            process.kill()
+            process.communicate()
+    return answers
+
+
+def _signal_each_after(processes: dict, iterations: int) -> None:
+    """Send each process its signal as soon as it has done some iterations."""
+    waiting, deadline = dict(processes), time.monotonic() + 60
+    while waiting:
+        assert time.monotonic() < deadline, "the training does not begin"
+        for number, (process, root) in list(waiting.items()):
+            found = list(root.glob("stand/*/iterations.jsonl"))
+            if found and len(found[0].read_text().splitlines()) >= iterations:
+                process.send_signal(number)
+                del waiting[number]
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_training_after_its_iteration(stopped, number):
+    status, path, _, err = stopped[number]
+    assert status == 130, err
+    assert status_of(path)[0] == "interrupted"
+    run = RunDirectory.open(path, path.parent.parent)
+    done = [line["iteration"] for line in lines(run)]
+    assert done == list(range(len(done)))
+    assert checkpoint.load(run.latest_checkpoint())["iter"] == done[-1]
+    assert "interrupted" in err
+    assert run.latest_checkpoint().name in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_runs_files_are_whole(stopped, number):
+    _, path, _, _ = stopped[number]
+    findings = RunDirectory.open(path, path.parent.parent).manifest().compare_files()
+    assert not findings, findings
+    Recording(path / "recording.rrd")
+    results = json.loads((path / "manifest.json").read_text())["results"]
+    assert results["checkpoint"] == sorted(path.glob("model_*.pt"), key=lambda p: p.stat().st_mtime)[-1].name
+
+
+def test_a_stopped_run_can_be_played(stopped):
+    _, path, _, _ = stopped[signal.SIGINT]
+    said = wheelleg("play", path, "env.num_envs=2", "recording.enabled=false")
+    assert said.status == 0, said.err

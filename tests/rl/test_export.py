@@ -1,0 +1,166 @@
+"""The exported policy: one file each, the same actions, and a description that is right."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from tensordict import TensorDict
+
+from wheelleg_exp.rl import export
+
+
+@pytest.fixture(scope="module")
+def trainer(make_trainer):
+    """A policy whose observation normaliser has seen something."""
+    made = make_trainer("agent.actor.obs_normalization=true")
+    seen = torch.randn(64, 135, generator=torch.Generator().manual_seed(3)) * 3.0 + 1.0
+    made.algorithm.actor.update_normalization(TensorDict({"policy": seen, "critic": torch.zeros(64, 180)}, [64]))
+    return made
+
+
+@pytest.fixture(scope="module")
+def policy(trainer):
+    return trainer.algorithm.get_policy().eval()
+
+
+@pytest.fixture(scope="module")
+def model(policy) -> bytes:
+    return export.onnx(policy)
+
+
+@pytest.fixture(scope="module")
+def described(trainer, tiny_config):
+    return json.loads(export.description(trainer.env.env, tiny_config()["agent"], 41))
+
+
+def observed(batch: int) -> torch.Tensor:
+    return torch.randn(batch, 135, generator=torch.Generator().manual_seed(batch))
+
+
+def by_hand(policy, observations: torch.Tensor) -> np.ndarray:
+    """The mean action in float64: (x - mean) / (std + eps), then linear layers with ELU between."""
+    normalizer = policy.obs_normalizer
+    x = observations.double().numpy()
+    x = (x - normalizer._mean.double().numpy()) / (normalizer._std.double().numpy() + normalizer.eps)
+    layers = [layer for layer in policy.mlp if isinstance(layer, torch.nn.Linear)]
+    for k, layer in enumerate(layers):
+        x = x @ layer.weight.detach().double().numpy().T + layer.bias.detach().double().numpy()
+        if k + 1 < len(layers):
+            x = np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
+    return x
+
+
+def test_onnx_passes_the_checker(model):
+    onnx.checker.check_model(onnx.load_from_string(model), full_check=True)
+
+
+def test_onnx_is_one_file(model, tmp_path):
+    loaded = onnx.load_from_string(model)
+    assert all(t.data_location == onnx.TensorProto.DEFAULT for t in loaded.graph.initializer)
+    (tmp_path / "policy.onnx").write_bytes(model)
+    onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+
+
+@pytest.mark.parametrize("batch", [1, 2, 7])
+def test_torch_torchscript_and_onnx_give_the_same_actions(policy, model, tmp_path, batch):
+    observations = observed(batch)
+    (tmp_path / "policy.pt").write_bytes(export.torchscript(policy))
+    session = onnxruntime.InferenceSession(model)
+    (name,) = [entry.name for entry in session.get_inputs()]
+    (from_onnx,) = session.run(None, {name: observations.numpy()})
+    with torch.no_grad():
+        from_torch = policy(TensorDict({"policy": observations}, [batch]))
+        from_script = torch.jit.load(tmp_path / "policy.pt")(observations)
+    expected = by_hand(policy, observations)
+    assert from_onnx.shape == (batch, 6)
+    for found in (from_torch.numpy(), from_script.numpy(), from_onnx):
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_the_exports_draw_nothing(policy):
+    before = torch.get_rng_state()
+    export.torchscript(policy)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_exporting_leaves_the_policy_as_it_was(policy):
+    before = {name: value.clone() for name, value in policy.state_dict().items()}
+    export.torchscript(policy)
+    assert all(torch.equal(before[name], value) for name, value in policy.state_dict().items())
+
+
+def test_the_slices_of_the_observation_hold_what_they_name(trainer, described):
+    """Each slice of a real observation, against what the robot itself says; newest sample last."""
+    env = trainer.env.env
+    env.reset()
+    action = torch.linspace(-0.3, 0.3, 6).repeat(16, 1)
+    observations, *_ = env.step(action)
+    data = env.scene.robot.data
+    expected = {
+        "base_ang_vel": data.root_ang_vel_b * 0.25,
+        "projected_gravity": data.projected_gravity_b,
+        "velocity_commands": torch.zeros(16, 3),
+        "joint_pos_rel": data.joint_pos - data.default_joint_pos,
+        "joint_vel_rel": data.joint_vel * 0.05,
+        "last_action": action,
+    }
+    slices = {entry["term"]: (entry["group"], entry["start"], entry["stop"]) for entry in described["observations"]}
+    assert list(slices) == list(expected)
+    assert described["observation_width"] == max(stop for *_, stop in slices.values()) == 135
+    for name, (group, start, stop) in slices.items():
+        width = expected[name].shape[1]
+        assert (group, stop - start) == ("policy", 5 * width)
+        torch.testing.assert_close(observations[group][:, stop - width : stop], expected[name], msg=name)
+
+
+def test_the_slices_of_the_action_move_the_joints_that_they_name(trainer, described):
+    env = trainer.env.env
+    columns = [joint for entry in described["actions"] for joint in entry["joints"]]
+    assert [(e["term"], e["start"], e["stop"]) for e in described["actions"]] == [
+        ("leg_pos", 0, 4),
+        ("wheel_vel", 4, 6),
+    ]
+    assert described["action_width"] == len(columns) == 6
+    data, names = env.scene.robot.data, env.scene.robot.joint_names
+    for column, joint in enumerate(columns):
+        targets = []
+        for value in (0.0, 1.0):
+            action = torch.zeros(16, 6)
+            action[:, column] = value
+            env.action_manager.process_action(action)
+            env.action_manager.apply_action()
+            targets.append(torch.stack([data.joint_pos_target[0], data.joint_vel_target[0]]).clone())
+        moved = (targets[0] != targets[1]).any(dim=0).nonzero().squeeze(1).tolist()
+        assert [names[i] for i in moved] == [joint]
+
+
+def test_the_description_holds_the_rest_that_a_deployer_needs(trainer, described):
+    assert described["iteration"] == 41
+    assert described["control_dt_s"] == pytest.approx(1 / 60)
+    assert described["robot_profile"] == "article"
+    assert described["joint_order"] == ["l01", "r01", "l02", "r02", "l03", "r03"]
+    pose = described["default_joint_pos_rad"]
+    assert pose == pytest.approx(
+        {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885, "l03": 0.0, "r03": 0.0}, abs=1e-6
+    )
+    assert described["actuators"]["legs"]["stiffness"] == 3.0
+    assert described["observation_config"]["policy"]["history_length"] == 5
+    assert described["action_config"]["wheel_vel"]["scale"] == 5.0
+
+
+def test_the_description_tells_that_actions_are_clipped(trainer, tiny_config):
+    agent = tiny_config("+agent.clip_actions=0.7")["agent"]
+    assert json.loads(export.description(trainer.env.env, agent, 0))["clip_actions"] == 0.7
+
+
+def test_several_groups_follow_each_other(trainer, tiny_config):
+    agent = tiny_config("agent.obs_groups.actor=[critic,policy]")["agent"]
+    found = json.loads(export.description(trainer.env.env, agent, 0))
+    assert found["observation_width"] == 315
+    assert found["observations"][0] == {"group": "critic", "term": "base_ang_vel", "start": 0, "stop": 15}
+    assert found["observations"][-1] == {"group": "policy", "term": "last_action", "start": 285, "stop": 315}

@@ -1,0 +1,375 @@
+"""Training: the networks that the config asks for, runs that go on as if they had never stopped, failures."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from jobs.small import TINY
+
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.policy import load_policy
+from wheelleg_exp.rl.trainer import build_algorithm
+
+NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
+
+
+@pytest.fixture(scope="module")
+def adapter(make_trainer):
+    """An environment behind the adapter, for tests that do not step it."""
+    return make_trainer().env
+
+
+def finish(trainer, until):
+    return list(trainer.learn(until=until))
+
+
+# --- networks ---
+
+
+def test_the_stock_networks_have_the_articles_sizes(make_trainer):
+    wide = ["agent.actor.hidden_dims=[512,256,128]", "agent.critic.hidden_dims=[512,256,128]"]
+    algorithm = make_trainer(*wide, "env.num_envs=2").algorithm
+    shapes = {
+        role: [tuple(p.shape) for name, p in net.named_parameters() if name.startswith("mlp") and p.ndim == 2]
+        for role, net in (("actor", algorithm.actor), ("critic", algorithm.critic))
+    }
+    assert shapes["actor"] == [(512, 135), (256, 512), (128, 256), (6, 128)]
+    assert shapes["critic"] == [(512, 180), (256, 512), (128, 256), (1, 128)]
+
+
+def test_the_seed_decides_the_first_weights(make_trainer):
+    def weights(seed):
+        return torch.cat([p.detach().flatten() for p in make_trainer(seed=seed).algorithm.actor.parameters()])
+
+    first = weights(0)
+    torch.manual_seed(123)  # what was drawn before does not matter
+    assert torch.equal(weights(0), first)
+    assert not torch.equal(weights(1), first)
+
+
+def test_the_agent_section_is_left_as_it_was(adapter, tiny_config):
+    agent = tiny_config()["agent"]
+    before = repr(agent)
+    build_algorithm(adapter, agent)
+    assert repr(agent) == before
+
+
+def test_an_unknown_observation_group_is_told_with_the_nearest(adapter, tiny_config):
+    agent = tiny_config()["agent"] | {"obs_groups": {"actor": ["polcy"], "critic": ["critic"]}}
+    with pytest.raises(ConfigError) as caught:
+        build_algorithm(adapter, agent)
+    error = caught.value
+    assert (error.key, error.nearest) == ("agent.obs_groups.actor", "policy")
+    assert "critic" in str(error.expected)
+
+
+@pytest.mark.parametrize(
+    ("section", "value"),
+    [
+        ("algorithm", {"learning_rate": -1.0}),
+        ("algorithm", {"optimizer": "adm"}),
+        ("algorithm", {"gama": 0.9}),
+        ("algorithm", {"class_name": "PPPO"}),
+        ("actor", {"hidden_dims": []}),
+        ("actor", {"activation": "eluu"}),
+        ("actor", {"class_name": "MLPMdel"}),
+        ("actor", {"distribution_cfg": {"class_name": "Gaussian"}}),
+    ],
+)
+def test_a_value_that_rsl_rl_refuses_is_the_configs_mistake(adapter, tiny_config, section, value):
+    agent = tiny_config()["agent"]
+    with pytest.raises(ConfigError, match="agent") as caught:
+        build_algorithm(adapter, agent | {section: agent[section] | value})
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_device_that_is_not_there_is_the_configs_mistake(adapter, tiny_config):
+    with pytest.raises(ConfigError, match=r"agent\.device"):
+        build_algorithm(adapter, tiny_config()["agent"] | {"device": "cuda:77"})
+
+
+# --- what an iteration says ---
+
+
+@pytest.mark.train
+def test_an_iteration_tells_rsl_rls_and_isaac_labs_scalars(make_trainer):
+    first, second = finish(make_trainer(), 2)
+    assert (first.index, second.index, first.env_steps) == (0, 1, 16 * 24)
+    for key in (
+        "Loss/value",
+        "Loss/surrogate",
+        "Loss/entropy",
+        "Loss/learning_rate",
+        "Policy/mean_std",
+        "Perf/total_fps",
+        "Perf/collection_time",
+        "Perf/learning_time",
+        "Train/mean_reward",
+        "Train/mean_episode_length",
+        "Episode_Reward/alive",
+        "Episode_Termination/time_out",
+        "Metrics/base_velocity/error_vel_xy",
+        "Curriculum/lin_vel_z_weight",
+    ):
+        assert isinstance(first.scalars[key], float), key
+    assert first.scalars["Train/mean_episode_length"] <= 18
+    assert first.scalars["Policy/mean_std"] == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.train
+def test_training_goes_up_to_a_total(make_trainer):
+    trainer = make_trainer()
+    assert [done.index for done in finish(trainer, 1)] == [0]
+    assert [done.index for done in finish(trainer, 3)] == [1, 2]
+    assert finish(trainer, 3) == []
+    assert trainer.state_dict()["iter"] == 2
+
+
+@pytest.mark.train
+def test_returns_are_those_of_the_environment(make_trainer):
+    """Rewards summed here, from what the environment gave to the adapter."""
+    trainer, rewards, ends = make_trainer(), [], []
+    step = trainer.env.step
+
+    def spy(actions):
+        result = step(actions)
+        rewards.append(result[1].clone())
+        ends.append(result[2].bool())
+        return result
+
+    trainer.env.step = spy
+    (done,) = finish(trainer, 1)
+    returns, running = [], torch.zeros(16)
+    for reward, end in zip(rewards, ends, strict=True):
+        running = running + reward
+        returns += running[end].tolist()
+        running = running * ~end
+    assert done.scalars["Train/mean_reward"] == pytest.approx(sum(returns[-100:]) / len(returns[-100:]), rel=1e-5)
+
+
+# --- going on ---
+
+
+@pytest.fixture(scope="module")
+def straight(make_trainer):
+    torch.set_num_threads(1)
+    trainer = make_trainer(*NORMALISED)
+    done = finish(trainer, 3)
+    return checkpoint.serialize(trainer.state_dict()), done
+
+
+@pytest.fixture(scope="module")
+def stopped(make_trainer, tmp_path_factory) -> Path:
+    """The checkpoint of the first of three iterations."""
+    torch.set_num_threads(1)
+    trainer = make_trainer(*NORMALISED)
+    finish(trainer, 1)
+    path = tmp_path_factory.mktemp("stopped") / "model_0.pt"
+    path.write_bytes(checkpoint.serialize(trainer.state_dict()))
+    return path
+
+
+def without_times(done):
+    return {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
+
+
+@pytest.mark.train
+def test_three_iterations_are_one_and_two_more_in_new_objects(make_trainer, straight, stopped):
+    """Also when the new objects were made with another seed, and have been used already."""
+    trainer = make_trainer(*NORMALISED, seed=5)
+    finish(trainer, 2)
+    trainer.load_state_dict(checkpoint.load(stopped))
+    later = finish(trainer, 3)
+    assert [without_times(d) for d in later] == [without_times(d) for d in straight[1][1:]]
+    assert checkpoint.serialize(trainer.state_dict()) == straight[0]
+
+
+_GO_ON = """
+import hashlib, sys, torch
+from pathlib import Path
+from wheelleg_exp.asset import convert_cached
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.paths import cache_dir, find_asset
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.trainer import Trainer
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+torch.set_num_threads(1)
+config = compose(sys.argv[2:]).config
+mjcf = convert_cached(find_asset("wheelleg/wheelleg.usda"), cache_dir=cache_dir() / "assets").output
+trainer = Trainer(RslRlVecEnv(ManagerBasedRLEnv(config["env"], mjcf, 9)), config["agent"], 9)
+trainer.load_state_dict(checkpoint.load(Path(sys.argv[1])))
+list(trainer.learn(until=3))
+print(hashlib.sha256(checkpoint.serialize(trainer.state_dict())).hexdigest())
+"""
+
+
+@pytest.mark.train
+def test_three_iterations_are_one_and_two_more_in_a_new_process(mjcf, straight, stopped):
+    environment = {**os.environ, "WHEELLEG_CACHE": str(mjcf.parents[2])}
+    command = [sys.executable, "-c", _GO_ON, str(stopped), "task=stand", *TINY, *NORMALISED]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    assert done.stdout.split()[-1:] == [hashlib.sha256(straight[0]).hexdigest()], done.stderr
+
+
+@pytest.mark.train
+def test_nothing_but_the_checkpoint_decides_what_comes(make_trainer, straight, stopped):
+    """Another random state gives another end: the comparisons above would notice."""
+    saved = checkpoint.load(stopped)
+    saved["rng"]["torch"] = torch.Generator().manual_seed(1).get_state()
+    trainer = make_trainer(*NORMALISED)
+    trainer.load_state_dict(saved)
+    finish(trainer, 3)
+    assert checkpoint.serialize(trainer.state_dict()) != straight[0]
+
+
+def test_a_checkpoint_of_other_networks_does_not_fit(adapter, tiny_config, stopped):
+    with pytest.raises(RunDirectoryError) as caught:
+        load_policy(stopped, adapter, tiny_config("agent.actor.hidden_dims=[4]")["agent"])
+    assert str(stopped) in str(caught.value)
+
+
+# --- streams ---
+
+
+@pytest.fixture(scope="module")
+def trainer(make_trainer):
+    """A trainer for tests that do not mind what it did before."""
+    return make_trainer()
+
+
+def test_the_policys_draws_leave_the_environments_streams_alone(trainer):
+    env = trainer.env.env
+    before = {path: value.clone() for path, value in env.streams.state_dict()["generators"].items()}
+    for _ in range(5):
+        trainer.algorithm.act(trainer.env.get_observations())
+    after = env.streams.state_dict()["generators"]
+    assert before.keys() == after.keys()
+    assert all(torch.equal(before[path], after[path]) for path in before)
+
+
+def test_the_environment_leaves_the_policys_stream_alone(trainer):
+    before = torch.get_rng_state()
+    for _ in range(20):  # past the end of an episode
+        trainer.env.step(torch.zeros(16, 6))
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+# --- the adapter ---
+
+
+def test_the_adapter_clips_only_when_asked(trainer, make_trainer):
+    actions = torch.full((16, 6), 3.0)
+    plain, clipped = trainer, make_trainer("+agent.clip_actions=0.5")
+    for trainer in (plain, clipped):
+        trainer.env.step(actions)
+    assert (plain.env.env.action_manager.action == 3.0).all()
+    assert (clipped.env.env.action_manager.action == 0.5).all()
+
+
+def test_the_adapter_tells_time_outs_apart_from_failures(make_trainer):
+    adapter = make_trainer().env
+    adapter.env.scene.robot.write_root_pose(
+        torch.tensor([3]),
+        torch.tensor([[0.0, 0.0, 0.015]]) + adapter.env.scene.env_origins[3],
+        torch.tensor([[0.0, 1.0, 0.0, 0.0]]),  # on its back
+    )
+    adapter.env.scene.refresh()
+    _, _, dones, extras = adapter.step(torch.zeros(16, 6))
+    assert dones.nonzero().squeeze(1).tolist() == [3]
+    assert not extras["time_outs"].any()
+    for _ in range(17):
+        _, _, dones, extras = adapter.step(torch.zeros(16, 6))
+    assert dones.dtype == torch.long
+    assert extras["time_outs"].tolist() == [i != 3 for i in range(16)]
+
+
+def test_reading_the_observations_changes_nothing(adapter):
+    before = checkpoint.serialize(adapter.env.state_dict())
+    first, second = adapter.get_observations(), adapter.get_observations()
+    assert torch.equal(first["policy"], second["policy"])
+    assert first.batch_size == (16,)
+    assert checkpoint.serialize(adapter.env.state_dict()) == before
+
+
+# --- failures ---
+
+
+def spoil(monkeypatch, name, value, after):
+    """Let an observation term of the library give ``value`` to environment 2 from its n-th call on."""
+    from wheelleg_exp.mdp import observations
+
+    function, calls = getattr(observations, name), itertools.count()
+
+    @functools.wraps(function)
+    def spoiled(*args, **kwargs):
+        found = function(*args, **kwargs).clone()
+        if next(calls) >= after:
+            found[2] = value
+        return found
+
+    monkeypatch.setattr(observations, name, spoiled)
+
+
+@pytest.mark.train
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+def test_an_observation_that_is_not_finite_fails_the_run(make_trainer, monkeypatch, value):
+    spoil(monkeypatch, "joint_effort_commanded", value, after=40)
+    trainer = make_trainer()
+    with pytest.raises(SimulationFailure, match="critic") as caught:
+        finish(trainer, 4)
+    assert "iteration 1" in str(caught.value)
+    assert caught.value.exit_code == 3
+
+
+@pytest.mark.train
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_reward_that_is_not_finite_fails_the_run(make_trainer, value):
+    trainer = make_trainer()
+    step = trainer.env.step
+
+    def spoiled(actions):
+        observations, rewards, dones, extras = step(actions)
+        rewards[1] = value
+        return observations, rewards, dones, extras
+
+    trainer.env.step = spoiled
+    with pytest.raises(SimulationFailure, match="reward"):
+        finish(trainer, 1)
+
+
+@pytest.mark.train
+def test_networks_that_went_to_nan_fail_the_run(make_trainer):
+    trainer = make_trainer("observation@env.observations.policy.terms=[base_ang_vel,joint_pos_rel]")
+    update = trainer.algorithm.update
+
+    def spoiled():
+        losses = update()
+        with torch.no_grad():
+            trainer.algorithm.critic.mlp[0].weight.fill_(float("nan"))
+        return losses
+
+    trainer.algorithm.update = spoiled
+    with pytest.raises(SimulationFailure):
+        finish(trainer, 3)
+
+
+@pytest.mark.train
+def test_one_simulation_that_goes_to_nan_ends_its_episode_alone(make_trainer, capfd):
+    trainer = make_trainer()
+    env = trainer.env.env
+    finish(trainer, 1)
+    env.scene.sim.view("qvel")[5, 0] = float("nan")
+    (done,) = finish(trainer, 2)
+    assert 0.0 < done.scalars["Episode_Termination/non_finite_state"] <= 1 / 16
+    assert env.scene.sim.state.isfinite().all()
