@@ -343,7 +343,7 @@ def test_a_full_disk_fails_the_run_with_one_message(mjcf, tmp_path):
             assert env.common_step_counter == 50
             print(error)
     """
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=90)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"cannot write the recording '{path}': ")
     assert "expected room on a working disk" in done.stdout

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
@@ -15,6 +16,7 @@ from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.run.files import for_people
 
 APPLICATION = "wheelleg"
+_FLUSH_TIMEOUT_S = 20.0  # rerun's writer may die on a full disk without telling who waits for it
 _SCARCE = 1_000_000  # bytes left on a disk that is called full
 
 
@@ -34,6 +36,7 @@ class Sink:
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
         self.path = path
         self.is_open = False
+        self._is_broken = False
         self._written = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp") if aside else path
         _claim(self._written)
         # No start time of its own: a recording holds nothing that depends on the wall clock.
@@ -69,7 +72,7 @@ class Sink:
     def abandon(self) -> None:
         """Close the stream and remove the file."""
         self.is_open = False
-        self.stream.disconnect()
+        self._disconnect()
         self._written.unlink(missing_ok=True)
 
     def blueprint(self, blueprint: Any) -> None:
@@ -84,7 +87,7 @@ class Sink:
             SimulationFailure: the disk is full or broken, or the file is gone.
         """
         with self._guarded():
-            self.stream.flush()
+            self.stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
 
     def close(self) -> None:
         """Finish the file; further calls do nothing."""
@@ -92,9 +95,19 @@ class Sink:
             return
         self.is_open = False
         try:
-            self.flush()
+            if not self._is_broken:
+                self.flush()
         finally:
+            self._disconnect()
+
+    def _disconnect(self) -> None:
+        if not self._is_broken:
             self.stream.disconnect()
+            return
+        # The writer is dead, and rerun may wait for it for ever: now, when the stream is collected, and at the
+        # program's end. So the stream is never collected, and rerun's own end is left out.
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.stream))
+        rr.unregister_shutdown()
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -102,6 +115,7 @@ class Sink:
         try:
             yield
         except RuntimeError as error:
+            self._is_broken = True
             raise _failure(self.path, error) from error
 
 
