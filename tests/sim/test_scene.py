@@ -252,3 +252,11 @@ def test_a_missing_key_of_a_section_is_an_error():
     del config["sim"]["impratio"]
     with pytest.raises(ConfigError, match="impratio"):
         ManagerBasedRLEnv(config, ASSETS / "rover.xml", 0)
+
+
+def test_a_fixed_base_stands_where_the_config_says(make_env):
+    init = make_env("arm").cfg["robot"]["init_state"]
+    env = make_env("arm", robot={"init_state": init | {"pos": [0.3, -0.2, 0.7], "rot": [0.0, 0.0, 0.0, 1.0]}})
+    data = env.scene.robot.data
+    assert data.root_pos_w[0].tolist() == pytest.approx([0.3, -0.2, 0.7])
+    assert data.root_quat_w[0].abs().tolist() == pytest.approx([0.0, 0.0, 0.0, 1.0])

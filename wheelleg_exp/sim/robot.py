@@ -52,6 +52,8 @@ class Robot:
         names = [j for a in self.actuators.values() for j in a.joint_names]
         self.actuator_ids = torch.tensor([self.joint_names.index(j) for j in names], dtype=torch.long)
         self._defaults()
+        if not self.floating:  # a fixed base stands where the config says, as a floating one starts there
+            bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
 
     def connect(self, sim: Simulation) -> None:
         """Attach to the running simulations; called once, after the scene has been compiled."""
