@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from wheelleg_exp.threads import prepare_threads
+
 if TYPE_CHECKING:
     from wheelleg_exp.env import ManagerBasedRLEnv
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+# Before anything imports torch: processes that tests start inherit the variables and must compute the same numbers.
+prepare_threads()
 
 EnvMaker = Callable[..., "ManagerBasedRLEnv"]
 

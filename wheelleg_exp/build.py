@@ -8,6 +8,7 @@ from typing import Any
 
 from wheelleg_exp.asset import CachedConversion, convert_cached
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import AssetError
 from wheelleg_exp.paths import cache_dir, find_asset
 
 
@@ -23,7 +24,10 @@ def prepare_asset(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")
-    return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets")
+    try:
+        return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets")
+    except AssetError as error:
+        raise AssetError(str(error), key="env.robot.asset") from error
 
 
 def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> ManagerBasedRLEnv:

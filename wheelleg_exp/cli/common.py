@@ -43,7 +43,7 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
         "overrides",
         nargs="*",
         metavar="OVERRIDE",
-        help="task=walk, env.rewards.alive.weight=2, ~env.events.push, +reward@env.rewards=air, ...",
+        help="task=stand, env.rewards.alive.weight=2, ~env.events.push_robot, +reward@env.rewards=action_rate, ...",
     )
     add_config_dir(parser)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from types import TracebackType
@@ -14,6 +15,15 @@ from wheelleg_exp.rl.trainer import Iteration
 _PLAIN_EVERY_S = 10.0
 
 
+class _QuietConsole(Console):
+    """A console whose reader may go away: it falls silent instead of ending the program."""
+
+    def on_broken_pipe(self) -> None:
+        """Fall silent."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+
+
 class ConsoleDisplay:
     """Shows a job on standard error, so that standard output keeps what was asked for.
 
@@ -22,7 +32,7 @@ class ConsoleDisplay:
     """
 
     def __init__(self, quiet: bool = False) -> None:
-        self._console = Console(file=sys.stderr)
+        self._console = _QuietConsole(file=sys.stderr)
         self._live = self._console.is_terminal
         self._quiet = quiet
         self._last_plain = time.monotonic()

@@ -63,7 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _failed(str(error), error.exit_code, debug)
     except Exception as error:
         hint = "" if debug else " (--debug shows the traceback)"
-        return _failed(f"{type(error).__name__}: {error}{hint}", EXIT_FAILED, debug)
+        notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
+        return _failed(f"{type(error).__name__}: {error}{notes}{hint}", EXIT_FAILED, debug)
 
 
 def _dispatch(words: list[str]) -> int:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_json, add_overrides, print_json
 from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.jobs.stop import StopRequest
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -16,6 +20,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compose, check, train, and say what was made."""
+    from wheelleg_exp.jobs.stop import StopRequest
+
+    # From the first moment on: an interrupt inside the import of a C++ library may be lost or become another error.
+    with StopRequest() as stop:
+        return _train(args, stop)
+
+
+def _train(args: argparse.Namespace, stop: StopRequest) -> int:
     from wheelleg_exp.config.check import require_valid
     from wheelleg_exp.config.compose import compose
 
@@ -27,11 +39,12 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs import training
 
     with ConsoleDisplay() as display:
+        stop.check()
         ready = training.prepare(composed, args.command, display)
         directory = ready.directory
         display.note(f"run directory: {shown(directory.path)}")
         try:
-            results = training.run(ready, display)
+            results = training.run(ready, display, stop)
         except KeyboardInterrupt:
             found = directory.checkpoints()
             last = f"the last checkpoint is {shown(found[-1])}" if found else "there is no checkpoint yet"

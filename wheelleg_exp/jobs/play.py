@@ -18,7 +18,7 @@ from wheelleg_exp.config.compose import compose
 from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.assets import kept_mjcf
+from wheelleg_exp.jobs.assets import kept_mjcf, kept_model_digest
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.figures import StandFigures, StandMeter
 from wheelleg_exp.jobs.threads import set_threads
@@ -75,6 +75,8 @@ def play(
     _require_playable(kept, tree)
     env = ManagerBasedRLEnv(tree["env"], kept_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
+    if tree["env"] == kept["env"] and env.scene.model_digest() != kept_model_digest(run):
+        display.note("note: the compiled model is not the one of the training; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
     meter = StandMeter(env, float(tree["play"]["settle_s"]))

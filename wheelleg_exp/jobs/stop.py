@@ -16,6 +16,11 @@ class StopRequest:
         self.requested = False
         self._before: list[signal._HANDLER] = []
 
+    def check(self) -> None:
+        """Raise KeyboardInterrupt when a stop was asked for."""
+        if self.requested:
+            raise KeyboardInterrupt
+
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
             self._before = [signal.signal(number, self._request) for number in self._SIGNALS]

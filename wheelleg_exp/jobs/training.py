@@ -58,8 +58,8 @@ def _prepare(composed: Composed, command: Sequence[str], display: Display) -> Tr
     trainer = Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"])
     run = config["run"]
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
-    display.environment(env.describe())
     try:
+        display.environment(env.describe())
         keep_asset(directory, asset, config["env"]["robot"]["asset"], env.scene.model_digest())
         manifest = begin(
             directory,
@@ -79,8 +79,8 @@ def _prepare(composed: Composed, command: Sequence[str], display: Display) -> Tr
     return Training(composed, trainer, directory, manifest)
 
 
-def run(training: Training, display: Display) -> dict[str, Any]:
-    """Train to the end, or until Ctrl-C, and return the results that the manifest records.
+def run(training: Training, display: Display, stop: StopRequest) -> dict[str, Any]:
+    """Train to the end, or until a stop is asked for, and return the results that the manifest records.
 
     Raises:
         KeyboardInterrupt: training was stopped; the run directory holds a checkpoint of the last iteration.
@@ -95,8 +95,8 @@ def run(training: Training, display: Display) -> dict[str, Any]:
         RunLock(directory),
         training.manifest.finishing() as results,
         Outputs(directory, trainer, options, documents) as outputs,
-        StopRequest() as stop,
     ):
+        stop.check()
         for iteration in trainer.learn(until=total):
             outputs.write(iteration)
             display.iteration(iteration, total)
@@ -106,8 +106,7 @@ def run(training: Training, display: Display) -> dict[str, Any]:
             if last:
                 results |= {"iterations": iteration.index + 1, "seconds": time.perf_counter() - started}
                 results |= summary(iteration.scalars)
-            if stop.requested:
-                raise KeyboardInterrupt
+            stop.check()
         export_policy(directory, trainer, agent)
     return results
 

@@ -41,8 +41,7 @@ class ManagerBase:
         """Return the bound term; ConfigError when there is none of that name."""
         if name not in self._terms:
             raise ConfigError(
-                f"there is no term '{name}'",
-                key=f"env.{self.kind}",
+                f"there is no term '{name}' in env.{self.kind}",
                 expected="one of " + (", ".join(self._terms) or "(no terms)"),
                 nearest=nearest_name(name, self._terms),
             )

@@ -66,6 +66,9 @@ class Term:
             return self.func(*args, **self.params)
         except ConfigError as error:
             raise _placed(error, self.path) from error
+        except Exception as error:
+            error.add_note(f"in the term {self.path} ({self.target})")
+            raise
 
     @property
     def stateful(self) -> TermBase | None:

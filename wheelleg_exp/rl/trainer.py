@@ -162,6 +162,14 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
                     expected="some of " + ", ".join(observations.keys()),
                     nearest=nearest_name(group, observations.keys()),
                 )
+            if not isinstance(observations[group], torch.Tensor) or observations[group].ndim != 2:
+                raise ConfigError(
+                    "a network takes one flat vector a group",
+                    key=f"env.observations.{group}",
+                    expected="concatenate_terms: true and flatten_history_dim: true",
+                )
+    if env.num_actions == 0:
+        raise ConfigError("there are no actions to learn", key="env.actions", expected="at least one action term")
     _require_device(str(agent["device"]))
     samples = env.num_envs * int(agent["num_steps_per_env"])
     if agent["algorithm"].get("num_mini_batches", 1) > samples:

@@ -82,7 +82,7 @@ class RobotOptions:
 
     Attributes:
         profile: name of this set of numbers; results carry it.
-        asset: the robot's USD (or MJCF) file, relative to an asset folder.
+        asset: the robot's USD file, relative to an asset folder.
         base: whether the base is free.
         init_state: the state that resets start from.
         joint_order: joint names in the order that terms see; null is breadth-first, as in PhysX.
