@@ -87,7 +87,9 @@ def play(
         shutil.rmtree(folder, ignore_errors=True)
         raise
     figures = meter.figures()
-    content = {"checkpoint": str(checkpoint), "checkpoint_sha256": sha256(checkpoint), "seed": tree["seed"]}
+    own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
+    name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
+    content = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint), "seed": tree["seed"]}
     content |= {"overrides": list(overrides), **figures.as_dict()}
     write_json(folder / "figures.json", content)
     files = [folder / "figures.json", *([recording] if recording else [])]
