@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import re
 import sys
 from collections.abc import Sequence
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from wheelleg_exp.errors import WheellegError, nearest_name
+from wheelleg_exp.run.files import dump_json
 
 
 class UsageError(WheellegError):
@@ -68,16 +67,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def print_json(document: Any) -> None:
     """Print one JSON document."""
-    print(json.dumps(_without_nan(document), indent=2, default=str, ensure_ascii=False, allow_nan=False))
-
-
-def _without_nan(value: Any) -> Any:
-    """Return the value with NaN and infinities, which JSON does not have, as text."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(item) for item in value]
-    return repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+    print(dump_json(document), end="")
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str | None = None) -> None:

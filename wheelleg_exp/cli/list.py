@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +64,9 @@ def _terms(args: argparse.Namespace) -> Table:
 
 def _runs(args: argparse.Namespace) -> Table:
     from wheelleg_exp.run.listing import list_runs
+    from wheelleg_exp.run.timestamps import utc_text
 
-    summaries = [asdict(s) if is_dataclass(s) else dict(s) for s in list_runs(args.root)]
+    summaries = [{**asdict(run), "started": utc_text(run.started)} for run in list_runs(args.root)]
     columns = ["id", "task", "status", "started", "ended", "seeds", "path"]
     return columns, [[summary.get(column) for column in columns] for summary in summaries]
 

@@ -76,18 +76,8 @@ class JointAction(ActionTerm):
         return bounds[:, 0], bounds[:, 1]
 
 
-class JointPositionAction(JointAction):
-    """Position targets, rad.
-
-    Args:
-        env: the environment.
-        joint_names: expressions of the driven joints.
-        scale: rad per unit of action.
-        offset: rad; ignored with ``use_default_offset``.
-        clip: bounds of the target by joint expression, rad. It bounds the target, not the raw action.
-        preserve_order: order of the expressions (True) or of the robot (False).
-        use_default_offset: take the default joint positions as the offset.
-    """
+class _DefaultOffsetAction(JointAction):
+    """A joint action whose offset may be the joints' default."""
 
     def __init__(
         self,
@@ -101,7 +91,29 @@ class JointPositionAction(JointAction):
     ) -> None:
         super().__init__(env, joint_names, scale, offset, clip, preserve_order)
         if use_default_offset:
-            self._offset.copy_(self._robot.data.default_joint_pos[:, self._ids])
+            self._offset.copy_(self.default()[:, self._ids])
+
+    def default(self) -> torch.Tensor:
+        """Return what ``use_default_offset`` takes, (N, J)."""
+        raise NotImplementedError
+
+
+class JointPositionAction(_DefaultOffsetAction):
+    """Position targets, rad.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: rad per unit of action.
+        offset: rad; ignored with ``use_default_offset``.
+        clip: bounds of the target by joint expression, rad. It bounds the target, not the raw action.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        use_default_offset: take the default joint positions as the offset.
+    """
+
+    def default(self) -> torch.Tensor:
+        """Return the default joint positions, (N, J)."""
+        return self._robot.data.default_joint_pos
 
     def apply_actions(self) -> None:
         """Set the position targets."""
@@ -140,7 +152,7 @@ class RelativeJointPositionAction(JointAction):
         )
 
 
-class JointVelocityAction(JointAction):
+class JointVelocityAction(_DefaultOffsetAction):
     """Velocity targets, rad/s; beyond the actuator's velocity limit they are clipped to it.
 
     Args:
@@ -153,19 +165,9 @@ class JointVelocityAction(JointAction):
         use_default_offset: take the default joint velocities as the offset.
     """
 
-    def __init__(
-        self,
-        env: Env,
-        joint_names: str | Sequence[str],
-        scale: float | Mapping[str, float] = 1.0,
-        offset: float | Mapping[str, float] = 0.0,
-        clip: Mapping[str, Sequence[float]] | None = None,
-        preserve_order: bool = False,
-        use_default_offset: bool = True,
-    ) -> None:
-        super().__init__(env, joint_names, scale, offset, clip, preserve_order)
-        if use_default_offset:
-            self._offset.copy_(self._robot.data.default_joint_vel[:, self._ids])
+    def default(self) -> torch.Tensor:
+        """Return the default joint velocities, (N, J)."""
+        return self._robot.data.default_joint_vel
 
     def apply_actions(self) -> None:
         """Set the velocity targets."""

@@ -33,15 +33,11 @@ class Iteration:
     Attributes:
         index: its number, from 0.
         scalars: what is logged, by rsl_rl's and Isaac Lab's keys.
-        collection_time: seconds of the rollout.
-        learning_time: seconds of the update.
         env_steps: environment steps of the rollout.
     """
 
     index: int
     scalars: dict[str, float]
-    collection_time: float
-    learning_time: float
     env_steps: int
 
 
@@ -91,7 +87,7 @@ class Trainer:
             scalars["Perf/total_fps"] = steps / (learned - start)
             scalars["Perf/collection_time"] = collected - start
             scalars["Perf/learning_time"] = learned - collected
-            done = Iteration(self.iteration, scalars, collected - start, learned - collected, steps)
+            done = Iteration(self.iteration, scalars, steps)
             self.iteration += 1
             yield done
 

@@ -41,7 +41,7 @@ class RobotData:
         root = model.body(robot.body_names[0])
         self._root_id = int(root.id)
         self._floating = robot.floating
-        self._nq, self._nv = model.nq, model.nv
+        self._nq = model.nq
         # Positions and velocities stand side by side in a state row.
         start = sim.column("qpos")
         self._motion = sim.state[:, start : start + model.nq + model.nv]
