@@ -205,6 +205,7 @@ def test_the_environment_runs_in_inference_mode_and_is_reset_outside(make_env):
             env.step(STILL)
     env.reset()
     env.step(STILL)
+    assert (env.episode_length_buf == 1).all()
 
 
 @pytest.mark.parametrize("key", ["num_envs", "decimation"])

@@ -83,7 +83,11 @@ def test_a_bias_drawn_inside_inference_mode_may_be_redrawn_outside():
     model, generator = _biased(), gen()
     with torch.inference_mode():
         model(torch.zeros(2, 2), generator)
+    before = model.state_dict()["bias"]
     model.reset(T([0]), generator)
+    after = model.state_dict()["bias"]
+    assert not torch.equal(after[0], before[0])
+    assert torch.equal(after[1], before[1])
 
 
 def _run(modifier, series, width=1):
