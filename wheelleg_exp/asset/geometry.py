@@ -22,21 +22,26 @@ def single(value: float) -> float:
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
 
-def rounded(value: float, scale: float | None = None) -> float:
-    """Return the shortest decimal within single precision of a number that was computed from one such.
+SHORT_DIGITS = 5  # a decimal this short, within single precision, is what was meant and not an accident
+NOISE = 1e-14  # relative error of a few operations in double precision
 
-    -28.64789 degrees are -0.5000000058 rad; what was meant is -0.5.
+
+def rounded(value: float, scale: float | None = None) -> float:
+    """Return the short decimal that was meant, where there is one; else the number itself.
+
+    -28.64789 degrees are -0.5000000058 rad; what was meant is -0.5. Nothing changes by more than the single
+    precision in which USD stores most physics, and what is no short decimal stays as it is.
 
     Args:
         value: the number.
         scale: size that the precision is relative to, such as a vector's length; by default the number's own.
     """
-    tolerance = (abs(value) if scale is None else scale) * 2.0**-23
-    if abs(value) <= tolerance:
+    size = abs(value) if scale is None else scale
+    if abs(value) <= size * 2.0**-23:
         return 0.0
-    for digits in range(1, 17):
+    for digits in range(1, 16):
         short = float(f"{value:.{digits}g}")
-        if abs(short - value) <= tolerance:
+        if abs(short - value) <= size * (2.0**-23 if digits <= SHORT_DIGITS else NOISE):
             return short
     return value
 
