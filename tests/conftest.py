@@ -18,6 +18,11 @@ prepare_threads()
 EnvMaker = Callable[..., "ManagerBasedRLEnv"]
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let ``--corpus DIR`` name the USD robots that are not in the repository."""
+    parser.addoption("--corpus", metavar="DIR", help="folder of USD robots, in place of WHEELLEG_USD_CORPUS")
+
+
 @pytest.fixture
 def make_env() -> EnvMaker:
     """Build an environment on a small robot: ``make_env("rover", seed=1, rewards={...})``."""

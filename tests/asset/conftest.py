@@ -1,0 +1,28 @@
+"""Gives tests the corpus of real robots, or says that there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .corpus import ABSENT, corpus_folder, expectations
+
+
+@pytest.fixture(scope="session")
+def corpus(request: pytest.FixtureRequest) -> Path:
+    """The corpus's folder."""
+    folder = corpus_folder(request.config.getoption("--corpus"))
+    if folder is None:
+        pytest.skip(ABSENT)
+    return folder
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test that asks for ``expected`` once for each asset of the corpus."""
+    if "expected" not in metafunc.fixturenames:
+        return
+    items: list[Any] = expectations(corpus_folder(metafunc.config.getoption("--corpus")))
+    absent = pytest.param({}, marks=pytest.mark.skip(reason=ABSENT), id="no corpus")
+    metafunc.parametrize("expected", items or [absent], ids=[item["name"] for item in items] or None)

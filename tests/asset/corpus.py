@@ -1,0 +1,61 @@
+"""The corpus of real robots: a folder with ``assets/``, ``expected/*.json`` and ``check.py``, outside the repository.
+
+``pytest --corpus DIR`` or the variable ``WHEELLEG_USD_CORPUS`` names it. Without one, tests that need it skip.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from wheelleg_exp.asset import Conversion, convert
+
+VARIABLE = "WHEELLEG_USD_CORPUS"
+ABSENT = f"no corpus of USD robots: set {VARIABLE} or pass --corpus DIR"
+
+
+def corpus_folder(option: str | None) -> Path | None:
+    """Return the corpus's folder, None when nobody names one.
+
+    Raises:
+        FileNotFoundError: the one that is named is not there.
+    """
+    text = option or os.environ.get(VARIABLE)
+    if not text:
+        return None
+    folder = Path(text).resolve()
+    if not (folder / "expected").is_dir():
+        raise FileNotFoundError(f"{VARIABLE} or --corpus: there is no '{folder / 'expected'}'")
+    return folder
+
+
+def expectations(folder: Path | None) -> list[dict[str, Any]]:
+    """Return what the corpus says of each of its assets, by name."""
+    files = sorted((folder / "expected").glob("*.json")) if folder else []
+    return [json.loads(path.read_text(encoding="utf-8")) for path in files]
+
+
+def check_module(folder: Path) -> ModuleType:
+    """Return the corpus's own script that holds a model against an expectation."""
+    spec = importlib.util.spec_from_file_location("corpus_check", folder / "check.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def convert_asset(folder: Path, expected: dict[str, Any], output: Path) -> Conversion:
+    """Convert an asset with the arguments that its expectation names."""
+    base, variants = _arguments(expected.get("args", []))
+    return convert(folder / expected["asset"], output, base=base, variants=variants)
+
+
+def _arguments(words: Sequence[str]) -> tuple[Any, dict[str, str]]:
+    pairs = list(zip(words[::2], words[1::2], strict=True))
+    variants = dict(value.split("=", 1) for flag, value in pairs if flag == "--variant")
+    return next((value for flag, value in pairs if flag == "--base"), "auto"), variants
