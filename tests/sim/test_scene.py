@@ -225,6 +225,24 @@ def test_the_average_is_with_the_coefficient_that_the_robot_names(make_env):
     assert env.scene.model.geom("cube").priority[0] > env.scene.model.geom("ground").priority[0]
 
 
+def _contacts_at_rest(make_env, wanted: bool | None) -> set[frozenset[str]]:
+    """Pairs of geoms that touch when one of the rover's arms is so fat that it reaches the other, on the ground."""
+    spec = make_env(robot={"self_collisions": wanted}).scene.spec
+    spec.geom("left_arm").size[0] = 0.25
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.02
+    mujoco.mj_forward(model, data)
+    return {frozenset(model.geom(int(g)).name for g in pair) for pair in data.contact.geom}
+
+
+@pytest.mark.parametrize(("wanted", "touch"), [(None, True), (True, True), (False, False)])
+def test_the_config_may_switch_the_robots_own_collisions_off_and_not_those_with_the_ground(make_env, wanted, touch):
+    pairs = _contacts_at_rest(make_env, wanted)
+    assert (frozenset({"left_arm", "right_arm"}) in pairs) is touch
+    assert frozenset({"base_box", "ground"}) in pairs
+
+
 def test_gravity_turned_is_seen_by_the_robot(make_env):
     """Projected gravity is the direction of gravity, not of the world's -z."""
     env = make_env(sim={"gravity": [3.0, 0.0, -4.0]})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -73,7 +73,8 @@ def read_options(kind: type[_Options], section: Mapping[str, Any], path: str) ->
         if name not in hints:
             expected, nearest = ", ".join(hints), nearest_name(name, hints)
             raise ConfigError("unknown key", key=f"{path}.{name}", expected=expected, nearest=nearest)
-    missing = [name for name in hints if name not in section]
+    optional = {item.name for item in fields(kind) if item.default is not MISSING}
+    missing = [name for name in hints if name not in section and name not in optional]
     if missing:
         raise ConfigError(f"'{missing[0]}' is missing", key=path, expected=", ".join(hints))
     nested = {name for name, hint in hints.items() if is_dataclass(hint)}

@@ -89,6 +89,7 @@ class RobotOptions:
         soft_joint_pos_limit_factor: share of the joint range that the soft limits keep.
         friction_source: which of a material's two coefficients MuJoCo's single one is taken from.
         actuators: one node an actuator group, by name.
+        self_collisions: whether the robot's own bodies may touch; null is what the asset says.
     """
 
     profile: str
@@ -99,3 +100,4 @@ class RobotOptions:
     soft_joint_pos_limit_factor: float = field(metadata={"above": 0.0, "maximum": 1.0})
     friction_source: Literal["static", "dynamic"]
     actuators: dict[str, Any]
+    self_collisions: bool | None = None

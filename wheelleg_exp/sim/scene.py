@@ -55,6 +55,7 @@ class Scene:
         spec = _robot_spec(mjcf)
         root_name = _root_body(spec, mjcf)
         _set_options(spec, sim)
+        _set_self_collisions(spec, robot.self_collisions)
         self._add_ground(spec)
         self._effective_friction(spec, robot.friction_source)
         self.robot = Robot(robot, actuators, spec, root_name)
@@ -217,6 +218,15 @@ def _root_body(spec: mujoco.MjSpec, mjcf: Path) -> str:
             f"the file holds {len(roots)} robots", key=str(mjcf), expected="exactly one tree of moving bodies"
         )
     return str(roots[0].name)
+
+
+def _set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
+    """Let the robot's geoms meet each other or the ground alone; excluded pairs of bodies stay excluded."""
+    if wanted is None:
+        return
+    for geom in spec.geoms:
+        if geom.contype or geom.conaffinity:
+            geom.contype, geom.conaffinity = int(wanted), 1
 
 
 def _set_options(spec: mujoco.MjSpec, sim: SimOptions) -> None:
