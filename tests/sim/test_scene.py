@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import AssetError, ConfigError
-from wheelleg_exp.sim.scene import grid_origins
+from wheelleg_exp.sim.scene import grid_origins, model_digest
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9, 12, 17, 64, 100])
@@ -254,6 +255,22 @@ def test_two_builds_have_the_same_identity_and_another_timestep_has_not(make_env
     first, second, other = make_env(), make_env(), make_env(sim={"dt": 0.005})
     assert first.scene.model_digest() == second.scene.model_digest()
     assert first.scene.model_digest() != other.scene.model_digest()
+
+
+MESH = """<mujoco><asset><mesh name="t" file="t.obj"/></asset>
+<worldbody><body><freejoint/><geom type="mesh" mesh="t" mass="{mass}"/></body></worldbody></mujoco>"""
+
+
+def _digest_in(folder: Path, mass: float = 1.0) -> str:
+    folder.mkdir(exist_ok=True)
+    (folder / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    (folder / "m.xml").write_text(MESH.format(mass=mass))
+    return model_digest(mujoco.MjModel.from_xml_path(str(folder / "m.xml")))
+
+
+def test_the_identity_does_not_depend_on_where_the_meshes_lie(tmp_path):
+    assert _digest_in(tmp_path / "here") == _digest_in(tmp_path / "somewhere_else")
+    assert _digest_in(tmp_path / "here") != _digest_in(tmp_path / "here", mass=1.0000001)
 
 
 @pytest.mark.parametrize("section", ["sim", "scene", "robot"])

@@ -22,6 +22,7 @@ from wheelleg_exp.sim.simulation import Simulation
 
 GROUND = "ground"
 _ROBOT_PRIORITY = 1
+_PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
 
 
 class Scene:
@@ -97,10 +98,7 @@ class Scene:
 
     def model_digest(self) -> str:
         """Return the sha256 of the compiled model, the identity of everything that physics reads."""
-        size = mujoco.mj_sizeModel(self.model)
-        buffer = np.zeros(size, dtype=np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(buffer.tobytes()).hexdigest()
+        return model_digest(self.model)
 
     def write_data_to_sim(self) -> None:
         """Run the actuators and write controls and wrenches, before each physics step."""
@@ -197,6 +195,19 @@ def grid_origins(num_envs: int, spacing: float) -> torch.Tensor:
     origins[:, 0] = (-(i.flatten()[:num_envs] - (rows - 1) / 2)) * spacing
     origins[:, 1] = (j.flatten()[:num_envs] - (cols - 1) / 2) * spacing
     return origins
+
+
+def model_digest(model: mujoco.MjModel) -> str:
+    """Return the sha256 of all numbers and names of a model, but not of the places of its files."""
+    digest = hashlib.sha256()
+    for holder in (model, model.opt):
+        for name in sorted(dir(holder)):
+            if name.startswith("_") or name in _PLACES or name.endswith("pathadr"):
+                continue
+            value = getattr(holder, name)
+            if isinstance(value, (np.ndarray, np.generic, int, float, bytes)):
+                digest.update(name.encode() + b"\0" + np.asarray(value).tobytes())
+    return digest.hexdigest()
 
 
 def _robot_spec(mjcf: Path) -> mujoco.MjSpec:
