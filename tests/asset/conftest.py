@@ -20,9 +20,9 @@ def corpus(request: pytest.FixtureRequest) -> Path:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a test that asks for ``expected`` once for each asset of the corpus."""
-    if "expected" not in metafunc.fixturenames:
+    """Run a test that asks for ``corpus_asset`` once for each asset of the corpus."""
+    if "corpus_asset" not in metafunc.fixturenames:
         return
     items: list[Any] = expectations(corpus_folder(metafunc.config.getoption("--corpus")))
     absent = pytest.param({}, marks=pytest.mark.skip(reason=ABSENT), id="no corpus")
-    metafunc.parametrize("expected", items or [absent], ids=[item["name"] for item in items] or None)
+    metafunc.parametrize("corpus_asset", items or [absent], ids=[item["name"] for item in items] or None)

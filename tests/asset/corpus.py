@@ -43,7 +43,8 @@ def expectations(folder: Path | None) -> list[dict[str, Any]]:
 def check_module(folder: Path) -> ModuleType:
     """Return the corpus's own script that holds a model against an expectation."""
     spec = importlib.util.spec_from_file_location("corpus_check", folder / "check.py")
-    assert spec and spec.loader
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

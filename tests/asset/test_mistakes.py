@@ -27,8 +27,8 @@ def test_a_file_that_is_not_there(tmp_path):
 
 
 def test_a_file_that_is_no_usd(tmp_path):
-    path = tmp_path / "robot.urdf"
-    path.write_text("<robot/>")
+    path = tmp_path / "robot.stl"
+    path.write_text("solid robot")
     assert ".usda" in told(path, tmp_path / "out.xml").expected
 
 
@@ -85,9 +85,12 @@ def test_an_unknown_variant_set_and_name(tmp_path):
     assert told(path, tmp_path / "out.xml", variants={"Physics": "Physx"}).nearest == "PhysX"
 
 
-def test_what_mujoco_refuses_is_told_and_leaves_no_output(tmp_path):
-    impossible = MASS.replace("(0.1, 0.1, 0.1)", "(0.1, 0.1, 9)")  # no mass distribution has such moments
-    path = write(tmp_path, link("a", mass=impossible))
+def test_what_mujoco_refuses_is_told_and_leaves_no_output(tmp_path, monkeypatch):
+    def refuse(path: str) -> None:
+        raise ValueError("Error: no such thing")
+
+    monkeypatch.setattr("mujoco.MjModel.from_xml_path", refuse)
+    path = write(tmp_path, link("a"))
     assert "MuJoCo cannot build a model" in str(told(path, tmp_path / "out.xml"))
     assert leftovers(tmp_path) == ["bot.usda"]
 

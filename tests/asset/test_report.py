@@ -70,7 +70,7 @@ def test_what_is_left_out_says_why(conversion):
     [
         "float physxJoint:jointFriction = 0.1",
         "float physxLimit:angular:stiffness = 3",
-        "float mjc:springref = 10",
+        "float mjc:nobody:knows = 10",
         "float newton:nobody:knows = 1",
         "float physics:nobody:knows = 1",
     ],
@@ -95,6 +95,107 @@ def test_kinds_of_prims_without_a_place_are_named(tmp_path):
     _, done = converted(write(tmp_path, body))
     assert {"PhysicsDistanceJoint", "Camera", "SphereLight"} <= {item.name for item in done.report.left_out}
     assert any("/bot/rope" in warning for warning in done.report.warnings)
+
+
+@pytest.mark.parametrize(
+    "schema",
+    [
+        "PhysxForceAPI",
+        "PhysxSurfaceVelocityAPI",
+        "PhysxTendonAxisAPI:inst0",
+        "PhysxDeformableBodyAPI",
+        "PhysxParticleAPI",
+    ],
+)
+def test_a_schema_that_moves_the_robot_and_is_not_read_is_warned_about(tmp_path, schema):
+    _, done = converted(write(tmp_path, link("a", apis=schema)))
+    assert any(item.name == schema and "/bot/a" in item.values for item in done.report.left_out)
+    assert any(text.startswith("/bot/a: ") and schema in text for text in done.report.warnings)
+
+
+@pytest.mark.parametrize("schema", ["PhysxNobodyKnowsAPI", "NobodyKnowsAPI"])
+def test_a_schema_of_physics_that_nobody_knows_is_named_and_no_other(tmp_path, schema):
+    _, done = converted(write(tmp_path, link("a", apis=schema)))
+    assert ([item.name for item in done.report.left_out] == [schema]) is schema.startswith("Physx")
+
+
+@pytest.mark.parametrize("kind", ["PhysxPhysicsGearJoint", "PhysxParticleSystem", "OmniGraph", "Camera", "RectLight"])
+def test_a_kind_of_prim_without_a_place_is_named(tmp_path, kind):
+    _, done = converted(write(tmp_path, link("a", inside=f'def {kind} "thing"\n{{\n}}\n')))
+    (entry,) = [item for item in done.report.left_out if item.name == kind]
+    assert entry.values == {"/bot/a/thing": ""}
+    assert bool(done.report.warnings) is kind.startswith("Physx")
+
+
+def test_a_collider_without_a_shape_is_warned_about(tmp_path):
+    empty = 'def Xform "collisions" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
+    _, done = converted(write(tmp_path, link("a", inside=empty)))
+    assert any("/bot/a/collisions" in text for text in done.report.warnings)
+
+
+def test_what_hides_below_an_instancer_is_named(tmp_path):
+    inside = 'def PointInstancer "p"\n{\ndef Xform "x"\n{\nfloat physics:mass = 3\n}\n}\n'
+    _, done = converted(write(tmp_path, link("a", inside=inside)))
+    assert any(item.name == "physics:mass" and "/bot/a/p/x" in item.values for item in done.report.left_out)
+
+
+def test_physics_outside_the_default_prim_is_named_but_not_what_the_robot_is_made_of(tmp_path):
+    shape = 'def Sphere "s" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
+    outside = f'def Xform "ground"\n{{\n{shape}}}\ndef Xform "colliders"\n{{\n{shape}}}\n'
+    inside = 'def Xform "c" (\ninstanceable = true\nreferences = </colliders>\n)\n{\n}\n'
+    _, done = converted(write(tmp_path, link("a", inside=inside), outside=outside))
+    assert [item.values for item in done.report.left_out] == [{"/ground": "colliders: 1"}]
+    assert len(done.description.colliders) == 1
+
+
+def test_a_material_outside_the_default_prim_is_accounted_for(tmp_path):
+    material = (
+        'def Material "rubber" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{\nfloat physics:dynamicFriction = 0.7\n'
+        "float physxMaterial:compliantContactStiffness = 5\n}\n"
+    )
+    shape = (
+        'def Sphere "s" (prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"])\n'
+        "{\nrel material:binding:physics = </rubber>\n}\n"
+    )
+    model, done = converted(write(tmp_path, link("a", inside=shape), outside=material))
+    assert model.geom_friction[0, 0] == 0.7
+    assert "physxMaterial:compliantContactStiffness" in {item.name for item in done.report.left_out}
+    assert ("/bot/a/s", "material:binding:physics") in {(item.path, item.name) for item in done.report.mapped}
+
+
+def test_a_texture_and_a_library_that_are_not_there_are_reported_and_no_end(tmp_path):
+    shader = (
+        'def Shader "s"\n{\nasset inputs:diffuse_texture = @gone.png@\nasset info:mdl:sourceAsset = @OmniPBR.mdl@\n}\n'
+    )
+    _, done = converted(write(tmp_path, link("a") + f'def Material "m"\n{{\n{shader}}}\n'))
+    left = {item.name: item for item in done.report.left_out}
+    assert set(left) == {"inputs:diffuse_texture", "info:mdl:sourceAsset"}
+    assert left["inputs:diffuse_texture"].values == {"/bot/m/s": "gone.png"}
+    assert "not there" in left["inputs:diffuse_texture"].reason
+    assert done.report.warnings == ()
+
+
+def test_a_mesh_of_several_materials_takes_that_of_most_faces(tmp_path):
+    def material(name: str, color: str) -> str:
+        shader = f'def Shader "s"\n{{\ncolor3f inputs:diffuseColor = {color}\n}}\n'
+        return f'def Material "{name}"\n{{\n{shader}}}\n'
+
+    def subset(name: str, indices: str) -> str:
+        apis = '(prepend apiSchemas = ["MaterialBindingAPI"])'
+        return (
+            f'def GeomSubset "{name}" {apis}\n{{\nint[] indices = {indices}\nrel material:binding = </bot/{name}>\n}}\n'
+        )
+
+    block = cube_inside("none").rstrip()[:-1] + subset("red", "[0]") + subset("blue", "[1, 2, 3, 4, 5]") + "}\n"
+    body = link("a", inside=block) + material("red", "(1, 0, 0)") + material("blue", "(0, 0, 1)")
+    _, done = converted(write(tmp_path, body))
+    assert [item.rgba for item in done.description.materials] == [(0, 0, 1, 1)]
+
+
+def test_what_is_authored_in_two_ways_is_no_end(tmp_path):
+    path = write(tmp_path, link("a", inside="rel physics:velocity = </bot>"))
+    _, done = converted(path)
+    assert "physics:velocity" in {item.name for item in done.report.left_out}
 
 
 def test_a_mesh_that_is_no_hull_is_warned_about(tmp_path):

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from .small_usd import DEGREES, MASS, converted, hinge, link, tensor, two_links, write
+from .small_usd import MASS, converted, hinge, link, tensor, two_links, write
 
 CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    kilogramsPerUnit = 0.001\n    upAxis = "Y"'
 CUBE = """
@@ -55,126 +55,12 @@ def test_default_density_is_that_of_water_in_any_unit(tmp_path):
     assert model.body("a").mass[0] == pytest.approx(1000 * 0.1**3)
 
 
-def test_gravity_is_in_stage_lengths(tmp_path):
-    scene = 'def PhysicsScene "scene"\n{\n    float physics:gravityMagnitude = 162\n}'
-    model, _ = converted(write(tmp_path, link("a"), header=CM, outside=scene))
-    np.testing.assert_allclose(model.opt.gravity, [0, 0, -1.62], rtol=1e-6)
-
-
 def test_unset_units_are_usds_fallbacks_and_are_reported(tmp_path):
     model, done = converted(write(tmp_path, link("a", "(0, 30, 0)"), header='defaultPrim = "bot"'))
     assert model.body("a").pos[2] == pytest.approx(0.3)
     assert {"no metersPerUnit: USD's fallback", "no upAxis: USD's fallback"} <= {
         item.rule for item in done.report.assumptions
     }
-
-
-# ------------------------------------------------------------------ drives
-@pytest.mark.parametrize(
-    ("kp", "kd", "gain", "bias"),
-    [
-        (2.0, 0.5, 2.0 * DEGREES, [0, -2.0 * DEGREES, -0.5 * DEGREES]),
-        (0.0, 0.5, 0.5 * DEGREES, [0, 0, -0.5 * DEGREES]),
-        (0.0, 0.0, 1.0, [0, 0, 0]),
-    ],
-    ids=["position", "velocity", "motor"],
-)
-def test_angular_gains_are_per_degree(tmp_path, kp, kd, gain, bias):
-    text = (
-        f"float drive:angular:physics:stiffness = {kp}\n float drive:angular:physics:damping = {kd}\n"
-        "float drive:angular:physics:maxForce = 7"
-    )
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
-    drive = model.actuator("j")
-    assert drive.gainprm[0] == pytest.approx(gain, rel=1e-6)
-    np.testing.assert_allclose(drive.biasprm[:3], bias, rtol=1e-6)
-    np.testing.assert_allclose(drive.forcerange, [-7, 7])
-
-
-def test_linear_gains_are_per_length(tmp_path):
-    text = "float drive:linear:physics:stiffness = 2\n float drive:linear:physics:damping = 0.5"
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:linear", kind="Prismatic")
-    np.testing.assert_allclose(model.actuator("j").biasprm[:3], [0, -2, -0.5])
-
-
-@pytest.mark.parametrize("force", ["0", "inf", "3.4028235e38"])
-def test_no_effort_limit_where_none_is_given(tmp_path, force):
-    text = f"float drive:angular:physics:stiffness = 1\n float drive:angular:physics:maxForce = {force}"
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular")
-    assert not model.actuator_forcelimited[0]
-
-
-def test_acceleration_gains_are_times_the_inertia_that_the_drive_meets(tmp_path):
-    text = (
-        "float drive:angular:physics:stiffness = 1\n"
-        'uniform token drive:angular:physics:type = "acceleration"\n uniform token physics:axis = "X"'
-    )
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular", base="fixed")
-    assert model.actuator("j").gainprm[0] == pytest.approx(DEGREES * 0.1, rel=1e-6)  # 0.1 kg m² about x
-
-
-def test_targets_and_saved_state_become_the_home_keyframe(tmp_path):
-    text = (
-        "float drive:angular:physics:stiffness = 1\n float drive:angular:physics:targetPosition = 90\n"
-        "float state:angular:physics:position = 30\n float state:angular:physics:velocity = 60"
-    )
-    model, _ = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular PhysicsJointStateAPI:angular")
-    key = model.key("home")
-    assert key.qpos[-1] == pytest.approx(math.radians(30))
-    assert key.qvel[-1] == pytest.approx(math.radians(60))
-    assert key.ctrl[0] == pytest.approx(math.radians(90))
-
-
-def test_a_saved_state_beyond_the_limits_is_clamped_and_reported(tmp_path):
-    text = "float physics:lowerLimit = -10\n float physics:upperLimit = 10\nfloat state:angular:physics:position = 30"
-    model, done = two_links(tmp_path, text, apis="PhysicsJointStateAPI:angular")
-    assert model.key("home").qpos[-1] == pytest.approx(math.radians(10))
-    assert any("outside the limits" in item.rule for item in done.report.assumptions)
-
-
-def test_attributes_of_schemas_that_usd_does_not_know_are_read(tmp_path):
-    text = "float physxJoint:armature = 0.25\n float physxJoint:maxJointVelocity = 180"
-    model, done = two_links(tmp_path, text, apis="PhysxJointAPI")
-    assert model.dof_armature[6] == pytest.approx(0.25)
-    assert done.report.velocity_limits["j"] == pytest.approx(math.pi, rel=1e-6)
-
-
-def test_newton_damping_is_per_degree_and_mujocos_is_per_radian(tmp_path):
-    model, _ = two_links(tmp_path, "float newton:damping = 0.01")
-    assert model.dof_damping[6] == pytest.approx(0.01 * DEGREES, rel=1e-6)
-    model, _ = two_links(tmp_path, "float newton:damping = 0.01\n float mjc:damping = 0.5")
-    assert model.dof_damping[6] == pytest.approx(0.5)
-
-
-# ------------------------------------------------------------------ limits
-@pytest.mark.parametrize(
-    "limits",
-    [
-        ("-inf", "inf"),
-        ("-57295776", "57295776"),
-        ("-99999990", "99999990"),
-        ("-1e38", "1e38"),
-        ("0", "0"),
-        ("-10", "inf"),
-        None,
-    ],
-)
-def test_a_hinge_without_real_limits_has_none(tmp_path, limits):
-    text = f"float physics:lowerLimit = {limits[0]}\n float physics:upperLimit = {limits[1]}" if limits else ""
-    model, _ = two_links(tmp_path, text)
-    assert not model.jnt_limited[1]
-
-
-def test_equal_limits_are_warned_about(tmp_path):
-    _, done = two_links(tmp_path, "float physics:lowerLimit = 0\n float physics:upperLimit = 0")
-    assert any("/bot/j" in warning and "PhysX locks" in warning for warning in done.report.warnings)
-
-
-def test_a_slide_may_be_limited_on_one_side(tmp_path):
-    model, _ = two_links(tmp_path, "float physics:lowerLimit = -0.5", kind="Prismatic")
-    assert model.jnt_limited[1]
-    assert model.jnt_range[1][0] == pytest.approx(-0.5)
-    assert model.jnt_range[1][1] > 1e3
 
 
 # ------------------------------------------------------------------ joints and the tree
@@ -252,34 +138,6 @@ def test_a_fixed_joint_keeps_both_bodies(tmp_path):
     assert model.body("b").parentid[0] == model.body("a").id
 
 
-def test_a_generic_joint_leaves_free_what_is_not_locked(tmp_path):
-    lock = "\n".join(
-        f"float limit:{axis}:physics:low = 1\n float limit:{axis}:physics:high = -1"
-        for axis in ("transX", "transY", "transZ", "rotX")
-    )
-    ranged = "float limit:rotY:physics:low = -20\n float limit:rotY:physics:high = 30"
-    apis = " ".join(f"PhysicsLimitAPI:{a}" for a in ("transX", "transY", "transZ", "rotX", "rotY"))
-    model, _ = two_links(tmp_path, f"{lock}\n{ranged}", apis=apis, kind="")
-    assert [model.joint(i).name for i in (1, 2)] == ["j_rotY", "j_rotZ"]
-    np.testing.assert_allclose(model.jnt_range[1], np.radians([-20, 30]), rtol=1e-6)
-    assert not model.jnt_limited[2]
-
-
-def test_a_loop_is_closed_by_an_equality_on_the_hinges_axis(tmp_path):
-    body = link("a") + link("b", "(1, 0, 0)") + link("c", "(0, 1, 0)")
-    joints = (
-        hinge("ab", "a", "b", text="point3f physics:localPos0 = (1, 0, 0)")
-        + hinge("ac", "a", "c", text="point3f physics:localPos0 = (0, 1, 0)")
-        + hinge("bc", "b", "c", text="point3f physics:localPos1 = (1, -1, 0)")
-    )
-    model, done = converted(write(tmp_path, body + joints))
-    assert model.neq == 2
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    np.testing.assert_allclose(data.efc_pos[:6], 0, atol=1e-9)
-    assert any("closes a loop" in warning for warning in done.report.warnings)
-
-
 def test_a_joint_to_a_body_that_is_not_there_is_left_out_and_named(tmp_path):
     model, done = converted(write(tmp_path, link("a") + link("b") + hinge("j", "a", "ghost")))
     assert model.njnt == 2  # both float
@@ -310,64 +168,6 @@ def test_base(tmp_path, pinned, base, floats):
     model, done = converted(write(tmp_path, link("a") + (PIN if pinned else "")), base=base)
     assert (model.nv == 6) is floats
     assert done.report.base == ("floating" if floats else "fixed")
-
-
-# ------------------------------------------------------------------ mass
-def test_a_mass_of_zero_means_not_given(tmp_path):
-    zero = "float physics:mass = 0\n        float3 physics:diagonalInertia = (0, 0, 0)"
-    model, done = converted(write(tmp_path, link("a", mass=zero, inside=cube(0.2))))
-    assert model.body("a").mass[0] == pytest.approx(1000 * 0.2**3)
-    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 8 * 0.2**2 / 6, rtol=1e-6)
-    assert any(item.name == "physics:mass" for item in done.report.left_out)
-
-
-@pytest.mark.parametrize(
-    ("body", "collider", "density"),
-    [
-        ("", "", 1000),
-        ("float physics:density = 500", "", 500),
-        ("float physics:density = 500", "float physics:density = 250", 250),
-    ],
-)
-def test_the_colliders_density_wins_over_the_bodys(tmp_path, body, collider, density):
-    inside = cube(0.2, apis="PhysicsMassAPI", more=collider)
-    model, _ = converted(write(tmp_path, link("a", mass=body, inside=inside)))
-    assert model.body("a").mass[0] == pytest.approx(density * 0.2**3, rel=1e-6)
-
-
-def test_a_switched_off_collider_still_weighs(tmp_path):
-    inside = cube(0.2, more="bool physics:collisionEnabled = 0")
-    model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
-    assert model.body("a").mass[0] == pytest.approx(8.0)
-    assert not solid_geoms(model)
-
-
-def test_inertia_of_colliders_is_moved_to_an_authored_centre(tmp_path):
-    mass = "float physics:mass = 2\n        point3f physics:centerOfMass = (0, 0, 0.5)"
-    model, _ = converted(write(tmp_path, link("a", mass=mass, inside=cube(0.2))))
-    own = 2 * 0.2**2 / 6
-    expected = np.diag([own + 2 * 0.25, own + 2 * 0.25, own])
-    np.testing.assert_allclose(tensor(model, "a"), expected, rtol=1e-6, atol=1e-12)
-
-
-def test_principal_axes_turn_the_moments(tmp_path):
-    mass = """float physics:mass = 1
-        float3 physics:diagonalInertia = (0.1, 0.2, 0.25)
-        quatf physics:principalAxes = (0.70710678, 0, 0, 0.70710678)"""
-    model, _ = converted(write(tmp_path, link("a", mass=mass)))
-    np.testing.assert_allclose(tensor(model, "a"), np.diag([0.2, 0.1, 0.25]), atol=1e-7)
-
-
-def test_newtons_full_tensor_wins_over_the_diagonal(tmp_path):
-    mass = MASS + "\n        float[] newton:inertia = [0.3, 0.2, 0.25, 0.01, 0, 0]"
-    model, _ = converted(write(tmp_path, link("a", mass=mass)))
-    np.testing.assert_allclose(tensor(model, "a")[:2, :2], [[0.3, 0.01], [0.01, 0.2]], rtol=1e-6)
-
-
-def test_a_body_of_nothing_is_physx_ball_of_one_kilogram(tmp_path):
-    model, _ = converted(write(tmp_path, link("a", mass="")))
-    assert model.body("a").mass[0] == pytest.approx(1.0)
-    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 0.4 * 0.1**2)
 
 
 # ------------------------------------------------------------------ colliders
@@ -462,22 +262,6 @@ def test_a_flat_static_mesh_becomes_a_thin_box(tmp_path):
     np.testing.assert_allclose(sorted(model.geom("world_ground").size)[1:], [5, 5], rtol=1e-6)
 
 
-def test_friction_is_the_dynamic_one_and_the_rest_is_named(tmp_path):
-    material = """
-    def Material "rubber" (prepend apiSchemas = ["PhysicsMaterialAPI"])
-    {
-        float physics:dynamicFriction = 0.7
-        float physics:staticFriction = 0.9
-        float physics:restitution = 0.1
-    }
-"""
-    inside = cube(0.2, apis="MaterialBindingAPI", more="rel material:binding:physics = </bot/rubber>")
-    model, done = converted(write(tmp_path, link("a", inside=inside) + material))
-    assert model.geom_friction[solid_geoms(model)[0]][0] == pytest.approx(0.7)
-    names = {item.name for item in done.report.left_out}
-    assert {"physics:staticFriction", "physics:restitution"} <= names
-
-
 # ------------------------------------------------------------------ contacts
 def test_joined_bodies_do_not_touch_unless_the_joint_allows_it(tmp_path):
     for allowed, pairs in (("0", 1), ("1", 0)):
@@ -495,12 +279,3 @@ def test_without_self_collision_the_robot_still_touches_the_ground(tmp_path):
     mujoco.mj_forward(model, data)  # both cubes are at the origin, half in the ground
     pairs = {frozenset(model.geom(g).name for g in contact.geom) for contact in data.contact}
     assert pairs == {frozenset({"a_cube", "world_ground"}), frozenset({"b_cube", "world_ground"})}
-
-
-def test_filtered_pairs_do_not_touch(tmp_path):
-    filtered = MASS + "\n        rel physics:filteredPairs = </bot/b>"
-    body = link("a", mass=filtered, inside=cube(0.2), apis="PhysicsFilteredPairsAPI")
-    model, _ = converted(write(tmp_path, body + link("b", inside=cube(0.2))))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    assert data.ncon == 0

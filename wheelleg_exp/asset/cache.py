@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from wheelleg_exp.asset.conversion import convert
+from wheelleg_exp.asset.conversion import convert, is_urdf
 from wheelleg_exp.asset.description import BaseMode
 from wheelleg_exp.asset.reader.stage import open_stage
+from wheelleg_exp.asset.reader.urdf.robot import source_files
 from wheelleg_exp.asset.report import Report
 from wheelleg_exp.errors import AssetError
 
@@ -26,8 +27,8 @@ _ATTEMPTS = 3  # to put an entry in place while others do the same
 class CachedConversion:
     """An MJCF in the cache.
 
-    ``sources`` maps each layer, as seen from the source's folder, to its sha256; ``fresh`` says that it was
-    converted now.
+    ``sources`` maps each file that it was made of, as seen from the source's folder, to its sha256; ``fresh``
+    says that it was converted now.
     """
 
     output: Path
@@ -43,12 +44,15 @@ class CachedConversion:
 
 
 def source_digest(source: Path, variants: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the sha256 of every layer that the stage is made of, by path as seen from the source's folder.
+    """Return the sha256 of every file that the robot is made of, by path as seen from the source's folder.
+
+    These are the layers of a USD stage, or a URDF and its meshes.
 
     Raises:
         AssetError: the source cannot be read.
     """
-    return open_stage(Path(source), variants or {}).layers
+    source, chosen = Path(source), variants or {}
+    return source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers
 
 
 def convert_cached(
@@ -56,7 +60,7 @@ def convert_cached(
 ) -> CachedConversion:
     """Return the conversion of ``source``, from the cache when nothing that went into it has changed.
 
-    The key holds the bytes of every layer in use, the options, and this converter with the libraries that it
+    The key holds the bytes of every layer or mesh in use, the options, and this converter with the libraries that it
     stands on. A damaged entry is made again; several processes may do this at once.
 
     Raises:
@@ -121,7 +125,7 @@ def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path
             _publish(draft, entry, Path(folder))
         return report
     except OSError as error:
-        raise AssetError(f"cannot write the cache '{entry.parent}': {error.strerror}") from None
+        raise AssetError(f"cannot write the cache '{entry.parent}': {error.strerror or error}") from None
 
 
 def _publish(draft: Path, entry: Path, scratch: Path) -> None:

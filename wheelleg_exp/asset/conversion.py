@@ -1,8 +1,7 @@
-"""Converts a USD file to an MJCF that appears whole or not at all."""
+"""Converts a USD or URDF file to an MJCF that appears whole or not at all."""
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,12 +9,17 @@ from pathlib import Path
 
 from wheelleg_exp.asset.description import BaseMode, RobotDescription
 from wheelleg_exp.asset.reader.robot import read_usd
+from wheelleg_exp.asset.reader.stage import SUFFIXES as USD
+from wheelleg_exp.asset.reader.urdf.robot import SUFFIXES as URDF
+from wheelleg_exp.asset.reader.urdf.robot import read_urdf
 from wheelleg_exp.asset.report import Report
 from wheelleg_exp.asset.writer.effective import with_force_gains
 from wheelleg_exp.asset.writer.meshes import file_name, obj_text
 from wheelleg_exp.asset.writer.mjcf import Writer
 from wheelleg_exp.asset.writer.verify import load, verify
 from wheelleg_exp.errors import AssetError
+
+MESHES = "_meshes"  # what an MJCF's folder of meshes is called, after its own name
 
 
 @dataclass(frozen=True)
@@ -30,23 +34,53 @@ class Conversion:
 def convert(
     source: Path, output: Path, *, base: BaseMode = "auto", variants: Mapping[str, str] | None = None
 ) -> Conversion:
-    """Convert a USD file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` beside it.
+    """Convert a USD or URDF file to MJCF. Meshes go to the folder ``<output's stem>_meshes`` beside it.
 
     Args:
-        source: a .usd, .usda, .usdc or .usdz file.
+        source: a .usd, .usda, .usdc, .usdz or .urdf file.
         output: the MJCF to write; an older one is replaced.
-        base: ``auto`` as authored; ``floating`` drops the fixed joint to the world; ``fixed`` removes the
-            free joint.
-        variants: selections by variant set, in place of the authored ones.
+        base: ``auto`` as authored, and floating where a URDF does not say; ``floating`` drops the fixed joint to the
+            world; ``fixed`` removes the free joint.
+        variants: selections by variant set, in place of the authored ones; only USD has them.
 
     Raises:
         AssetError: the source cannot be read or holds no robot, or the output cannot be written.
     """
     source, output = Path(source), Path(output)
-    robot, report = read_usd(source, base, variants or {})
+    _require_output(source, output)
+    robot, report = read(source, base, variants or {})
     robot = with_force_gains(robot)
     write(robot, report, output)
     return Conversion(output, robot, report)
+
+
+def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
+    """Read a robot by the reader of its format, and say what was read, assumed and left out.
+
+    Raises:
+        AssetError: there is no such file, or it cannot be read or holds no robot.
+    """
+    return read_urdf(source, base) if is_urdf(source, variants) else read_usd(source, base, variants)
+
+
+def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
+    """Return whether a file is a URDF and not a USD, by its ending.
+
+    Raises:
+        AssetError: its ending is neither's, or variants are chosen of a URDF.
+    """
+    suffix, where = source.suffix.lower(), str(source)
+    if suffix in URDF:
+        if variants:
+            choice = "=".join(next(iter(variants.items())))
+            raise AssetError("a URDF has no variants", key=f"--variant {choice}", where=where)
+        return True
+    if suffix == ".xacro":
+        message = f"'{source.name}' holds xacro macros, which are not carried out here"
+        raise AssetError(message, where=where, expected="a URDF: xacro IN -o OUT.urdf makes one")
+    if suffix not in USD and source.is_file():
+        raise AssetError(f"'{source.name}' is neither USD nor URDF", where=where, expected=", ".join((*USD, *URDF)))
+    return False
 
 
 def write(robot: RobotDescription, report: Report, output: Path) -> None:
@@ -57,38 +91,72 @@ def write(robot: RobotDescription, report: Report, output: Path) -> None:
     """
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.stem}.") as folder:
+        with tempfile.TemporaryDirectory(dir=output.parent, prefix=".converting.") as folder:
             draft = Path(folder) / output.name
-            meshes = mesh_folder(draft)
-            _write_draft(robot, report, draft, meshes)
+            _write_draft(robot, report, draft)
             verify(load(draft, report.source), robot, report.source)
-            _publish_meshes(meshes, mesh_folder(output), Path(folder) / "old")
-            draft.replace(output)
+            _publish(draft, output, Path(folder) / "old")
     except OSError as error:
-        raise AssetError(f"cannot write '{output}': {error.strerror}", key="-o") from None
+        raise AssetError(f"cannot write '{output}': {error.strerror or error}", key="-o") from None
 
 
 def mesh_folder(output: Path) -> Path:
     """Return the folder of the meshes that belong to an MJCF."""
-    return output.with_name(f"{output.stem}_meshes")
+    return output.with_name(output.stem + MESHES)
 
 
-def _write_draft(robot: RobotDescription, report: Report, draft: Path, meshes: Path) -> None:
-    notes = [f"{item.path}: {item.rule}: {item.value}" for item in report.assumptions]
-    draft.write_text(Writer(robot, meshes.name, notes).text(), encoding="utf-8")
+def _require_output(source: Path, output: Path) -> None:
+    """Refuse an output that is no name for an MJCF, or stands where something else is."""
+    try:
+        problem = _problem_of(source, output)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise AssetError(f"cannot write '{output}': {reason}", key="-o") from None
+    if problem:
+        raise AssetError(problem, key="-o", expected="a new name that ends in .xml")
+
+
+def _problem_of(source: Path, output: Path) -> str | None:
+    if output.is_dir():
+        return f"'{output}' is a folder"
+    if output.suffix.lower() != ".xml":
+        return f"'{output.name}' is no name for an MJCF"
+    if output.exists() and source.exists() and output.samefile(source):
+        return f"'{output}' is the source itself"
+    folder = output.parent
+    if folder.name.endswith(MESHES) and folder.with_name(folder.name.removesuffix(MESHES) + ".xml").exists():
+        return f"'{folder}' holds the meshes of another MJCF"
+    return None
+
+
+def _write_draft(robot: RobotDescription, report: Report, draft: Path) -> None:
+    meshes = mesh_folder(draft)
+    draft.write_text(Writer(robot, meshes.name, report.assumptions).text(), encoding="utf-8")
     for mesh in robot.meshes:
         if len(mesh.faces):
             meshes.mkdir(exist_ok=True)
             (meshes / file_name(mesh)).write_text(obj_text(mesh), encoding="utf-8")
 
 
-def _publish_meshes(new: Path, target: Path, old: Path) -> None:
-    """Put the new folder in the place of the old one, which may hold nothing but meshes."""
-    if target.exists():
-        foreign = [path.name for path in target.iterdir() if path.suffix != ".obj"]
-        if foreign:
-            raise AssetError(f"'{target}' holds other files, such as '{foreign[0]}'", key="-o", expected="meshes only")
-        target.replace(old)
-        shutil.rmtree(old)
-    if new.exists():
-        new.replace(target)
+def _publish(draft: Path, output: Path, old: Path) -> None:
+    """Put a draft and its meshes in the place of older ones; when that is interrupted, the older ones stay."""
+    new, target = mesh_folder(draft), mesh_folder(output)
+    _require_meshes_only(target)
+    try:
+        if target.exists():
+            target.replace(old)
+        if new.exists():
+            new.replace(target)
+        draft.replace(output)
+    except BaseException:
+        if draft.exists() and old.exists():
+            if target.exists():
+                target.replace(new)
+            old.replace(target)
+        raise
+
+
+def _require_meshes_only(folder: Path) -> None:
+    foreign = [path.name for path in folder.iterdir() if path.suffix != ".obj"] if folder.exists() else []
+    if foreign:
+        raise AssetError(f"'{folder}' holds other files, such as '{foreign[0]}'", key="-o", expected="meshes only")

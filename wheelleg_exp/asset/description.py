@@ -1,12 +1,13 @@
 """A robot as plain data: bodies, joints, shapes and drives in SI units and radians, z up.
 
-Quaternions are (w, x, y, z). Nothing here knows USD or MuJoCo; the reader makes it and the writer prints it.
+Quaternions are (w, x, y, z). Nothing here knows USD; the reader makes it and the writer prints it. What only
+MuJoCo knows stands in ``extra``: attributes of MJCF by their names there, printed as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ ShapeKind = Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "plane"
 DofKind = Literal["hinge", "slide", "ball"]
 DriveKind = Literal["position", "velocity", "motor"]
 BaseMode = Literal["auto", "floating", "fixed"]
+Extra = Mapping[str, str | int | float | bool | tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Mesh:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     solid: bool
+    extra: Extra = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ class Geom:
     material: str | None = None
     rgba: Rgba | None = None
     friction: float | None = None
+    extra: Extra = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -123,22 +127,50 @@ class Dof:
     position: float = 0.0
     velocity: float = 0.0
     ref: float = 0.0
+    extra: Extra = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """A MuJoCo actuator on a joint, as its authors wrote it: parameters, gear and ranges of ``general``."""
+    """An actuator as MuJoCo has it: what it acts on, and the attributes of ``general``.
+
+    ``transmission`` is the attribute that names the target: a joint, a tendon, a site, a body, or, for a slider and
+    crank, the crank's site.
+    """
 
     name: str
     path: str
-    joint: str
-    gain: tuple[float, ...]
-    bias: tuple[float, ...]
-    bias_type: str = "none"
-    gear: tuple[float, ...] = (1.0,)
-    control_range: tuple[float, float] | None = None
-    force_range: tuple[float, float] | None = None
-    inherit_range: float = 0.0
+    transmission: Literal["joint", "jointinparent", "tendon", "site", "body", "cranksite"]
+    target: str
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TendonPoint:
+    """A station of a spatial tendon: a site it passes, a geom it wraps around, or a pulley that divides its length.
+
+    ``name`` is the site's or geom's; ``side`` a site on that side of the geom where the tendon has to pass.
+    """
+
+    kind: Literal["site", "geom", "pulley"]
+    name: str = ""
+    side: str | None = None
+    divisor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """A length: of a path through ``points`` in m, or the sum of coordinates of ``joints`` times a factor each.
+
+    ``range`` limits it. One of ``points`` and ``joints`` is empty.
+    """
+
+    name: str
+    path: str
+    points: tuple[TendonPoint, ...] = ()
+    joints: tuple[tuple[str, float], ...] = ()
+    range: tuple[float, float] | None = None
+    extra: Extra = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -150,20 +182,25 @@ class Coupling:
     joint: str
     reference: str
     coefficients: tuple[float, float, float, float, float]
+    extra: Extra = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Site:
-    """A named frame on a body."""
+    """A named frame on a body; how it is drawn stands in ``extra``."""
 
     name: str
     path: str
     pose: Pose
+    extra: Extra = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body; ``pose`` is in its parent (None: the world) where its joints are at their ``ref``."""
+    """A rigid body; ``pose`` is in its parent (None: the world) where its joints are at their ``ref``.
+
+    ``velocity`` is the saved one of a floating body: m/s in the world, then rad/s about its own axes.
+    """
 
     name: str
     path: str
@@ -173,9 +210,11 @@ class Body:
     floating: bool = False
     mocap: bool = False
     weightless: bool = False
+    velocity: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     dofs: tuple[Dof, ...] = ()
     geoms: tuple[Geom, ...] = ()
     sites: tuple[Site, ...] = ()
+    extra: Extra = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -190,24 +229,44 @@ class Closure:
     kind: Literal["connect", "weld"]
     bodies: tuple[str | None, str | None]
     anchors: tuple[tuple[Pose, Pose], ...]
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A saved state by name: MuJoCo's ``qpos``, ``qvel``, ``ctrl`` and the like in the order of its own model."""
+
+    name: str
+    path: str
+    extra: Extra
 
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """Everything that a simulator needs to know of the file. Parents stand before their children."""
+    """Everything that a simulator needs to know of the file. Parents stand before their children.
+
+    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag`` and ``compiler`` hold MuJoCo's
+    attributes of those elements.
+    """
 
     name: str
     bodies: tuple[Body, ...]
     gravity: Vec3 = (0.0, 0.0, -9.81)
     static_geoms: tuple[Geom, ...] = ()
+    static_sites: tuple[Site, ...] = ()
     exclusions: tuple[tuple[str, str], ...] = ()
     closures: tuple[Closure, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    tendons: tuple[Tendon, ...] = ()
     actuators: tuple[Actuator, ...] = ()
+    keyframes: tuple[Keyframe, ...] = ()
     materials: tuple[Material, ...] = ()
     meshes: tuple[Mesh, ...] = ()
     self_collision: bool = True
     breadth_first_dofs: tuple[str, ...] = ()
+    option: Extra = field(default_factory=dict)
+    flag: Extra = field(default_factory=dict)
+    compiler: Extra = field(default_factory=dict)
 
     @property
     def mass(self) -> float:

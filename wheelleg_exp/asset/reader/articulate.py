@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from wheelleg_exp.asset.description import Dof
-from wheelleg_exp.asset.geometry import Frame, rounded, vec3
+from wheelleg_exp.asset.geometry import Array, Frame, rounded, vec3
+from wheelleg_exp.asset.reader.axes import turned
 from wheelleg_exp.asset.reader.dofs import read_dof
+from wheelleg_exp.asset.reader.drives import clamped
 from wheelleg_exp.asset.reader.joints import Joint
 from wheelleg_exp.asset.reader.stage import Stage
 from wheelleg_exp.asset.reader.tree import Node, drawn_in_parent
@@ -35,7 +37,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
         rule = "the joint names the child as body0: the axis is negated"
         stage.ledger.assume(joint.path, rule, node.link.name)
     found = []
-    for axis in joint.axes:
+    for axis in reversed(joint.axes) if node.reversed else joint.axes:
         direction = sign * (frame.rotation @ np.array(axis.axis))
         name = joint.name + (axis.suffix if len(joint.axes) > 1 else "")
         found.append(read_dof(stage, joint.prim, axis, name, vec3(direction), vec3(frame.translation)))
@@ -44,18 +46,57 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
 
 def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...]) -> tuple[Dof, ...]:
     """Report a drawn pose that the joint cannot reach; keep one that it can as the saved state."""
-    drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
     assert node.joint is not None
-    if len(dofs) != 1 or dofs[0].kind == "ball":
-        _warn_if_apart(stage, node, drawn, zero)
+    drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
+    moved = zero.inverse() @ drawn
+    values = _coordinates(moved, node, dofs)
+    reached = Frame.identity()
+    for dof, value in zip(dofs, values, strict=True):
+        reached = reached @ _moved(dof, value)
+    _warn_if_apart(stage, node, moved, reached)
+    saved = any(name.startswith("state:") for name in map(str, node.joint.prim.GetAuthoredPropertyNames()))
+    if saved or all(abs(value) < CLOSE_RAD for value in values):
         return dofs
-    value = _coordinate(zero.inverse() @ drawn, dofs[0])
-    _warn_if_apart(stage, node, drawn, zero @ _moved(dofs[0], value))
-    saved = any(stage.ledger.knows(node.joint.path, f"state:{t}:physics:position") for t in ("angular", "linear"))
-    if saved or abs(value) < CLOSE_RAD:
-        return dofs
-    stage.ledger.assume(node.joint.path, "the file is saved in a bent pose: zero is between the frames", f"{value:.6g}")
-    return (replace(dofs[0], position=rounded(value + dofs[0].ref)),)
+    shown = ", ".join(f"{value:.6g}" for value in values)
+    stage.ledger.assume(node.joint.path, "the file is saved in a bent pose: zero is between the frames", shown)
+    return tuple(_at(stage, node.joint, dof, value) for dof, value in zip(dofs, values, strict=True))
+
+
+def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
+    position = rounded(value + dof.ref) if abs(value) >= CLOSE_RAD else dof.ref
+    return replace(dof, position=clamped(stage, joint.prim, "the drawn pose", position, dof.range))
+
+
+def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
+    """Return coordinates that bring a body from zero to where it is drawn, as near as its joint allows.
+
+    Balls stay at zero, and so does what several joints together do.
+    """
+    assert node.joint is not None
+    if not dofs or len(node.joints) > 1 or any(dof.kind == "ball" for dof in dofs):
+        return [0.0] * len(dofs)
+    if len(dofs) == 1:
+        return [_coordinate(moved, dofs[0])]
+    at_joint = node.frame_in_body(node.joint)
+    inside = at_joint.inverse() @ moved @ at_joint  # body1 against body0, in the joint's frame
+    inside = inside.inverse() if node.reversed else inside
+    angles = _euler(inside.rotation)
+    by_axis = {axis.suffix: axis for axis in node.joint.axes}
+    values = []
+    for dof in dofs:
+        axis = next(axis for suffix, axis in by_axis.items() if dof.name.endswith(suffix))
+        index = "XYZ".index(axis.token[-1])
+        values.append(float(inside.translation[index]) if axis.kind == "slide" else angles[index])
+    return values
+
+
+def _euler(r: Array) -> tuple[float, float, float]:
+    """Return the angles of a rotation that is Rx(a) Ry(b) Rz(c)."""
+    return (
+        math.atan2(-r[1, 2], r[2, 2]),
+        math.asin(max(-1.0, min(1.0, float(r[0, 2])))),
+        math.atan2(-r[0, 1], r[0, 0]),
+    )
 
 
 def _coordinate(moved: Frame, dof: Dof) -> float:
@@ -71,10 +112,7 @@ def _moved(dof: Dof, value: float) -> Frame:
     axis = np.array(dof.axis)
     if dof.kind == "slide":
         return Frame(np.eye(3), axis * value)
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turn = np.eye(3) + math.sin(value) * cross + (1 - math.cos(value)) * cross @ cross
-    anchor = np.array(dof.anchor)
+    turn, anchor = turned(axis, value), np.array(dof.anchor)
     return Frame(turn, anchor - turn @ anchor)
 
 

@@ -1,98 +1,164 @@
-"""Goes through every authored property that carries physics, and names those that nobody read."""
+"""Goes through everything authored that carries physics, and names what nobody read: properties, schemas, prims."""
 
 from __future__ import annotations
 
-from pxr import Usd, UsdPhysics
+from collections import Counter
+from collections.abc import Iterator
 
-from wheelleg_exp.asset.reader.ledger import plain
-from wheelleg_exp.asset.reader.stage import Stage
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
-PHYSICAL = (
-    "physics:",
-    "physx",
-    "drive:",
-    "limit:",
-    "state:",
-    "newton:",
-    "mjc:",
-    "urdf:",
-    "isaac:physics",
-    "omni:physx",
-)
+from wheelleg_exp.asset.reader.attributes import plain
+from wheelleg_exp.asset.reader.reasons import PHYSICAL_PROPERTIES, PHYSICAL_SCHEMAS, why_kind, why_property, why_schema
+from wheelleg_exp.asset.reader.stage import Stage, below_instancer, schemas
 
-REASONS = (  # (beginning of the name, why it has no place); the first that fits
-    ("physxArticulation:solver", "solver iterations of PhysX; MuJoCo's solver has its own"),
-    ("physxScene:", "a setting of PhysX's own solver"),
-    ("physxArticulation:", "a setting of PhysX's articulations"),
-    ("physxRigidBody:", "a setting of PhysX's bodies: solver, sleep, damping or velocity limits"),
-    ("physxCollision:", "contact and rest offsets of PhysX"),
-    ("physxConvexHull", "PhysX's mesh cooking"),
-    ("physxConvexDecomposition", "PhysX's mesh cooking"),
-    ("physxTriangleMesh", "PhysX's mesh cooking"),
-    ("physxSDF", "PhysX's mesh cooking"),
-    ("physxLimit:", "soft limits of PhysX"),
-    ("physxJoint:jointFriction", "a coefficient of joint force, not a friction torque"),
-    ("physxMaterial:", "PhysX's own contact model"),
-    ("physics:breakForce", "joints never break in MuJoCo"),
-    ("physics:breakTorque", "joints never break in MuJoCo"),
-    ("physics:JointEquivalentInertia", "a note of the importer, no physics"),
-    ("physics:startsAsleep", "MuJoCo's bodies start awake"),
-    ("physics:velocity", "an initial velocity; initial states come from the task"),
-    ("physics:angularVelocity", "an initial velocity; initial states come from the task"),
-    ("physics:principalAxes", "axes without principal moments say nothing"),
-    ("physics:simulationOwner", "there is one simulation"),
-    ("isaac:physics", "Isaac's own index of links and joints; they are read from the prims"),
-    ("physics:staticFriction", "no collider is bound to this material"),
-    ("physics:dynamicFriction", "no collider is bound to this material"),
-    ("physics:restitution", "no collider is bound to this material"),
-    ("physics:density", "not needed: what it would weigh has a mass, or nothing is bound to it"),
-    ("physics:mass", "a mass of 0 means not given; a collider's mass does not count beside its body's"),
-    ("physics:centerOfMass", "not finite, which means not given; or a collider's, which is not read"),
-    ("physics:diagonalInertia", "zero, which means not given; or a collider's, which is not read"),
-    ("physics:gravity", "zero or negative, which means not given"),
-    ("newton:", "a setting of Newton's solvers"),
-    ("mjc:", "this MuJoCo attribute is not supported yet"),
-    ("physics:", "not supported here"),
-)
-
-KINDS = {  # prim types that people may miss
-    "Camera": "cameras are not read",
-    "PointInstancer": "point instances are not read",
-    "PhysicsDistanceJoint": "this kind of joint is not supported",
-}
+LONGEST = 200  # characters of a value
 
 
 def audit(stage: Stage) -> None:
-    """Name every authored physics property that nothing read, and every prim that has no place."""
-    known = {str(prim.GetPath()) for prim in stage.prims}
-    scenes = [prim for prim in stage.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
-    for prim in [*stage.prims, *(scene for scene in scenes if str(scene.GetPath()) not in known)]:
-        _kinds(stage, prim)
-        for prop in prim.GetAuthoredProperties():
-            name = prop.GetName()
-            if name.startswith(PHYSICAL) and not stage.ledger.knows(prim.GetPath(), name):
-                stage.ledger.leave(prim.GetPath(), name, reason_for(name), _text(prop))
+    """Name every authored physics property, applied schema and prim that nothing read."""
+    for prim in _everything(stage):
+        _kind(stage, prim)
+        _schemas(stage, prim)
+        if prim.GetTypeName() == "Shader":
+            _files(stage, prim)
+        group = prim.IsA(UsdPhysics.CollisionGroup)
+        for name in prim.GetAuthoredPropertyNames():
+            physical = PHYSICAL_PROPERTIES.match(name) or (group and name.startswith("collection:"))
+            if physical and not stage.ledger.knows(prim.GetPath(), name):
+                prop = prim.GetProperty(name)
+                stage.ledger.leave(prim.GetPath(), name, _why(stage, prim, prop), _text(prop))
+    _outside(stage)
 
 
-def _kinds(stage: Stage, prim: Usd.Prim) -> None:
-    kind, path = str(prim.GetTypeName()), prim.GetPath()
-    reason = KINDS.get(kind)
-    if kind.endswith("Light"):
-        reason = "lights are not read"
-    elif kind.startswith(("Mjc", "PhysxTendon")) and kind != "MjcActuator":
-        reason = "not supported yet"
-        stage.ledger.warn(f"{path}: a {kind} is not supported and was left out")
-    if reason and not stage.ledger.knows(path, kind):
-        stage.ledger.leave(path, kind, reason)
+def _everything(stage: Stage) -> Iterator[Usd.Prim]:
+    """Yield the robot's prims, what instancers hide, and what the robot uses from outside: scene and materials."""
+    seen: set[Sdf.Path] = set()
+    for prim in stage.prims:
+        seen.add(prim.GetPath())
+        yield prim
+        if prim.IsA(UsdGeom.PointInstancer):
+            yield from below_instancer(prim)
+    for prim in [*_scenes(stage), *_materials(stage)]:
+        if prim and prim.GetPath() not in seen:
+            seen.add(prim.GetPath())
+            yield prim
 
 
-def reason_for(name: str) -> str:
-    """Return why a property has no place in the model."""
-    return next((reason for start, reason in REASONS if name.startswith(start)), "not supported")
+def _scenes(stage: Stage) -> list[Usd.Prim]:
+    return [prim for prim in stage.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
+
+
+def _materials(stage: Stage) -> Iterator[Usd.Prim]:
+    for prim in stage.prims:
+        for name in prim.GetAuthoredPropertyNames():
+            if name.startswith("material:binding"):
+                relationship = prim.GetRelationship(name)
+                for path in relationship.GetForwardedTargets() if relationship else []:
+                    material = stage.usd.GetPrimAtPath(path) if path.IsPrimPath() else None
+                    if material and not material.IsPseudoRoot():
+                        yield from Usd.PrimRange(material)
+
+
+def _kind(stage: Stage, prim: Usd.Prim) -> None:
+    kind = str(prim.GetTypeName())
+    reason = why_kind(kind)
+    if reason and not stage.ledger.knows(path := prim.GetPath(), kind):
+        stage.ledger.leave(path, kind, reason.text)
+        if reason.loud:
+            stage.ledger.warn(f"{path}: a {kind} was left out: {reason.text}")
+
+
+def _schemas(stage: Stage, prim: Usd.Prim) -> None:
+    for name in schemas(prim):
+        reason = why_schema(name)
+        if reason and not stage.ledger.knows(path := prim.GetPath(), name):
+            stage.ledger.leave(path, name, reason.text)
+            if reason.loud:
+                stage.ledger.warn(f"{path}: {name} was left out: {reason.text}")
+
+
+def _files(stage: Stage, shader: Usd.Prim) -> None:
+    """Name the textures and material libraries of a shader, and say which of them are not there."""
+    for name in shader.GetAuthoredPropertyNames():
+        value = shader.GetAttribute(name).Get() if name.startswith(("inputs:", "info:mdl")) else None
+        if isinstance(value, Sdf.AssetPath) and value.path:
+            reason = "colours are carried over, textures and material libraries are not"
+            missing = "" if value.resolvedPath else "; this file is not there"
+            stage.ledger.leave(shader.GetPath(), name, reason + missing, value.path)
+
+
+_MASS = ("physics:mass", "physics:density", "physics:centerOfMass", "physics:diagonalInertia", "physics:principalAxes")
+
+
+def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
+    """Return why a property was left out, from where it stands where that says more than its name."""
+    name, kind = prop.GetName(), str(prim.GetTypeName())
+    if isinstance(prop, Usd.Attribute) and not prop.HasAuthoredValue():
+        return "declared without a value"
+    if name in _MASS:
+        return _why_mass(prim, name)
+    joint = prim.IsA(UsdPhysics.Joint)
+    if joint and not stage.ledger.knows(prim.GetPath(), kind):
+        return "its joint says nothing here"
+    if name.startswith(("drive:", "limit:", "state:")) and ":physics:" in name:
+        return "the joint leaves no such axis free" if joint else "only joints have drives, limits and states"
+    if joint and name.startswith(("physics:lower", "physics:upper", "physics:cone", "physics:axis")):
+        return "this joint has no such limit or axis"
+    return why_property(name)
+
+
+def _why_mass(prim: Usd.Prim, name: str) -> str:
+    applied = schemas(prim)
+    if "PhysicsRigidBodyAPI" in applied:
+        return "not needed beside the others" if name == "physics:density" else "it means not given: 0 or not finite"
+    if "PhysicsCollisionAPI" in applied:
+        return "not needed: the body it would weigh in has mass properties of its own"
+    if "PhysicsMaterialAPI" in applied:
+        return "not needed: what it would weigh has a mass, or nothing is bound to it"
+    return "mass properties count on bodies, colliders and materials alone"
 
 
 def _text(prop: Usd.Property) -> str:
-    if isinstance(prop, Usd.Relationship):
-        return ", ".join(str(path) for path in prop.GetTargets())
-    value = plain(prop, str(prop.GetPrim().GetPath())) if prop.HasAuthoredValue() else None
-    return str(value)[:200]
+    try:
+        if isinstance(prop, Usd.Relationship):
+            return ", ".join(str(path) for path in prop.GetTargets())[:LONGEST]
+        value = plain(prop.Get()) if prop.HasAuthoredValue() else ""
+    except Tf.ErrorException:  # authored as an attribute in one layer and as a relationship in another
+        return "not readable"
+    return " ".join(str(value).split())[:LONGEST]
+
+
+def _outside(stage: Stage) -> None:
+    """Name the physics that stands outside the default prim, one entry for each prim at the top."""
+    top = stage.root.GetPath().GetPrefixes()[:1]
+    if not top:
+        return
+    used = _referenced(stage)
+    for prim in stage.usd.GetPseudoRoot().GetChildren():
+        if prim.GetPath() in (*top, *used) or prim.IsA(UsdPhysics.Scene):
+            continue
+        found = Counter(_sort(inner) for inner in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
+        parts = [f"{sort}: {found[sort]}" for sort in ("bodies", "joints", "colliders") if found[sort]]
+        if parts:
+            reason = f"it stands outside the default prim {stage.root.GetPath()}"
+            stage.ledger.leave(prim.GetPath(), str(prim.GetTypeName()) or "prim", reason, ", ".join(parts))
+
+
+def _sort(prim: Usd.Prim) -> str:
+    if prim.IsA(UsdPhysics.Joint):
+        return "joints"
+    applied = [name for name in schemas(prim) if PHYSICAL_SCHEMAS.match(name)]
+    return "bodies" if "PhysicsRigidBodyAPI" in applied else "colliders" if "PhysicsCollisionAPI" in applied else ""
+
+
+def _referenced(stage: Stage) -> set[Sdf.Path]:
+    """Return the prims at the top that the robot is made of by reference, such as scopes of prototypes."""
+    found: set[Sdf.Path] = set()
+    for prim in stage.prims:
+        if prim.IsInstance() or prim.HasAuthoredReferences():
+            nodes = [prim.GetPrimIndex().rootNode]
+            while nodes:
+                node = nodes.pop()
+                nodes += node.children
+                found |= set(node.path.GetPrefixes()[:1])
+    return found

@@ -10,10 +10,13 @@ from pxr import Sdf, Usd
 from wheelleg_exp.asset.geometry import Frame
 from wheelleg_exp.asset.naming import unique_names
 from wheelleg_exp.asset.reader.stage import Stage, schemas
+from wheelleg_exp.asset.reader.variants import variant_sets
 from wheelleg_exp.errors import AssetError
 
+LONGEST = 200  # characters of a name from metadata
 
-@dataclass
+
+@dataclass(eq=False)
 class Link:
     """A rigid body as drawn: its prim, name and frame in the world."""
 
@@ -30,17 +33,23 @@ class Links:
 
     def __init__(self, links: list[Link]) -> None:
         self.by_path = {link.path: link for link in links}
+        self._owners: dict[Sdf.Path, Link | None] = {
+            Sdf.Path.absoluteRootPath: None,
+            **{Sdf.Path(link.path): link for link in links},
+        }
 
     def __iter__(self) -> Iterator[Link]:
         return iter(self.by_path.values())
 
     def owner(self, path: Sdf.Path) -> Link | None:
         """Return the body at ``path`` or above it, None for what belongs to the world."""
-        while not path.isEmpty and not path.IsAbsoluteRootPath():
-            if link := self.by_path.get(str(path)):
-                return link
+        climbed = []
+        while path not in self._owners and not path.isEmpty:
+            climbed.append(path)
             path = path.GetParentPath()
-        return None
+        found = self._owners.get(path)
+        self._owners.update(dict.fromkeys(climbed, found))
+        return found
 
     def below(self, path: Sdf.Path) -> list[Link]:
         """Return the bodies at or below ``path``."""
@@ -69,19 +78,42 @@ def _no_articulation(stage: Stage) -> AssetError:
             expected="those layers beside the file, and PhysicsRigidBodyAPI on prims below the default prim",
         )
     return AssetError(
-        f"'{name}' has no articulation: no prim carries PhysicsRigidBodyAPI",
+        f"'{name}' has no articulation: no prim carries PhysicsRigidBodyAPI{_why_nothing(stage)}",
         where=str(stage.source),
-        expected="rigid bodies below the default prim; is the variant with the physics selected?",
+        expected="rigid bodies below the default prim; " + _what_to_choose(stage),
     )
+
+
+def _why_nothing(stage: Stage) -> str:
+    """Return what keeps a stage's default prim from being read."""
+    root = stage.root
+    if not root.IsActive():
+        return f", and {root.GetPath()} is switched off (active = false)"
+    if root.IsAbstract():
+        return f", and {root.GetPath()} is a class, which stands for nothing until it is referenced"
+    if not root.IsDefined():
+        return f", and {root.GetPath()} is an 'over', which nothing defines"
+    elsewhere = [prim for prim in stage.usd.Traverse() if "PhysicsRigidBodyAPI" in schemas(prim)]
+    return f" there; outside of {root.GetPath()} there is {elsewhere[0].GetPath()}" if elsewhere else ""
+
+
+def _what_to_choose(stage: Stage) -> str:
+    sets = variant_sets(stage.root)
+    if not sets:
+        return "the file has no variants to choose from"
+    choices = "; ".join(f"{name}: {', '.join(options)}" for name, options in sets.items())
+    return f"or another variant, by --variant SET=NAME ({choices})"
 
 
 def shown_names(prims: list[Usd.Prim]) -> dict[str, str]:
     """Return the original names of prims whose own name is an encoded form of it (``tn__...``)."""
-    return {
-        str(prim.GetPath()): prim.GetMetadata("displayName")
-        for prim in prims
-        if prim.GetName().startswith("tn__") and prim.GetMetadata("displayName")
-    }
+    out = {}
+    for prim in prims:
+        if prim.GetName().startswith("tn__"):
+            original = prim.GetMetadata("displayName")
+            if original and original.isprintable() and len(original) <= LONGEST:
+                out[str(prim.GetPath())] = original
+    return out
 
 
 def _enabled(stage: Stage, prim: Usd.Prim) -> bool:

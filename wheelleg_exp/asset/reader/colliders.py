@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 
+from wheelleg_exp.asset.geometry import Array
 from wheelleg_exp.asset.reader.bodies import Link, Links
-from wheelleg_exp.asset.reader.shapes import Shape, bounding_box, bounding_sphere, flat_to_box, shape_of
+from wheelleg_exp.asset.reader.instancer import placed_gprims
+from wheelleg_exp.asset.reader.shapes import Shape, bounding_box, bounding_sphere, flat_to_box, plane_as_box, shape_of
 from wheelleg_exp.asset.reader.sites import is_site
-from wheelleg_exp.asset.reader.stage import Stage, schemas
+from wheelleg_exp.asset.reader.stage import FARTHEST, Stage, schemas
 from wheelleg_exp.errors import AssetError
 
-SHAPED = {"Cube", "Sphere", "Capsule", "Cylinder", "Cone", "Plane", "Mesh"}
+SHAPED = {"Cube", "Sphere", "Capsule", "Capsule_1", "Cylinder", "Cylinder_1", "Cone", "Plane", "Mesh"}
 
 
 @dataclass(eq=False)
 class Piece:
-    """A gprim of a body (None: the world). ``carrier`` has CollisionAPI, None for a visual."""
+    """A gprim of a body (None: the world). ``carrier`` has CollisionAPI, None for a visual.
+
+    ``instance`` numbers the copies that a PointInstancer makes of one gprim.
+    """
 
     prim: Usd.Prim
     link: Link | None
@@ -26,53 +32,74 @@ class Piece:
     carrier: Usd.Prim | None
     collides: bool
     drawn: bool
+    instance: int | None = None
 
     @property
     def path(self) -> str:
         """Return the gprim's path."""
         return str(self.prim.GetPath())
 
+    @property
+    def key(self) -> str:
+        """Return what tells the piece from all others: its path, with the number of the instance."""
+        return self.path if self.instance is None else f"{self.path}_{self.instance}"
+
 
 def find_pieces(stage: Stage, links: Links) -> list[Piece]:
     """Return all shapes, in the order of the stage. Shapes that nothing can be made of are reported."""
-    carriers: dict[str, Usd.Prim] = {}
-    pieces = []
+    carriers: dict[Sdf.Path, Usd.Prim] = {}
+    pieces: list[Piece | None] = []
     for prim in stage.prims:
-        path = str(prim.GetPath())
-        above = carriers.get(str(prim.GetPath().GetParentPath()))
-        carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else above
-        if carrier is not None:
+        path = prim.GetPath()
+        carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else carriers.get(path.GetParentPath())
+        if prim.IsA(UsdGeom.Gprim):
+            if not is_site(prim):
+                pieces.append(_piece(stage, links.owner(path), prim, carrier, stage.matrix(prim)))
+        elif prim.IsA(UsdGeom.PointInstancer):
+            pieces += _instances(stage, links.owner(path), prim, carrier)
+        elif carrier is not None:  # a gprim collides alone, anything else with all below it
             carriers[path] = carrier
-        if prim.IsA(UsdGeom.Gprim) and not is_site(prim):
-            piece = _piece(stage, links, prim, carrier)
-            if piece is not None:
-                pieces.append(piece)
-    return pieces
+    return [piece for piece in pieces if piece is not None]
 
 
-def _piece(stage: Stage, links: Links, prim: Usd.Prim, carrier: Usd.Prim | None) -> Piece | None:
+def _instances(stage: Stage, link: Link | None, prim: Usd.Prim, above: Usd.Prim | None) -> Iterator[Piece | None]:
+    for item in placed_gprims(stage, prim):
+        yield _piece(stage, link, item.prim, item.carrier or above, item.matrix, item.index)
+
+
+def _piece(
+    stage: Stage,
+    link: Link | None,
+    prim: Usd.Prim,
+    carrier: Usd.Prim | None,
+    world: Array,
+    instance: int | None = None,
+) -> Piece | None:
     solid = carrier is not None and stage.ledger.read(carrier, "physics:collisionEnabled", "the choice of colliders")
     collides = carrier is not None and solid is not False
     drawn = _drawn(prim)
     if carrier is None and not drawn:
         stage.ledger.leave(prim.GetPath(), str(prim.GetTypeName()), "neither drawn nor solid")
         return None
-    link = links.owner(prim.GetPath())
-    inside = link.frame.inverse().matrix() @ stage.matrix(prim) if link else stage.matrix(prim)
+    inside = link.frame.inverse().matrix() @ world if link else world
     shape = shape_of(prim, inside)
+    reason = ""
     if shape is not None:
-        _require_finite(prim, shape)
+        _require_sane(prim, shape)
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
+        if shape.kind == "plane" and (link is not None or carrier is None):
+            shape = None if collides else plane_as_box(prim, inside)
+            reason = "a plane collides only where it stands still, in the world"
     if shape is None or _empty(shape):
-        _unsupported(stage, prim, collides, "it has no size" if shape else "")
+        _unsupported(stage, prim, collides, "it has no size" if shape else reason)
         return None
     if shape.note:
         stage.ledger.assume(prim.GetPath(), f"{prim.GetTypeName()}: {shape.note}", shape.kind)
     if not collides and carrier is not None:
         stage.ledger.assume(prim.GetPath(), "collisionEnabled is 0: no contact, but it counts for the mass", "visual")
-    return Piece(prim, link, shape, carrier, collides, drawn)
+    return Piece(prim, link, shape, carrier, collides, drawn, instance)
 
 
 def _drawn(prim: Usd.Prim) -> bool:
@@ -100,8 +127,10 @@ def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape,
     wanted = stage.ledger.read(carrier, "physics:approximation", "the collider's shape")
     if prim.GetPath() != carrier.GetPath():
         wanted = stage.ledger.read(prim, "physics:approximation", "the collider's shape") or wanted
-    if prim.GetTypeName() != "Mesh" or shape.vertices is None:
+    if shape.vertices is None:
         return shape
+    if prim.GetTypeName() != "Mesh":
+        return flat_to_box(shape)
     if wanted == "boundingCube":
         return bounding_box(shape)
     if wanted == "boundingSphere":
@@ -114,8 +143,13 @@ def _approximated(stage: Stage, prim: Usd.Prim, carrier: Usd.Prim, shape: Shape,
     return flat
 
 
-def _require_finite(prim: Usd.Prim, shape: Shape) -> None:
-    vertices = shape.vertices
-    if not np.isfinite(shape.size).all() or (vertices is not None and not np.isfinite(vertices).all()):
-        message = "the shape's size or points are not finite"
-        raise AssetError(message, key=str(prim.GetPath()), expected="finite numbers")
+def _require_sane(prim: Usd.Prim, shape: Shape) -> None:
+    numbers = np.array(shape.size) if shape.vertices is None else shape.vertices
+    if not np.isfinite(numbers).all():
+        message, expected = "the shape's size or points are not finite", "finite numbers"
+    elif numbers.size and np.abs(numbers).max() > FARTHEST:
+        message = f"the shape's size or points reach {np.abs(numbers).max():.3g} m"
+        expected = f"less than {FARTHEST:g} m"
+    else:
+        return
+    raise AssetError(message, key=str(prim.GetPath()), expected=expected)

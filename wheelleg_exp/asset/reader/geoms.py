@@ -5,14 +5,17 @@ from __future__ import annotations
 import hashlib
 
 import numpy as np
+from pxr import UsdGeom
 
-from wheelleg_exp.asset.description import Geom, Material, Mesh
-from wheelleg_exp.asset.naming import unique_names
+from wheelleg_exp.asset.description import Geom, Material, Mesh, Rgba
+from wheelleg_exp.asset.naming import Numbered, file_stem, unique_names
 from wheelleg_exp.asset.reader.bodies import Link, shown_names
 from wheelleg_exp.asset.reader.colliders import Piece
 from wheelleg_exp.asset.reader.materials import Looks, friction_of
 from wheelleg_exp.asset.reader.shapes import Shape
 from wheelleg_exp.asset.reader.stage import Stage
+
+SMALLEST_VOLUME = 1e-13  # m³ of a mesh's box; below it MuJoCo's compiler finds no volume for a solid
 
 
 class Geoms:
@@ -24,8 +27,8 @@ class Geoms:
         for piece in pieces:
             self._pieces.setdefault(piece.link.path if piece.link else None, []).append(piece)
         self._meshes: dict[str, Mesh] = {}
-        self._taken: set[str] = set()
-        self._surfaces = {piece.path: self.looks.look(piece.prim) for piece in pieces if piece.drawn}
+        self._taken, self._files = Numbered(), Numbered()
+        self._surfaces = {piece.key: self._surface(piece) for piece in pieces if piece.drawn}
         self._materials = self.looks.named()
         self._names = {key: _names(key, group) for key, group in self._pieces.items()}
 
@@ -47,21 +50,31 @@ class Geoms:
         """Return the meshes in use; call it after all geoms were asked for."""
         return list(self._meshes.values())
 
+    def _surface(self, piece: Piece) -> tuple[str | None, Rgba | None]:
+        """Return how a shape looks; a mesh that looks different face by face as most of its faces do."""
+        own = self.looks.look(piece.prim)
+        if own != (None, None):
+            return own
+        subsets = [UsdGeom.Subset(prim) for prim in piece.prim.GetChildren() if prim.IsA(UsdGeom.Subset)]
+        for subset in sorted(subsets, key=_faces, reverse=True):
+            look = self.looks.look(subset.GetPrim())
+            if look != (None, None):
+                rule = "each part of the mesh has a material of its own: that of most faces"
+                self.stage.ledger.assume(piece.path, rule, subset.GetPrim().GetName())
+                return look
+        return None, None
+
     def _name(self, owner: str, short: str, collides: bool) -> str:
         """Return a geom's name: the body's, the shape's, and ``visual``; numbered where that is taken."""
         name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}"
         name += "" if collides else "_visual"
-        candidate, number = name, 2
-        while candidate in self._taken:
-            candidate, number = f"{name}_{number}", number + 1
-        self._taken.add(candidate)
-        return candidate
+        return self._taken.take(name)
 
     def _geom(self, piece: Piece, owner: str, names: dict[str, str]) -> Geom:
         shape, path = piece.shape, piece.path
-        material, rgba = self._surfaces.get(path, (None, None))
+        material, rgba = self._surfaces.get(piece.key, (None, None))
         kind = "collider" if piece.collides else "visual"
-        name = self._name(owner, names[path], piece.collides)
+        name = self._name(owner, names[piece.key], piece.collides)
         self.stage.ledger.mapped(path, str(piece.prim.GetTypeName()), f"{kind} geom {name} ({shape.kind})")
         return Geom(
             name=name,
@@ -77,15 +90,26 @@ class Geoms:
             friction=friction_of(self.stage, piece.prim) if piece.collides else None,
         )
 
-    def _mesh(self, name: str, shape: Shape, solid: bool) -> str:
+    def _mesh(self, name: str, shape: Shape, collides: bool) -> str:
         """Return the name of a shape's mesh; equal meshes are kept once."""
         assert shape.vertices is not None
+        solid = collides and float(np.prod(np.ptp(shape.vertices, axis=0))) > SMALLEST_VOLUME
         vertices = np.round(shape.vertices, 9) + 0.0
         faces = shape.faces if shape.faces is not None and len(shape.faces) else np.zeros((0, 3), dtype=np.int64)
         key = hashlib.sha256(vertices.tobytes() + faces.astype(np.int64).tobytes() + bytes([solid])).hexdigest()
         if key not in self._meshes:
-            self._meshes[key] = Mesh(name, vertices, faces, solid)
+            self._meshes[key] = Mesh(self._mesh_name(name), vertices, faces, solid)
         return self._meshes[key].name
+
+    def _mesh_name(self, name: str) -> str:
+        """Return a name for a mesh and its file, told from the others on disks that ignore case, too."""
+        stem = file_stem(name)
+        return stem + self._files.take(stem.lower())[len(stem) :]
+
+
+def _faces(subset: UsdGeom.Subset) -> int:
+    indices = subset.GetIndicesAttr().Get()
+    return len(indices) if hasattr(indices, "__len__") else 0
 
 
 def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
@@ -97,8 +121,8 @@ def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
     out = {}
     for collides in (True, False):
         chosen = [piece for piece in pieces if piece.collides is collides]
-        paths = {piece.path.removeprefix(base): piece.path for piece in chosen}
-        shown = shown_names([piece.prim for piece in chosen])
-        short = unique_names(paths, {path.removeprefix(base): name for path, name in shown.items()})
-        out.update({full: short[relative] for relative, full in paths.items()})
+        keys = {piece.key.removeprefix(base): piece.key for piece in chosen}
+        shown = shown_names([piece.prim for piece in chosen if piece.instance is None])
+        short = unique_names(keys, {path.removeprefix(base): name for path, name in shown.items()})
+        out.update({full: short[relative] for relative, full in keys.items()})
     return out

@@ -5,18 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from pxr import Usd, UsdPhysics
+from pxr import Sdf, Usd, UsdPhysics
 
 from wheelleg_exp.asset.geometry import Frame, apply, rigid_part, rotation_matrix
 from wheelleg_exp.asset.naming import unique_names
+from wheelleg_exp.asset.reader.axes import FreeAxis, ball_axes, generic_axes, single_axis
 from wheelleg_exp.asset.reader.bodies import Link, Links, shown_names
-from wheelleg_exp.asset.reader.dofs import FreeAxis, d6_axes, single_axis
-from wheelleg_exp.asset.reader.stage import Stage
+from wheelleg_exp.asset.reader.stage import Stage, schemas
+
+DISTANCE = "PhysicsDistanceJoint"
 
 
-@dataclass
+@dataclass(eq=False)
 class Joint:
-    """A joint as authored: body0 and body1 (None: the world), and the joint's frame in each of them."""
+    """A joint as authored: body0 and body1 (None: the world), and the joint's frame in each of them.
+
+    ``excluded`` is what the file says of articulations; ``closes``, whether the joint is kept out of the tree.
+    """
 
     path: str
     prim: Usd.Prim
@@ -26,19 +31,29 @@ class Joint:
     axes: list[FreeAxis] = field(default_factory=list)
     excluded: bool = False
     may_collide: bool = False
+    closes: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Return the name of the prim's type."""
+        return str(self.prim.GetTypeName())
 
     @property
     def welds(self) -> bool:
         """Whether nothing is left free."""
         return not self.axes
 
+    def side(self, link: Link | None) -> int:
+        """Return 0 when ``link`` is body0, else 1."""
+        return 0 if self.links[0] is link else 1
+
     def other(self, link: Link | None) -> Link | None:
         """Return the body on the other side."""
-        return self.links[1] if self.links[0] is link else self.links[0]
+        return self.links[1 - self.side(link)]
 
 
 def read_joints(stage: Stage, links: Links) -> list[Joint]:
-    """Return the enabled joints whose bodies exist, in the order of the stage."""
+    """Return the enabled joints whose bodies exist, distance joints too, in the order of the stage."""
     prims = [prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     found = (_joint(stage, links, prim, names[str(prim.GetPath())]) for prim in prims)
@@ -47,53 +62,78 @@ def read_joints(stage: Stage, links: Links) -> list[Joint]:
 
 def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | None:
     ledger, path = stage.ledger, prim.GetPath()
-    if ledger.read(prim, "physics:jointEnabled", "the choice of joints") is False:
+    enabled = ledger.read(prim, "physics:jointEnabled", "the choice of joints") is not False
+    if not enabled and not _is_inactive_equality(prim):
         ledger.leave(path, str(prim.GetTypeName()), "the joint is switched off")
         return None
-    ends = [_end(stage, links, prim, i) for i in (0, 1)]
-    if any(end is None for end in ends):
-        ledger.leave(path, str(prim.GetTypeName()), "its target does not exist")
-        ledger.warn(f"{path}: left out, because a body that it names does not exist")
+    ends = _ends(stage, links, prim)
+    if ends is None:
         return None
-    (link0, frame0), (link1, frame1) = (end for end in ends if end is not None)
-    if link0 is link1:
-        ledger.leave(path, str(prim.GetTypeName()), "joins nothing: both ends are on one body, or on the world")
+    (link0, frame0), (link1, frame1) = ends
+    found = _axes(stage, prim)
+    if found is None:
         return None
-    axes = _axes(stage, prim)
-    if axes is None:
-        return None
-    joint = Joint(str(path), prim, name, (link0, link1), (frame0, frame1), axes)
+    axes, offset = found
+    joint = Joint(str(path), prim, name, (link0, link1), (frame0 @ offset, frame1), axes)
     joint.excluded = bool(ledger.read(prim, "physics:excludeFromArticulation", "the choice of loop joints"))
+    joint.closes = joint.excluded or not enabled
     joint.may_collide = bool(ledger.read(prim, "physics:collisionEnabled", "contact exclude"))
     return joint
 
 
-def _axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis] | None:
-    kind = str(prim.GetTypeName())
+def _is_inactive_equality(prim: Usd.Prim) -> bool:
+    """Return whether MuJoCo's schemas keep a joint that is switched off, as an equality that is."""
+    return any(name in ("MjcEqualityWeldAPI", "MjcEqualityConnectAPI") for name in schemas(prim))
+
+
+def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
+    """Return what a joint leaves free, and where it locks the rest; None for kinds that are not known."""
+    kind, same = str(prim.GetTypeName()), Frame.identity()
     if kind == "PhysicsRevoluteJoint":
-        return single_axis(stage, prim, angular=True)
+        return single_axis(stage, prim, angular=True), same
     if kind == "PhysicsPrismaticJoint":
-        return single_axis(stage, prim, angular=False)
+        return single_axis(stage, prim, angular=False), same
     if kind == "PhysicsSphericalJoint":
-        stage.ledger.read(prim, "physics:axis", "the ball's cone axis; a ball has none")
-        return [FreeAxis("ball", (1.0, 0.0, 0.0), "rot")]
+        return ball_axes(stage, prim), same
     if kind == "PhysicsFixedJoint":
         stage.ledger.mapped(prim.GetPath(), kind, "a weld to the parent body")
-        return []
+        return [], same
     if kind == "PhysicsJoint":
-        return d6_axes(stage, prim)
+        return generic_axes(stage, prim)
+    if kind == DISTANCE:
+        return [], same
     stage.ledger.leave(prim.GetPath(), kind, "this kind of joint is not supported")
     stage.ledger.warn(f"{prim.GetPath()}: a {kind} is not supported and was left out")
     return None
 
 
-def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> tuple[Link | None, Frame] | None:
+End = tuple[Link | None, Frame]
+
+
+def _ends(stage: Stage, links: Links, prim: Usd.Prim) -> tuple[End, End] | None:
+    """Return the bodies and joint frames at both ends, None when the joint joins nothing."""
+    ledger, path, kind = stage.ledger, prim.GetPath(), str(prim.GetTypeName())
+    first, second = _end(stage, links, prim, 0), _end(stage, links, prim, 1)
+    if first is None or second is None:
+        ledger.leave(path, kind, "its target does not exist")
+        ledger.warn(f"{path}: left out, because a body that it names does not exist")
+        return None
+    if first[0] is second[0]:
+        ledger.leave(path, kind, "joins nothing: both ends are on one body, or on the world")
+        return None
+    return first, second
+
+
+def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
     """Return the body at one end and the joint's frame in it; None when the target does not exist."""
     targets = stage.ledger.targets(prim, f"physics:body{i}", "the body tree")
-    target = stage.usd.GetPrimAtPath(targets[0]) if targets else None
+    if len(targets) > 1:
+        stage.ledger.assume(prim.GetPath(), f"physics:body{i} names several prims: the first", str(targets[0]))
+    target = stage.usd.GetPrimAtPath(targets[0].GetPrimPath()) if targets else None
     if targets and not target:
         return None
-    link = links.owner(target.GetPath()) if target else None
+    path = target.GetPath() if target else Sdf.Path.absoluteRootPath
+    link = links.owner(path)
     return link, _joint_frame(stage, prim, i, target, link)
 
 

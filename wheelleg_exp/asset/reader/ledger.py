@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from pxr import Gf, Sdf, Usd
+from pxr import Sdf, Usd
 
-from wheelleg_exp.asset.geometry import single
+from wheelleg_exp.asset.reader.attributes import kind_of, value_of
 from wheelleg_exp.asset.report import Assumption, LeftOut, Mapped
-from wheelleg_exp.errors import AssetError
 
 
 class Ledger:
@@ -19,6 +17,7 @@ class Ledger:
         self._mapped: dict[tuple[str, str], Mapped] = {}
         self._assumed: dict[tuple[str, str], Assumption] = {}
         self._left: dict[tuple[str, str], dict[str, str]] = {}
+        self._left_names: set[tuple[str, str]] = set()
         self._warnings: dict[str, None] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
@@ -30,15 +29,14 @@ class Ledger:
             became: what it turns into; None when the caller says so later.
 
         Raises:
-            AssetError: the value holds NaN.
+            AssetError: the value is no number where one belongs, NaN, or larger than anything a robot has.
         """
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
             return None
-        path = str(prim.GetPath())
-        value = plain(attribute, path)
+        value = value_of(attribute, kind_of(name))
         if became and value is not None:
-            self.mapped(path, name, became)
+            self.mapped(prim.GetPath(), name, became)
         return value
 
     def targets(self, prim: Usd.Prim, name: str, became: str | None = None) -> list[Sdf.Path]:
@@ -60,7 +58,7 @@ class Ledger:
 
     def leave(self, path: object, name: str, reason: str, value: object = "") -> None:
         """Note something that has no place in the model."""
-        self._mapped.pop((str(path), name), None)
+        self._left_names.add((str(path), name))
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
     def warn(self, text: str) -> None:
@@ -68,51 +66,14 @@ class Ledger:
         self._warnings[text] = None
 
     def knows(self, path: object, name: str) -> bool:
-        """Return whether an attribute is accounted for: it became something, or was left out for a reason."""
-        if (str(path), name) in self._mapped:
-            return True
-        return any(str(path) in values for (left, _), values in self._left.items() if left == name)
+        """Return whether something is accounted for: it became something, or was left out for a reason."""
+        key = (str(path), name)
+        return key in self._mapped or key in self._left_names
 
     def entries(
         self,
     ) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:
         """Return everything noted, in the order of noting."""
         left = tuple(LeftOut(name, reason, values) for (name, reason), values in self._left.items())
-        return tuple(self._mapped.values()), tuple(self._assumed.values()), left, tuple(self._warnings)
-
-
-def plain(attribute: Usd.Attribute, path: str) -> Any:
-    """Return an attribute's value without USD types: numbers, text, tuples, quaternions (w, x, y, z), arrays.
-
-    Raises:
-        AssetError: the value holds NaN.
-    """
-    value = _convert(attribute.Get())
-    if isinstance(value, (float, tuple, np.ndarray)) and _has_nan(value):
-        raise AssetError(f"'{attribute.GetName()}' is not a number (NaN)", key=path, expected="finite numbers")
-    return value
-
-
-def _has_nan(value: Any) -> bool:
-    array = np.asarray(value)
-    return array.dtype.kind == "f" and bool(np.isnan(array).any())
-
-
-def _convert(value: Any) -> Any:
-    if isinstance(value, bool) or value is None or isinstance(value, (int, str)):
-        return value
-    if isinstance(value, float):
-        return single(value) if float(np.float32(value)) == value else value
-    if isinstance(value, (Gf.Quatf, Gf.Quatd, Gf.Quath)):
-        return tuple(_convert(float(v)) for v in (value.GetReal(), *value.GetImaginary()))
-    if isinstance(value, (Gf.Matrix3d, Gf.Matrix4d)):
-        return np.array(value)
-    if isinstance(value, Sdf.AssetPath):
-        return value.path
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError):
-        return value
-    if array.ndim == 1 and array.size <= 6 and array.dtype.kind in "fi":
-        return tuple(_convert(float(v)) for v in array)
-    return array
+        mapped = tuple(item for key, item in self._mapped.items() if key not in self._left_names)
+        return mapped, tuple(self._assumed.values()), left, tuple(self._warnings)

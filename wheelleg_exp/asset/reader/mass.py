@@ -1,55 +1,79 @@
-"""Mass properties by the rules of UsdPhysics and PhysX: what is authored, else what the colliders weigh."""
+"""Mass properties of bodies by the rules of UsdPhysics and PhysX: what is authored, else what the colliders weigh."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from pxr import UsdShade
 
-from wheelleg_exp.asset.description import Inertial
+from wheelleg_exp.asset.description import Inertial, Quat, Vec3
 from wheelleg_exp.asset.geometry import Array, apply, quaternion, rotation_matrix, vec3
 from wheelleg_exp.asset.reader.bodies import Link
 from wheelleg_exp.asset.reader.colliders import Piece
-from wheelleg_exp.asset.reader.stage import Stage, schemas
+from wheelleg_exp.asset.reader.mujoco.angles import find_scene
+from wheelleg_exp.asset.reader.stage import Stage
 from wheelleg_exp.asset.reader.units import given
-from wheelleg_exp.asset.solids import Solid, convex_hull, primitive
+from wheelleg_exp.asset.reader.weights import parts_of
+from wheelleg_exp.asset.solids import (
+    BARE_MASS,
+    BARE_RADIUS,
+    Part,
+    balanced,
+    combined_center,
+    combined_tensor,
+    principal,
+)
+from wheelleg_exp.errors import AssetError
 
-WATER = 1000.0  # kg/m³, the density of what has none
-BARE_MASS, BARE_RADIUS = 1.0, 0.1  # PhysX: a body without mass and colliders is a sphere of 1 kg
+SMALLEST = 1e-15  # kg, kg m²; MuJoCo refuses less on bodies that move
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    mass: float
-    solid: Solid
-
-
-def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> Inertial:
+def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], still: bool = False) -> Inertial:
     """Return a body's mass, centre and principal moments.
 
     Args:
         stage: the open stage.
         link: the body.
         pieces: its shapes; those with a carrier count, switched off or not.
+        still: whether nothing moves it in its parent, so that MuJoCo lets it weigh nothing.
+
+    Raises:
+        AssetError: the mass is too small for MuJoCo.
     """
-    authored, center, tensor = (
-        _authored_mass(stage, link),
-        _center(stage, link),
-        _authored_tensor(stage, link),
-    )
-    parts: list[_Part] = []
-    if authored is None or center is None or tensor is None:  # the colliders say what the file does not
-        parts = [part for piece in pieces if piece.carrier is not None and (part := _part(stage, link, piece))]
+    authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
+    parts: list[Part] = []
+    if authored is None or center is None or moments is None:  # the colliders say what the file does not
+        parts = parts_of(stage, link, pieces)
+    if authored is None and not parts and moments is None and still and find_scene(stage) is not None:
+        stage.ledger.assume(link.path, "no mass and no collider: none, as MuJoCo", "0 kg")
+        return Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     mass = _computed_mass(stage, link, parts) if authored is None else authored
+    if mass < SMALLEST:
+        raise AssetError(f"a mass of {mass:g} kg is too small", key=link.path, expected=f"more than {SMALLEST:g} kg")
     if center is None:
-        center = _combined_center(parts)
+        center = combined_center(parts)
         if parts:
             stage.ledger.assume(link.path, "no centre of mass: that of the colliders", str(vec3(center)))
-    moments, axes = tensor or _principal(_computed_tensor(stage, link, parts, mass, center))
-    return Inertial(mass, vec3(center), moments, axes)
+    values, axes = _moments(stage, link, parts, mass, center, moments)
+    return Inertial(mass, vec3(center), _possible(stage, link, values), axes)
+
+
+def _moments(
+    stage: Stage, link: Link, parts: list[Part], mass: float, center: Array, authored: tuple[Vec3, Quat | None] | None
+) -> tuple[Vec3, Quat]:
+    """Return moments and axes; either, where it is not authored, is that of the colliders, as in PhysX."""
+    if authored is not None and authored[1] is not None:
+        return authored[0], authored[1]
+    if authored is not None and not parts:
+        return authored[0], (1.0, 0.0, 0.0, 0.0)
+    moments, axes = principal(_computed_tensor(stage, link, parts, mass, center, authored is None))
+    if authored is not None:
+        if axes != (1.0, 0.0, 0.0, 0.0):
+            stage.ledger.assume(link.path, "no principal axes: those of the colliders, as PhysX", str(axes))
+        return authored[0], axes
+    return moments, _authored_axes(stage, link) or axes
 
 
 def _authored_mass(stage: Stage, link: Link) -> float | None:
@@ -60,13 +84,14 @@ def _authored_mass(stage: Stage, link: Link) -> float | None:
     return stage.units.mass(value)
 
 
-def _computed_mass(stage: Stage, link: Link, parts: list[_Part]) -> float:
+def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
     total = sum(part.mass for part in parts)
     if total > 0:
         stage.ledger.assume(link.path, "no mass: from the colliders' volume and density", f"{total:.6g} kg")
         return total
-    stage.ledger.assume(link.path, "no mass and no collider: as PhysX", f"{BARE_MASS:g} kg")
-    return BARE_MASS
+    mass = stage.units.mass(BARE_MASS)
+    stage.ledger.assume(link.path, "no mass and no collider: as PhysX, one unit of the stage", f"{mass:g} kg")
+    return mass
 
 
 def _center(stage: Stage, link: Link) -> Array | None:
@@ -79,102 +104,64 @@ def _center(stage: Stage, link: Link) -> Array | None:
     return apply(inside, np.array([value]))[0]
 
 
-def _combined_center(parts: list[_Part]) -> Array:
-    total = sum(part.mass for part in parts)
-    if total <= 0:
-        return np.zeros(3)
-    return np.asarray(sum((part.mass * part.solid.center for part in parts), np.zeros(3)) / total)
-
-
-def _authored_tensor(
-    stage: Stage, link: Link
-) -> tuple[tuple[float, float, float], tuple[float, float, float, float]] | None:
-    """Return authored principal moments (kg m²) and axes, None when none are given."""
+def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | None:
+    """Return authored principal moments (kg m²) and axes (None: not authored), None when no moments are given."""
     ledger, factor = stage.ledger, stage.units.inertia(1.0)
     six = ledger.read(link.prim, "newton:inertia")
-    if six is not None and any(six):
-        ledger.mapped(link.path, "newton:inertia", "inertial diaginertia and quat")
-        for name in ("physics:diagonalInertia", "physics:principalAxes"):
-            if (value := ledger.read(link.prim, name)) is not None:
-                ledger.leave(link.path, name, "newton:inertia, the full tensor, wins over it", value)
+    if six is not None and len(six) == 6 and any(six):
+        _newton_wins(stage, link)
         a, b, c, d, e, f = (v * factor for v in six)
-        return _principal(np.array([[a, d, e], [d, b, f], [e, f, c]]))
+        return principal(np.array([[a, d, e], [d, b, f], [e, f, c]]))
     moments = ledger.read(link.prim, "physics:diagonalInertia")
-    if moments is None or not any(moments):
+    if not given_moments(moments):
         return None
     ledger.mapped(link.path, "physics:diagonalInertia", "inertial diaginertia")
-    axes = ledger.read(link.prim, "physics:principalAxes", "inertial quat")
+    x, y, z = (abs(float(v)) * factor for v in moments)
+    return (x, y, z), _authored_axes(stage, link)
+
+
+def _newton_wins(stage: Stage, link: Link) -> None:
+    stage.ledger.mapped(link.path, "newton:inertia", "inertial diaginertia and quat")
+    for name in ("physics:diagonalInertia", "physics:principalAxes"):
+        if (value := stage.ledger.read(link.prim, name)) is not None:
+            stage.ledger.leave(link.path, name, "newton:inertia, the full tensor, wins over it", value)
+
+
+def given_moments(value: Any) -> bool:
+    """Return whether authored moments say anything: at least one of them is positive, and all are finite."""
+    return value is not None and any(v > 0 for v in value) and all(math.isfinite(v) for v in value)
+
+
+def _authored_axes(stage: Stage, link: Link) -> Quat | None:
+    axes = stage.ledger.read(link.prim, "physics:principalAxes")
     if axes is None or not any(axes):
-        axes = (1.0, 0.0, 0.0, 0.0)
-    x, y, z = (float(v) * factor for v in moments)
-    return (x, y, z), quaternion(rotation_matrix(axes))
+        return None
+    stage.ledger.mapped(link.path, "physics:principalAxes", "inertial quat")
+    return quaternion(rotation_matrix(axes))
 
 
-def _computed_tensor(stage: Stage, link: Link, parts: list[_Part], mass: float, center: Array) -> Array:
-    """Return the colliders' tensor, scaled to the mass, about ``center`` (parallel-axis rule, as PhysX)."""
-    total = sum(part.mass for part in parts)
-    if total <= 0:
+def _computed_tensor(
+    stage: Stage, link: Link, parts: list[Part], mass: float, center: Array, for_moments: bool
+) -> Array:
+    """Return the colliders' tensor, scaled to the mass, about ``center``."""
+    if sum(part.mass for part in parts) <= 0:
         stage.ledger.assume(link.path, "no inertia and no collider: a sphere of 0.1 m, as PhysX", "0.4 m r²")
         return np.eye(3) * 0.4 * mass * BARE_RADIUS**2
-    stage.ledger.assume(link.path, "no inertia: from the colliders, scaled to the mass", "principal moments")
-    tensor = np.zeros((3, 3))
-    for part in parts:
-        share = part.mass / total * mass
-        tensor += part.solid.inertia / part.solid.volume * share + _moved(share, part.solid.center - center)
-    return tensor
+    if for_moments:
+        stage.ledger.assume(link.path, "no inertia: from the colliders, scaled to the mass", "principal moments")
+    return combined_tensor(parts, mass, center)
 
 
-def _moved(mass: float, offset: Array) -> Array:
-    return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
-
-
-def _principal(tensor: Array) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-    off = tensor - np.diag(np.diag(tensor))
-    if np.abs(off).max() < 1e-9 * np.abs(tensor).max():
-        x, y, z = (float(v) for v in np.diag(tensor))
-        return (x, y, z), (1.0, 0.0, 0.0, 0.0)
-    values, axes = np.linalg.eigh(tensor)
-    axes = axes if np.linalg.det(axes) > 0 else -axes
-    x, y, z = (float(v) for v in values)
-    return (x, y, z), quaternion(axes)
-
-
-def _part(stage: Stage, link: Link, piece: Piece) -> _Part | None:
-    """Return what one collider weighs, None when it has no volume."""
-    solid = _solid(piece)
-    if solid is None:
-        return None
-    assert piece.carrier is not None
-    own = stage.ledger.read(piece.carrier, "physics:mass")
-    if given(own) and piece.carrier.GetPath() != link.prim.GetPath():
-        stage.ledger.mapped(piece.carrier.GetPath(), "physics:mass", "the body's mass")
-        return _Part(stage.units.mass(own), solid)
-    return _Part(_density(stage, link, piece) * solid.volume, solid)
-
-
-def _solid(piece: Piece) -> Solid | None:
-    if piece.shape.kind == "plane":
-        return None
-    if piece.shape.vertices is None:
-        return primitive(piece.shape.kind, piece.shape.size).seen_from(piece.shape.frame)
-    try:
-        return convex_hull(piece.shape.vertices).seen_from(piece.shape.frame)
-    except ValueError:
-        return None
-
-
-def _density(stage: Stage, link: Link, piece: Piece) -> float:
-    """Return kg/m³: the collider's own, else the body's, else the bound material's, else water."""
-    assert piece.carrier is not None
-    for prim in (piece.carrier, link.prim):
-        value = stage.ledger.read(prim, "physics:density", "the body's mass")
-        if given(value):
-            return stage.units.density(value)
-    material = UsdShade.MaterialBindingAPI(piece.prim).ComputeBoundMaterial("physics")[0]
-    if material and "PhysicsMaterialAPI" in schemas(material.GetPrim()):
-        value = stage.ledger.read(material.GetPrim(), "physics:density", "the body's mass")
-        if given(value):
-            return stage.units.density(value)
-    if not given(stage.ledger.read(link.prim, "physics:mass")):
-        stage.ledger.assume(link.path, "no density: water", f"{WATER:g} kg/m³")
-    return WATER
+def _possible(stage: Stage, link: Link, moments: Vec3) -> Vec3:
+    """Return moments that MuJoCo accepts, and say so when the file's are not."""
+    if max(moments) < SMALLEST:
+        raise AssetError(
+            f"principal moments of {moments} kg m² are too small", key=link.path, expected=f"more than {SMALLEST:g}"
+        )
+    able = balanced(moments)
+    if able == moments:
+        return moments
+    stage.ledger.assume(link.path, "moments that no body can have (A + B < C): the largest is cut", f"{able}")
+    if not np.allclose(able, moments, rtol=0.01, atol=0):
+        stage.ledger.warn(f"{link.path}: MuJoCo refuses its principal moments {moments}; {able} stand in the model")
+    return able

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdShade
+from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from wheelleg_exp.asset.description import Material, Rgba
 from wheelleg_exp.asset.geometry import single
 from wheelleg_exp.asset.naming import unique_names
+from wheelleg_exp.asset.reader.scenes import physics_scenes
 from wheelleg_exp.asset.reader.stage import Stage, schemas
 
 COLOR_INPUTS = ("diffuseColor", "diffuse_color_constant", "diffuse_tint", "baseColor")
@@ -56,14 +57,24 @@ class Looks:
 
 
 def display_color(prim: Usd.Prim) -> Rgba | None:
-    """Return a gprim's first displayColor, with displayOpacity."""
+    """Return a gprim's first displayColor, with displayOpacity; None where it is no colour."""
     gprim = UsdGeom.Gprim(prim)
-    colors = gprim.GetDisplayColorPrimvar().ComputeFlattened()
-    if not colors:
+    color = _first(gprim.GetDisplayColorPrimvar(), 3)
+    if color is None:
         return None
-    opacity = gprim.GetDisplayOpacityPrimvar().ComputeFlattened()
-    r, g, b = (single(float(c)) for c in colors[0])
-    return r, g, b, single(float(opacity[0])) if opacity else 1.0
+    opacity = _first(gprim.GetDisplayOpacityPrimvar(), 1)
+    return color[0], color[1], color[2], opacity[0] if opacity else 1.0
+
+
+def _first(primvar: UsdGeom.Primvar, count: int) -> tuple[float, ...] | None:
+    """Return the first element of a primvar, None when it is not that many finite numbers."""
+    try:
+        values = np.asarray(primvar.ComputeFlattened(), dtype=float).reshape(-1, count)
+    except (Tf.ErrorException, TypeError, ValueError):
+        return None
+    if not len(values) or not np.isfinite(values[0]).all():
+        return None
+    return tuple(single(float(value)) for value in values[0])
 
 
 def _input(shader: Usd.Prim, names: tuple[str, ...]) -> Any:
@@ -77,19 +88,52 @@ def _input(shader: Usd.Prim, names: tuple[str, ...]) -> Any:
     return None
 
 
-def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
-    """Return the dynamic friction of the physics material bound to a gprim, None when none is bound."""
-    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
-    if not bound or "PhysicsMaterialAPI" not in schemas(bound.GetPrim()):
+def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
+    """Return the physics material of a gprim: bound for physics or all purposes, there, above, or by a collection."""
+    material, relationship = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+    if not material or "PhysicsMaterialAPI" not in schemas(material.GetPrim()):
         return None
-    material, ledger = bound.GetPrim(), stage.ledger
+    if relationship:
+        stage.ledger.mapped(relationship.GetPrim().GetPath(), relationship.GetName(), "friction and density")
+    return material.GetPrim()
+
+
+def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
+    """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's own.
+
+    None leaves it to MuJoCo, which is right for files that carry MuJoCo's own schemas.
+    """
+    material = physics_material(stage, prim) or _scene_material(stage)
+    if material is None:
+        return _unbound(stage)
+    ledger = stage.ledger
     dynamic = ledger.read(material, "physics:dynamicFriction", "geom friction[0]")
     for name, reason in _NO_PLACE.items():
         value = ledger.read(material, name)
         if value is not None:
             ledger.leave(material.GetPath(), name, reason, value)
     _combine(stage, material)
-    return 0.0 if dynamic is None else float(dynamic)
+    return 0.0 if dynamic is None else max(0.0, float(dynamic))
+
+
+PHYSX_FRICTION = 0.5
+
+
+def _scene_material(stage: Stage) -> Usd.Prim | None:
+    """Return the physics material that a PhysicsScene is bound to: PhysX's default for what has none."""
+    for scene in physics_scenes(stage):
+        material = physics_material(stage, scene)
+        if material is not None:
+            return material
+    return None
+
+
+def _unbound(stage: Stage) -> float | None:
+    if any(name.startswith("Mjc") for scene in physics_scenes(stage) for name in schemas(scene)):
+        return None
+    rule = "colliders without a physics material: PhysX's own friction"
+    stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)
+    return PHYSX_FRICTION
 
 
 _NO_PLACE = {

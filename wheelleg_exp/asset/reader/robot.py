@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
-import numpy as np
-
-from wheelleg_exp.asset.description import BaseMode, Body, Closure, Dof, Pose, RobotDescription, Site
-from wheelleg_exp.asset.geometry import Frame
+from wheelleg_exp.asset.description import BaseMode, Body, Dof, Geom, RobotDescription, Site
 from wheelleg_exp.asset.reader.articulate import dofs_of
 from wheelleg_exp.asset.reader.audit import audit
 from wheelleg_exp.asset.reader.bodies import find_links
 from wheelleg_exp.asset.reader.colliders import find_pieces
+from wheelleg_exp.asset.reader.distance import Ropes, read_ropes
+from wheelleg_exp.asset.reader.filters import Filters, read_filters
 from wheelleg_exp.asset.reader.geoms import Geoms
-from wheelleg_exp.asset.reader.joints import Joint, read_joints
+from wheelleg_exp.asset.reader.joints import DISTANCE, read_joints
+from wheelleg_exp.asset.reader.loops import read_closures
 from wheelleg_exp.asset.reader.mass import inertial_of
-from wheelleg_exp.asset.reader.mujoco import actuators, couplings
-from wheelleg_exp.asset.reader.scene import exclusions, gravity, self_collision
+from wheelleg_exp.asset.reader.mimic import read_mimics
+from wheelleg_exp.asset.reader.motion import velocity_of
+from wheelleg_exp.asset.reader.mujoco import with_mujoco
+from wheelleg_exp.asset.reader.scene import gravity, self_collision
 from wheelleg_exp.asset.reader.sites import find_sites
-from wheelleg_exp.asset.reader.stage import Stage, open_stage
+from wheelleg_exp.asset.reader.stage import Stage, library, open_stage
 from wheelleg_exp.asset.reader.summary import summarise
 from wheelleg_exp.asset.reader.tree import Node, Tree, build_tree
 from wheelleg_exp.asset.report import Report
@@ -32,92 +34,77 @@ def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple
     Raises:
         AssetError: the file cannot be read, or holds no rigid body.
     """
-    stage = open_stage(source, variants)
-    robot = describe(stage, base)
-    return robot, summarise(stage, robot)
+    with library(source):
+        stage = open_stage(source, variants)
+        robot = describe(stage, base)
+        return robot, summarise(stage, robot)
 
 
 def describe(stage: Stage, base: BaseMode) -> RobotDescription:
     """Return the robot of an open stage."""
     links = find_links(stage)
     joints = read_joints(stage, links)
-    tree = build_tree(stage, links, joints, base)
-    geoms = Geoms(stage, find_pieces(stage, links))
-    bodies, order = _bodies(stage, tree, geoms, find_sites(stage, links))
-    coordinates = {dof.path: dof.name for body in bodies for dof in body.dofs}
+    tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
+    ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
+    touching = self_collision(stage)
+    parts = _Parts(stage, Geoms(stage, pieces), read_filters(stage, links, joints, pieces, touching), ropes)
+    parts.sites = find_sites(stage, links)
+    dofs = {node.link.path: dofs_of(stage, node) for node in tree.nodes}
+    bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())
     robot = RobotDescription(
-        name=stage.root.GetName() or stage.source.stem,
+        name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),
         bodies=bodies,
         gravity=gravity(stage),
-        static_geoms=geoms.of(None),
-        exclusions=tuple(exclusions(stage, links, joints)),
-        closures=_closures(stage, tree.closures),
-        couplings=couplings(stage, coordinates),
-        actuators=actuators(stage, coordinates),
-        materials=tuple(geoms.materials()),
-        meshes=tuple(geoms.meshes()),
-        self_collision=self_collision(stage),
-        breadth_first_dofs=order,
+        static_geoms=parts.geoms(None),
+        static_sites=tuple(ropes.sites.get(None, ())),
+        exclusions=parts.filters.pairs,
+        closures=(*read_closures(stage, tree.closures), *ropes.closures),
+        couplings=read_mimics(stage, [dof for body in bodies for dof in body.dofs]),
+        tendons=tuple(ropes.tendons),
+        materials=tuple(parts.shapes.materials()),
+        meshes=tuple(parts.shapes.meshes()),
+        self_collision=touching,
+        breadth_first_dofs=_breadth_first(tree, dofs),
     )
+    robot = with_mujoco(stage, links, robot)
     audit(stage)
     return robot
 
 
-def _bodies(
-    stage: Stage, tree: Tree, geoms: Geoms, sites: dict[str, list[Site]]
-) -> tuple[tuple[Body, ...], tuple[str, ...]]:
-    """Return the bodies depth first, and the names of their degrees of freedom breadth first."""
-    dofs = {node.link.path: dofs_of(stage, node) for node in tree.nodes}
-    bodies = tuple(
-        _body(stage, node, dofs[node.link.path], geoms, sites.get(node.link.path, [])) for node in tree.depth_first()
-    )
+def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str, ...]:
     levels = sorted(tree.nodes, key=lambda node: node.depth)
-    return bodies, tuple(dof.name for node in levels for dof in dofs[node.link.path])
+    return tuple(dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1])
 
 
-def _body(stage: Stage, node: Node, dofs: tuple[Dof, ...], geoms: Geoms, sites: list[Site]) -> Body:
-    link = node.link
-    return Body(
-        name=link.name,
-        path=link.path,
-        parent=node.parent.name if node.parent else None,
-        pose=node.pose,
-        inertial=inertial_of(stage, link, geoms.pieces_of(link)),
-        floating=node.floating,
-        mocap=link.kinematic and node.parent is None and not dofs,
-        weightless=link.weightless,
-        dofs=dofs,
-        geoms=geoms.of(link),
-        sites=tuple(sites),
-    )
+class _Parts:
+    """What bodies are made of, by body."""
 
+    def __init__(self, stage: Stage, shapes: Geoms, filters: Filters, ropes: Ropes) -> None:
+        self.stage, self.shapes, self.filters, self.ropes = stage, shapes, filters, ropes
+        self.sites: dict[str, list[Site]] = {}
 
-HINGE_REACH = 0.05  # m between the two points that keep a loop's hinge on its axis
+    def geoms(self, node: Node | None) -> tuple[Geom, ...]:
+        """Return the shapes of a body (None: the world) with their bits."""
+        bits = self.filters.bits
+        found = self.shapes.of(node.link if node else None)
+        return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
 
-
-def _closures(stage: Stage, joints: list[Joint]) -> tuple[Closure, ...]:
-    found = (_closure(stage, joint) for joint in joints)
-    return tuple(closure for closure in found if closure is not None)
-
-
-def _closure(stage: Stage, joint: Joint) -> Closure | None:
-    kind = str(joint.prim.GetTypeName())
-    if any(axis.kind == "slide" for axis in joint.axes):
-        stage.ledger.leave(joint.path, kind, "a sliding joint that closes a loop")
-        stage.ledger.warn(f"{joint.path}: a sliding joint closes a loop and was left out")
-        return None
-    if len(joint.axes) > 1:
-        stage.ledger.warn(f"{joint.path}: closes a loop with {len(joint.axes)} axes; only its point is kept")
-    equality: Literal["weld", "connect"] = "weld" if joint.welds else "connect"
-    stage.ledger.mapped(joint.path, kind, f"equality {equality}")
-    first, second = (link.name if link else None for link in joint.links)
-    return Closure(joint.name, joint.path, equality, (first, second), tuple(_anchors(joint)))
-
-
-def _anchors(joint: Joint) -> Iterator[tuple[Pose, Pose]]:
-    """Yield pairs of points that a loop's joint holds together: for a hinge a second one along its axis."""
-    first, second = joint.frames
-    yield first.pose(), second.pose()
-    if len(joint.axes) == 1 and joint.axes[0].kind == "hinge":
-        along = Frame(np.eye(3), HINGE_REACH * np.array(joint.axes[0].axis))
-        yield (first @ along).pose(), (second @ along).pose()
+    def body(self, node: Node, dofs: tuple[Dof, ...]) -> Body:
+        """Return a body with everything on it."""
+        link = node.link
+        return Body(
+            name=link.name,
+            path=link.path,
+            parent=node.parent.name if node.parent else None,
+            pose=node.pose,
+            inertial=inertial_of(
+                self.stage, link, self.shapes.pieces_of(link), still=node.joint is not None and not dofs
+            ),
+            floating=node.floating,
+            velocity=velocity_of(self.stage, link) if node.floating else (0.0,) * 6,
+            mocap=link.kinematic and node.parent is None and not dofs,
+            weightless=link.weightless,
+            dofs=dofs,
+            geoms=self.geoms(node),
+            sites=(*self.sites.get(link.path, ()), *self.ropes.sites.get(link.name, ())),
+        )

@@ -1,31 +1,37 @@
-"""Reads gravity, self-collision, and the pairs that never touch."""
+"""Reads gravity, and whether the robot's own bodies may touch."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from pxr import Sdf, Usd, UsdPhysics
+from pxr import Usd
 
 from wheelleg_exp.asset.description import Vec3
 from wheelleg_exp.asset.geometry import single, vec3
-from wheelleg_exp.asset.reader.bodies import Links
-from wheelleg_exp.asset.reader.joints import Joint
-from wheelleg_exp.asset.reader.stage import Stage
+from wheelleg_exp.asset.reader.scenes import physics_scenes, scene_of_robot
+from wheelleg_exp.asset.reader.stage import Stage, schemas
 
 EARTH = 9.81
 
 
 def gravity(stage: Stage) -> Vec3:
-    """Return gravity in m/s², z up: of the file's first PhysicsScene wherever it is, else the earth's."""
-    scenes = [p for p in Usd.PrimRange(stage.usd.GetPseudoRoot()) if p.IsA(UsdPhysics.Scene)]
-    if not scenes:
+    """Return gravity in m/s², z up: of the robot's PhysicsScene wherever it is, else the earth's."""
+    scene = scene_of_robot(stage)
+    if scene is None:
         stage.ledger.assume(stage.source.name, "no PhysicsScene: gravity", f"{EARTH} m/s² downwards")
         return 0.0, 0.0, -EARTH
-    for other in scenes[1:]:
-        stage.ledger.leave(other.GetPath(), "PhysicsScene", "one scene is read, the first")
-    scene = scenes[0]
+    for other in physics_scenes(stage):
+        if other != scene:
+            stage.ledger.leave(other.GetPath(), "PhysicsScene", f"one scene is read: {scene.GetPath()}")
     stage.ledger.mapped(scene.GetPath(), "PhysicsScene", "option gravity")
+    if stage.ledger.read(scene, "newton:gravityEnabled", "option gravity") is False:
+        stage.ledger.assume(scene.GetPath(), "newton:gravityEnabled is off", "no gravity")
+        return 0.0, 0.0, 0.0
+    return _vector(stage, scene)
+
+
+def _vector(stage: Stage, scene: Usd.Prim) -> Vec3:
     size = stage.ledger.read(scene, "physics:gravityMagnitude", "option gravity")
     direction = stage.ledger.read(scene, "physics:gravityDirection", "option gravity")
     given = size is not None and size >= 0 and math.isfinite(size)
@@ -39,47 +45,9 @@ def gravity(stage: Stage) -> Vec3:
 def self_collision(stage: Stage) -> bool:
     """Return whether the robot's own bodies may touch; on unless a root says otherwise."""
     values = []
-    for prim in stage.prims:
+    for prim in (prim for prim in stage.prims if schemas(prim)):
         for name in ("physxArticulation:enabledSelfCollisions", "newton:selfCollisionEnabled"):
             value = stage.ledger.read(prim, name, "contype and conaffinity of the colliders")
             if value is not None:
                 values.append(bool(value))
     return all(values)
-
-
-def exclusions(stage: Stage, links: Links, joints: list[Joint]) -> list[tuple[str, str]]:
-    """Return pairs of body names that never touch: joined without collisionEnabled, or filtered."""
-    pairs: dict[tuple[str, str], None] = {}
-    for joint in joints:
-        first, second = joint.links
-        if first and second and not joint.may_collide:
-            pairs[_ordered(links, first.name, second.name)] = None
-    for prim in stage.prims:
-        targets = stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude")
-        for a in _around(links, prim.GetPath()):
-            for target in targets:
-                for b in _around(links, target):
-                    if a != b:
-                        pairs[_ordered(links, a, b)] = None
-    for prim in stage.prims:
-        if prim.IsA(UsdPhysics.CollisionGroup):
-            _leave_group(stage, prim)
-    return list(pairs)
-
-
-def _ordered(links: Links, a: str, b: str) -> tuple[str, str]:
-    order = [link.name for link in links]
-    return (a, b) if order.index(a) <= order.index(b) else (b, a)
-
-
-def _around(links: Links, path: Sdf.Path) -> list[str]:
-    """Return the names of the bodies meant by a path: the one at or above it, else all below."""
-    owner = links.owner(path)
-    return [owner.name] if owner else [link.name for link in links.below(path)]
-
-
-def _leave_group(stage: Stage, prim: Usd.Prim) -> None:
-    filtered = stage.ledger.targets(prim, "physics:filteredGroups")
-    stage.ledger.leave(prim.GetPath(), "PhysicsCollisionGroup", "collision groups are not supported", filtered)
-    if filtered:
-        stage.ledger.warn(f"{prim.GetPath()}: the pairs of this collision group may touch in the model")

@@ -12,7 +12,9 @@ from pxr import Usd, UsdGeom
 
 from wheelleg_exp.asset.description import ShapeKind
 from wheelleg_exp.asset.geometry import Z_TO_AXIS, Array, Frame, rounded, split_scale
+from wheelleg_exp.asset.reader.attributes import number_of, plain
 
+THIN = 1e-3  # m, the thickness of what is flat
 SMALLEST_AREA = 1e-12  # m²; MuJoCo refuses meshes without a surface
 _SEGMENTS = 32  # sides of a cone, and of a cylinder that is not round
 
@@ -30,10 +32,10 @@ class Shape:
 
 
 def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
-    """Return the shape of a gprim, None when the kind is not supported.
+    """Return the shape of a gprim, None when the kind is not supported or a mesh is broken.
 
     Args:
-        prim: a Cube, Sphere, Capsule, Cylinder, Cone, Plane or Mesh.
+        prim: a Cube, Sphere, Capsule, Cylinder (or the newer Capsule_1, Cylinder_1), Cone, Plane or Mesh.
         matrix: 4x4, from the gprim's coordinates to its body's in metres.
     """
     make = _MAKERS.get(str(prim.GetTypeName()))
@@ -68,12 +70,16 @@ def _clean(*sizes: float) -> tuple[float, ...]:
     return tuple(rounded(float(size)) for size in sizes)
 
 
-def _get(prim: Usd.Prim, name: str) -> float:
-    return float(prim.GetAttribute(name).Get())
+def _axis(prim: Usd.Prim) -> tuple[str, str]:
+    """Return the axis of a shape, and a note when the file names one that there is not."""
+    value = plain(prim.GetAttribute("axis").Get())
+    if value is None or (isinstance(value, str) and value in (*Z_TO_AXIS, "")):
+        return value or "Z", ""
+    return "Z", f"axis '{str(value)[:20]}' is unknown: Z"
 
 
 def _cube(prim: Usd.Prim, at: _Placing) -> Shape:
-    half = _get(prim, "size") / 2
+    half = number_of(prim, "size") / 2
     if at.scale is None:
         corners = np.array([[x, y, z] for x in (-half, half) for y in (-half, half) for z in (-half, half)])
         return _hull(corners, at, "sheared")
@@ -81,7 +87,7 @@ def _cube(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
-    radius = _get(prim, "radius")
+    radius = number_of(prim, "radius")
     if at.scale is None:
         values, axes = np.linalg.eigh(at.stretch)
         axes = axes if np.linalg.det(axes) > 0 else -axes
@@ -93,72 +99,151 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
 
 def _round(kind: ShapeKind) -> Maker:
     def make(prim: Usd.Prim, at: _Placing) -> Shape:
-        axis = prim.GetAttribute("axis").Get() or "Z"
-        radius, half = _get(prim, "radius"), _get(prim, "height") / 2
-        along = "XYZ".index(axis)
-        across = [i for i in range(3) if i != along]
-        if at.scale is None or (
-            kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()
-        ):
-            return _hull(_rings(radius, half, kind) @ Z_TO_AXIS[axis].T, at, "scaled unevenly or sheared")
-        size = _clean(radius * at.scale[across].max(), half * at.scale[along])
-        return Shape(kind, size, at.frame(Z_TO_AXIS[axis]))
+        radius = number_of(prim, "radius")
+        return _between(kind, prim, at, radius, radius)
 
     return make
 
 
-def _rings(radius: float, half: float, kind: ShapeKind) -> Array:
-    """Return points of a cylinder or a capsule about z."""
-    levels = [(half, radius), (-half, radius)]
+def _tapered(kind: ShapeKind) -> Maker:
+    """Return the maker of Capsule_1 and Cylinder_1, whose ends have radii of their own."""
+
+    def make(prim: Usd.Prim, at: _Placing) -> Shape:
+        return _between(kind, prim, at, number_of(prim, "radiusTop"), number_of(prim, "radiusBottom"))
+
+    return make
+
+
+def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: float) -> Shape:
+    """Return a capsule or cylinder from its lower end to its upper one; the hull where MuJoCo has no such shape."""
+    (axis, note), half = _axis(prim), number_of(prim, "height") / 2
+    along = "XYZ".index(axis)
+    across = [i for i in range(3) if i != along]
+    tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
+    oval = at.scale is None or (
+        kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()
+    )
+    if (tapered or oval) and min(top, bottom, half) >= 0 < max(top, bottom):
+        why = "with two radii" if tapered else "scaled unevenly or sheared"
+        return _hull(_rings(top, bottom, half, kind) @ Z_TO_AXIS[axis].T, at, why)
+    scale = np.ones(3) if at.scale is None else at.scale
+    radius, length = top * scale[across].max(), half * scale[along]
+    if kind == "capsule" and length == 0:
+        return Shape("sphere", _clean(radius), at.frame(), note=note or "a capsule without height: a sphere")
+    return Shape(kind, _clean(radius, length), at.frame(Z_TO_AXIS[axis]), note=note)
+
+
+def _rings(top: float, bottom: float, half: float, kind: ShapeKind) -> Array:
+    """Return points of a cylinder or a capsule about z, with a radius at either end."""
+    levels = [(half, top), (-half, bottom)]
     if kind == "capsule":
         tilt = np.linspace(0, math.pi / 2, 7)
-        levels = [(s * (half + radius * math.sin(t)), radius * math.cos(t)) for t in tilt for s in (1, -1)]
+        levels = [
+            (side * (half + radius * math.sin(t)), radius * math.cos(t))
+            for t in tilt
+            for side, radius in ((1, top), (-1, bottom))
+        ]
     angles = np.linspace(0, 2 * math.pi, _SEGMENTS, endpoint=False)
     return np.array([[r * math.cos(a), r * math.sin(a), z] for z, r in levels for a in angles])
 
 
 def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
-    axis, half = prim.GetAttribute("axis").Get() or "Z", _get(prim, "height") / 2
+    (axis, _), half, radius = _axis(prim), number_of(prim, "height") / 2, number_of(prim, "radius")
     angles = np.linspace(0, 2 * math.pi, _SEGMENTS, endpoint=False)
-    ring = [[math.cos(a) * _get(prim, "radius"), math.sin(a) * _get(prim, "radius"), -half] for a in angles]
+    ring = [[math.cos(a) * radius, math.sin(a) * radius, -half] for a in angles]
     return _hull(np.array([*ring, [0.0, 0.0, half]]) @ Z_TO_AXIS[axis].T, at, f"a cone of {_SEGMENTS} sides")
 
 
 def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
-    axis = prim.GetAttribute("axis").Get() or "Z"
-    return Shape("plane", (0.0, 0.0, 1.0), at.frame(Z_TO_AXIS[axis]))
+    """Return a plane that goes on for ever; its solid side stays the one below its axis, mirrored or not."""
+    axis, note = _axis(prim)
+    turn = Z_TO_AXIS[axis]
+    if at.scale is None or np.diag(at.stretch).min() < 0:
+        normal = np.linalg.pinv(at.stretch).T @ turn[:, 2]
+        turn = _turn_z_to(normal / (np.linalg.norm(normal) or 1.0))
+    return Shape("plane", (0.0, 0.0, 1.0), at.frame(turn), note=note)
+
+
+def _turn_z_to(direction: Array) -> Array:
+    """Return some rotation that carries z onto a unit vector."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    x = np.cross(helper, direction)
+    x /= np.linalg.norm(x) or 1.0
+    return np.stack([x, np.cross(direction, x), direction], axis=1)
+
+
+def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
+    """Return a drawn plane as a thin box of its width and length, for bodies that move: MuJoCo's planes do not."""
+    rotation, stretch = split_scale(matrix[:3, :3])
+    along = "XYZ".index(_axis(prim)[0])
+    sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # which way width and length go, by UsdGeomPlane
+    half = np.full(3, THIN / 2)
+    for side, name in zip(sides, ("width", "length"), strict=True):
+        half[side] = number_of(prim, name) / 2 * abs(stretch[side, side])
+    return Shape("box", _clean(*half), Frame(rotation, matrix[:3, 3].copy()), note="a plane that moves: a thin box")
 
 
 def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
+    """Return a mesh's points, stretched, and its triangles without the holes; None when it is broken."""
     mesh = UsdGeom.Mesh(prim)
-    points = np.asarray(mesh.GetPointsAttr().Get() or [], dtype=float).reshape(-1, 3)
-    counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=int)
-    indices = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=int)
-    if len(points) < 3 or counts.sum() != len(indices) or (len(indices) and indices.max() >= len(points)):
+    points = _points(mesh)
+    counts, indices = (_integers(a.Get()) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
+    if points is None or counts is None or indices is None or not _consistent(len(points), counts, indices):
         return None
-    faces = triangles(counts, indices)
+    faces = triangles(counts, indices, _holes(mesh, len(counts)))
     if len(points) == 3:  # MuJoCo wants four points
         points = np.vstack([points, points.mean(axis=0)])
-    vertices = points @ at.stretch.T
+    with np.errstate(all="ignore"):  # whoever asked looks for what is not finite
+        vertices = points @ at.stretch.T
     if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
         return None
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
     return Shape("mesh", (), at.frame(), vertices, faces[:, ::-1] if flipped else faces)
 
 
+def _points(mesh: UsdGeom.Mesh) -> Array | None:
+    try:
+        points = np.asarray(mesh.GetPointsAttr().Get(), dtype=float)
+    except (TypeError, ValueError):
+        return None
+    return points if points.ndim == 2 and points.shape[1] == 3 and len(points) >= 3 else None
+
+
+def _integers(value: object) -> NDArray[np.int64] | None:
+    array = np.asarray([] if value is None else value)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        return None
+    return array.astype(np.int64)
+
+
+def _consistent(points: int, counts: NDArray[np.int64], indices: NDArray[np.int64]) -> bool:
+    if (counts < 0).any() or counts.sum() != len(indices):
+        return False
+    return not len(indices) or bool(indices.min() >= 0 and indices.max() < points)
+
+
+def _holes(mesh: UsdGeom.Mesh, faces: int) -> NDArray[np.int64]:
+    holes = _integers(mesh.GetHoleIndicesAttr().Get())
+    return np.zeros(0, dtype=np.int64) if holes is None else holes[(holes >= 0) & (holes < faces)]
+
+
 def _area(vertices: Array, faces: NDArray[np.int64]) -> float:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    with np.errstate(all="ignore"):
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
 
 
-def triangles(counts: NDArray[np.int64], indices: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return triangles (k, 3): each polygon as a fan around its first corner."""
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else np.zeros(0, dtype=int)
-    out = []
-    for corner in range(1, int(counts.max(initial=2)) - 1):
-        first = starts[counts > corner + 1]
-        out.append(np.stack([indices[first], indices[first + corner], indices[first + corner + 1]], axis=1))
-    return np.concatenate(out) if out else np.zeros((0, 3), dtype=int)
+def triangles(
+    counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
+) -> NDArray[np.int64]:
+    """Return triangles (k, 3): each polygon but the holes as a fan around its first corner, in their order."""
+    starts = np.cumsum(counts) - counts
+    fans = np.maximum(counts - 2, 0)
+    if holes is not None:
+        fans[holes] = 0
+    first = np.repeat(starts, fans)
+    corner = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans) + 1
+    return np.stack([indices[first], indices[first + corner], indices[first + corner + 1]], axis=1).astype(np.int64)
 
 
 def _hull(points: Array, at: _Placing, note: str) -> Shape:
@@ -170,6 +255,8 @@ _MAKERS: dict[str, Maker] = {
     "Sphere": _sphere,
     "Capsule": _round("capsule"),
     "Cylinder": _round("cylinder"),
+    "Capsule_1": _tapered("capsule"),
+    "Cylinder_1": _tapered("cylinder"),
     "Cone": _cone,
     "Plane": _plane,
     "Mesh": _mesh,
@@ -192,7 +279,7 @@ def bounding_sphere(shape: Shape) -> Shape:
     return Shape("sphere", _clean(radius), shape.frame @ Frame(np.eye(3), middle), note="sphere around the mesh")
 
 
-def flat_to_box(shape: Shape, thickness: float = 1e-3) -> Shape:
+def flat_to_box(shape: Shape, thickness: float = THIN) -> Shape:
     """Return a thin box for a mesh whose points lie in one plane, else the shape itself."""
     assert shape.vertices is not None
     middle = shape.vertices.mean(axis=0)

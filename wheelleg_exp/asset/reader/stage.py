@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,15 +16,23 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
 
 from wheelleg_exp.asset.geometry import Array, Frame, rigid_part
 from wheelleg_exp.asset.reader.ledger import Ledger
+from wheelleg_exp.asset.reader.missing import Missing, find_missing, require_physics
 from wheelleg_exp.asset.reader.units import Units
-from wheelleg_exp.errors import AssetError, nearest_name
+from wheelleg_exp.asset.reader.variants import choose
+from wheelleg_exp.errors import AssetError
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+FARTHEST = 1e9  # m; MuJoCo refuses states beyond 1e10, and nothing of a robot is that far
+LARGEST = 300_000  # prims; beyond this a stage is no robot, and reading it takes minutes
 
 
 @dataclass
 class Stage:
-    """An open stage and what the readers share: units, the prims to read, transforms, and the ledger."""
+    """An open stage and what the readers share: units, the prims to read, transforms, and the ledger.
+
+    ``prims`` stands in the stage's order and leaves out what hangs below a PointInstancer, which is drawn only where
+    the instancer puts it.
+    """
 
     usd: Usd.Stage
     source: Path
@@ -39,21 +49,32 @@ class Stage:
         self._world = self.units.world()
 
     def matrix(self, prim: Usd.Prim | None) -> Array:
-        """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up."""
+        """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up.
+
+        Raises:
+            AssetError: an xformOp is none, it holds NaN or infinity, or carries the prim farther than robots reach.
+        """
         if prim is None:
             return self._world
-        local = np.array(self._xforms.GetLocalToWorldTransform(prim), dtype=float).T
-        if not np.isfinite(local).all():
-            raise AssetError(
-                "the transform is not finite",
-                key=str(prim.GetPath()),
-                expected="finite xformOps, no scale of 0",
-            )
-        return np.asarray(self._world @ local)
+        try:
+            local = np.array(self._xforms.GetLocalToWorldTransform(prim), dtype=float).T
+        except Tf.ErrorException as error:
+            raise _bad_transform(prim, _complaint(error), "xformOps of this prim, each with its own type") from None
+        with np.errstate(all="ignore"):
+            out = np.asarray(self._world @ local)
+        if not np.isfinite(out).all():
+            raise _bad_transform(prim, "the transform is not finite", "finite xformOps")
+        if np.abs(out).max() > FARTHEST:
+            raise _bad_transform(prim, f"the transform reaches {np.abs(out).max():.3g} m", f"less than {FARTHEST:g} m")
+        return out
 
     def frame(self, prim: Usd.Prim) -> Frame:
         """Return a prim's frame in the world, without scale."""
         return rigid_part(self.matrix(prim))
+
+
+def _bad_transform(prim: Usd.Prim, message: str, expected: str) -> AssetError:
+    return AssetError(message, key=str(prim.GetPath()), expected=expected)
 
 
 def schemas(prim: Usd.Prim) -> list[str]:
@@ -65,87 +86,158 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     """Open ``source`` with everything loaded.
 
     Raises:
-        AssetError: there is no such file, it is no USD, or it has no such variant.
+        AssetError: there is no such file, it is no USD, it has no such variant, or a layer of physics is missing.
     """
-    if not source.is_file():
-        raise AssetError(f"there is no file '{source}'", expected="a USD file")
-    if source.suffix.lower() not in SUFFIXES:
-        raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
-    delegate = UsdUtils.CoalescingDiagnosticDelegate()  # keeps the library's own messages off the terminal
-    try:
+    _require_file(source)
+    with library(source):
         usd = Usd.Stage.Open(str(source.resolve()), Usd.Stage.LoadAll)
         usd.Reload()
-        chosen = _choose(usd, variants)
-        return _collect(usd, source, chosen)
+        sampled = _settle_samples(usd)
+        chosen = choose(usd, variants)
+        stage = _collect(usd, source, chosen)
+        for path in sampled:
+            stage.ledger.assume(path, "only time samples, no default: the first one", "the stage at its start")
+        return stage
+
+
+@contextmanager
+def library(source: Path) -> Iterator[None]:
+    """Keep the USD library's messages off the terminal, and tell its complaints, and those of the disk, as our own.
+
+    Raises:
+        AssetError: the library cannot make sense of the file, or a layer cannot be read.
+    """
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        yield
     except Tf.ErrorException as error:
         raise _unreadable(source, error) from None
+    except OSError as error:
+        raise AssetError(f"cannot be read: {error.strerror}", key=str(error.filename or source)) from None
     finally:
         delegate.TakeUncoalescedDiagnostics()
 
 
+def _require_file(source: Path) -> None:
+    expected = "a USD file (" + ", ".join(SUFFIXES) + ")"
+    try:
+        if source.is_dir():
+            raise AssetError(f"'{source}' is a folder", expected=expected)
+        if not source.is_file():
+            raise AssetError(f"there is no file '{source}'", expected="a USD file")
+        if source.suffix.lower() not in SUFFIXES:
+            raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
+        with source.open("rb") as file:
+            if not file.read(1):
+                raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None
+
+
 def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
     """Return the library's first complaint: for a text layer with its line and what stands there."""
-    first = str(error).strip().split("Error in ")[1:2] or [str(error)]
-    text = " ".join(first[0].split(" : ", 1)[-1].split()).strip("' ")
+    text = _complaint(error)
     place = re.search(r"(\S+?):(\d+):(\d+): .*?(Expected .*?)?at (.*)$", text)
     if place is None:
         return AssetError(f"'{source.name}' cannot be read: {text}", where=str(source))
     path, line, _, expected, found = place.groups()
     return AssetError(
-        f"'{source.name}' cannot be read: something is wrong at {found.strip()}",
+        f"'{source.name}' cannot be read: something is wrong at {found.strip()[:200]}",
         where=f"{path}:{line}",
         expected=expected.removeprefix("Expected ").strip() if expected else "a valid USD layer",
     )
 
 
-def _choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
-    root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
-    usd.SetEditTarget(usd.GetSessionLayer())
-    for name, wanted in variants.items():
-        holders = [prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames()]
-        if not holders:
-            known = root.GetVariantSets().GetNames()
-            raise AssetError(
-                f"there is no variant set '{name}'",
-                key=f"--variant {name}={wanted}",
-                expected="one of " + ", ".join(known) if known else "no variants: the file has none",
-                nearest=nearest_name(name, known),
-            )
-        options = holders[0].GetVariantSet(name).GetVariantNames()
-        if wanted not in options:
-            raise AssetError(
-                f"variant set '{name}' has no '{wanted}'",
-                key=f"--variant {name}={wanted}",
-                expected="one of " + ", ".join(options),
-                nearest=nearest_name(wanted, options),
-            )
-        holders[0].GetVariantSet(name).SetVariantSelection(wanted)
-    sets = root.GetVariantSets()
-    return {name: sets.GetVariantSelection(name) for name in sorted(sets.GetNames())}
+def _complaint(error: Tf.ErrorException) -> str:
+    """Return the library's first complaint, without where it stands in the library."""
+    first = str(error).strip().split("Error in ")[1:2] or [str(error)]
+    text = " ".join(first[0].split(" : ", 1)[-1].split()).strip("' ")
+    return text if len(text) <= 300 else text[:300] + "..."
+
+
+def _settle_samples(usd: Usd.Stage) -> list[str]:
+    """Give attributes that are authored over time alone their first sample, in memory; return their paths.
+
+    Everything is read at the default time, where such an attribute has no value.
+    """
+    settled = []
+    for layer in usd.GetUsedLayers():
+        if not layer.ListAllTimeSamples():
+            continue
+        for path in _attributes(layer):
+            spec = layer.GetAttributeAtPath(path)
+            times = layer.ListTimeSamplesForPath(path) if spec and not spec.HasDefaultValue() else []
+            value = layer.QueryTimeSample(path, times[0]) if times else None
+            if value is not None and not isinstance(value, Sdf.ValueBlock):
+                spec.default = value
+                settled.append(str(path))
+    return settled
+
+
+def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
+    found: list[Sdf.Path] = []
+    layer.Traverse("/", lambda path: found.append(path) if path.IsPropertyPath() else None)
+    return found
 
 
 def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
-    units = Units(
-        UsdGeom.GetStageMetersPerUnit(usd),
-        UsdPhysics.GetStageKilogramsPerUnit(usd),
-        UsdGeom.GetStageUpAxis(usd),
-    )
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
-    prims = [prim for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()) if not prim.IsPseudoRoot()]
-    stage = Stage(usd, source, units, root, prims, _hashes(usd, source), _unresolved(usd, source), variants)
-    for text in stage.unresolved:
-        stage.ledger.warn(f"not found, read without it: {text}")
-    _note_units(stage)
+    prims = _prims(root, source)
+    missing = find_missing(usd, source)
+    require_physics(usd, prims, missing, source)
+    names = tuple(item.name for item in missing)
+    stage = Stage(usd, source, _units(usd, source), root, prims, _hashes(usd, source), names, variants)
+    for item in missing:
+        stage.ledger.warn(_told(item))
+    _note_metadata(stage)
     return stage
 
 
-def _note_units(stage: Stage) -> None:
-    top = stage.usd.GetPseudoRoot()
-    for name, value in (("metersPerUnit", 0.01), ("upAxis", "Y")):
-        if not top.HasAuthoredMetadata(name):
-            stage.ledger.assume(stage.source.name, f"no {name}: USD's fallback", value)
-    if not stage.usd.HasDefaultPrim():
-        stage.ledger.assume(stage.source.name, "no defaultPrim: the whole stage is read", "/")
+def _told(item: Missing) -> str:
+    if not item.is_file:
+        return f"{item.prim}: not found or going in circles, read without it: {item.name}"
+    return f"not found, read without it: {item.name}"
+
+
+def _prims(root: Usd.Prim, source: Path) -> list[Usd.Prim]:
+    found = []
+    walk = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in walk:
+        if not prim.IsPseudoRoot():
+            found.append(prim)
+        if prim.IsA(UsdGeom.PointInstancer):
+            walk.PruneChildren()
+        if len(found) > LARGEST:
+            message = f"the stage has more than {LARGEST:,} prims below {root.GetPath()}"
+            raise AssetError(message, where=str(source), expected="one robot: set its prim as the default prim")
+    return found
+
+
+def _units(usd: Usd.Stage, source: Path) -> Units:
+    length, mass = UsdGeom.GetStageMetersPerUnit(usd), UsdPhysics.GetStageKilogramsPerUnit(usd)
+    for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
+        if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
+            expected = "a positive number, such as 1 or 0.01"
+            raise AssetError(f"the stage's {name} is {value:g}", where=str(source), expected=expected)
+    return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
+
+
+def _note_metadata(stage: Stage) -> None:
+    top, ledger, name = stage.usd.GetPseudoRoot(), stage.ledger, stage.source.name
+    for key, value in (("metersPerUnit", 0.01), ("upAxis", "Y")):
+        if not top.HasAuthoredMetadata(key):
+            ledger.assume(name, f"no {key}: USD's fallback", value)
+    if stage.units.up not in ("Y", "Z"):
+        ledger.assume(name, f"upAxis '{stage.units.up}' is none that USD has", "Z")
+    wanted = stage.usd.GetRootLayer().defaultPrim
+    if not stage.usd.GetDefaultPrim():
+        ledger.assume(name, "no defaultPrim: the whole stage is read", "/")
+        if wanted:
+            ledger.warn(f"the default prim '{wanted}' does not exist, so the whole stage is read")
+    for layer in stage.layers:
+        if layer.startswith("../") or Path(layer).is_absolute():
+            ledger.assume(name, f"a layer outside the file's folder is read: {layer}", "as the file asks")
 
 
 def _real_path(layer: Sdf.Layer) -> Path | None:
@@ -158,7 +250,12 @@ def _real_path(layer: Sdf.Layer) -> Path | None:
 def _hashes(usd: Usd.Stage, source: Path) -> dict[str, str]:
     folder = source.resolve().parent
     files = {path for layer in usd.GetUsedLayers() if (path := _real_path(layer))}
-    return {relative_name(path, folder): hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
+    return {relative_name(path, folder): _hash(path) for path in sorted(files)}
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def relative_name(path: Path, folder: Path) -> str:
@@ -166,11 +263,8 @@ def relative_name(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
-def _unresolved(usd: Usd.Stage, source: Path) -> tuple[str, ...]:
-    """Return what the composition could not find, as seen from the source's folder where that is possible."""
-    found: dict[str, None] = {}
-    for error in usd.GetCompositionErrors():
-        text = str(error).splitlines()[0]
-        name = re.search(r"open asset @([^@]+)@", text)
-        found[(name.group(1) if name else text).removeprefix(f"{source.resolve().parent}/")] = None
-    return tuple(found)
+def below_instancer(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+    """Yield the prims below a PointInstancer, which ``Stage.prims`` leaves out."""
+    walk = iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
+    next(walk)
+    yield from walk

@@ -2,25 +2,60 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from wheelleg_exp.asset.description import RobotDescription
+from wheelleg_exp.asset.reader.ledger import Ledger
 from wheelleg_exp.asset.reader.stage import Stage
 from wheelleg_exp.asset.report import DofOrder, Report
 
 
 def summarise(stage: Stage, robot: RobotDescription) -> Report:
     """Return the report of a stage and the robot read from it."""
-    mapped, assumed, left, warnings = stage.ledger.entries()
-    return Report(
+    units = stage.units
+    return report_of(
+        robot,
+        stage.ledger,
         source=stage.source.name,
-        model=robot.name,
         root=str(stage.root.GetPath()),
-        base=base_of(robot),
-        stage={
-            "metersPerUnit": stage.units.meters,
-            "kilogramsPerUnit": stage.units.kilograms,
-            "upAxis": str(stage.units.up),
-        },
+        stage={"metersPerUnit": units.meters, "kilogramsPerUnit": units.kilograms, "upAxis": str(units.up)},
         variants=stage.variants,
+        unresolved=stage.unresolved,
+        layers=stage.layers,
+    )
+
+
+def report_of(
+    robot: RobotDescription,
+    ledger: Ledger,
+    *,
+    source: str,
+    root: str,
+    stage: dict[str, Any],
+    variants: dict[str, str],
+    unresolved: tuple[str, ...],
+    layers: dict[str, str],
+) -> Report:
+    """Return the report of a robot, of whatever format its file is.
+
+    Args:
+        robot: what was read.
+        ledger: what was noted on the way.
+        source: the file's name.
+        root: path of the robot within the file.
+        stage: the file's units.
+        variants: names in force by variant set.
+        unresolved: names of files that are not there.
+        layers: sha256 of each file that was read.
+    """
+    mapped, assumed, left, warnings = ledger.entries()
+    return Report(
+        source=source,
+        model=robot.name,
+        root=root,
+        base=base_of(robot),
+        stage=stage,
+        variants=variants,
         totals=totals(robot),
         bodies={body.path: body.name for body in robot.bodies},
         joints={dof.name: dof.path for dof in robot.dofs},
@@ -30,8 +65,8 @@ def summarise(stage: Stage, robot: RobotDescription) -> Report:
         assumptions=assumed,
         left_out=left,
         warnings=warnings,
-        unresolved=stage.unresolved,
-        layers=stage.layers,
+        unresolved=unresolved,
+        layers=layers,
     )
 
 

@@ -1,20 +1,22 @@
-"""Makes a tree of bodies from a graph of joints: roots, parents, poses at zero, and what closes loops."""
+"""Makes a tree of bodies from a graph of joints: parents, poses at zero, and what closes loops."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
 
-from pxr import Sdf, UsdPhysics
+from pxr import Sdf
 
 from wheelleg_exp.asset.description import BaseMode, Pose
 from wheelleg_exp.asset.geometry import Frame
 from wheelleg_exp.asset.reader.bodies import Link, Links
 from wheelleg_exp.asset.reader.joints import Joint
+from wheelleg_exp.asset.reader.loops import better_break
+from wheelleg_exp.asset.reader.roots import Graph, articulated, articulation_prims, find_roots
 from wheelleg_exp.asset.reader.stage import Stage, schemas
 
 
-@dataclass
+@dataclass(eq=False)
 class Node:
     """A body in the tree: its pose in the parent (None: the world) at zero, the joint that leads there."""
 
@@ -38,7 +40,7 @@ class Node:
 
     def frame_in_body(self, joint: Joint) -> Frame:
         """Return a joint's frame in this body."""
-        return joint.frames[0 if joint.links[0] is self.link else 1]
+        return joint.frames[joint.side(self.link)]
 
 
 @dataclass
@@ -65,6 +67,9 @@ class Tree:
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
+    Level by level, so that a loop that nobody marked opens at the joint that is furthest from the root. Where no
+    equality could stand for the joint that closes a loop, another joint of that loop is opened, if one can be.
+
     Args:
         stage: the open stage.
         links: its bodies.
@@ -72,81 +77,94 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
         base: ``floating`` drops what pins a root to the world, ``fixed`` removes the free joint.
     """
     joints = _pinned(stage, joints)
+    _articulate(stage, articulated(stage, Graph(links, joints)))
     if base == "floating":
         joints = _unpinned(stage, joints)
-    builder = _Builder(stage, joints, base)
-    for root, joint in _roots(stage, links, joints):
-        builder.grow(root, joint)
-    for link in links:
-        builder.grow(link, None)
-    builder.close()
-    return builder.tree
+    settled: set[str] = set()
+    while True:
+        builder = _Builder(stage, Graph(links, joints), base)
+        tree = builder.grown()
+        trade = better_break(tree.nodes, tree.closures, settled)
+        if trade is None:
+            builder.note()
+            return tree
+        _trade(stage, *trade)
+        settled.add(trade[0].path)
 
 
-def articulation_prims(stage: Stage) -> list[Sdf.Path]:
-    """Return the prims that carry ArticulationRootAPI."""
-    return [prim.GetPath() for prim in stage.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
+def _trade(stage: Stage, kept: Joint, opened: Joint) -> None:
+    kept.closes, opened.closes = False, True
+    rule = f"no equality can stand for it where it closes a loop, so the loop opens at {opened.path}"
+    stage.ledger.assume(kept.path, rule, "a joint of the tree")
+    stage.ledger.warn(f"{kept.path}: {rule}, which has no coordinate in the model")
 
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
     """Read a generic joint without any limit from the root to the world as a fixed one, as PhysX does."""
-    roots = articulation_prims(stage)
+    marks = articulation_prims(stage)
     for joint in joints:
-        generic = joint.prim.GetTypeName() == "PhysicsJoint" and {a.kind for a in joint.axes} == {
-            "slide",
-            "ball",
-        }
-        if not generic or None not in joint.links or len(joint.axes) != 4:
+        free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
+        link = joint.other(None) if None in joint.links else None
+        if not free or link is None:
             continue
-        link = joint.other(None)
-        assert link is not None
-        if any(Sdf.Path(link.path).HasPrefix(root) or root == Sdf.Path(joint.path) for root in roots):
+        if any(Sdf.Path(link.path).HasPrefix(mark) or mark == Sdf.Path(joint.path) for mark in marks):
             joint.axes = []
             stage.ledger.assume(joint.path, "a generic joint without limits from the root to the world", "fixed base")
     return joints
+
+
+def _articulate(stage: Stage, joints: list[Joint]) -> None:
+    """Read joints inside an articulation as PhysX does: generic ones do not slide, and none lets its bodies touch."""
+    for joint in joints:
+        if joint.kind == "PhysicsJoint" and any(axis.kind == "slide" for axis in joint.axes):
+            joint.axes = [axis for axis in joint.axes if axis.kind != "slide"]
+            rule = "a generic joint of an articulation does not slide in PhysX: locked"
+            stage.ledger.assume(joint.path, rule, "no slides")
+            stage.ledger.warn(f"{joint.path}: {rule}, though its file leaves translations free")
+        if joint.may_collide:
+            joint.may_collide = False
+            rule = "PhysX ignores collisionEnabled of joints inside an articulation"
+            stage.ledger.assume(joint.path, rule, "the joined bodies do not touch")
 
 
 def _unpinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
     kept = []
     for joint in joints:
         if None in joint.links and joint.welds:
-            stage.ledger.leave(
-                joint.path, str(joint.prim.GetTypeName()), "--base floating drops the joint to the world"
-            )
+            stage.ledger.leave(joint.path, joint.kind, "--base floating drops the joint to the world")
         else:
             kept.append(joint)
     return kept
 
 
-def _roots(stage: Stage, links: Links, joints: list[Joint]) -> list[tuple[Link, Joint | None]]:
-    """Return where trees start: bodies joined to the world, then bodies marked or found as roots."""
-    roots: dict[str, tuple[Link, Joint | None]] = {}
-    for joint in joints:
-        if None in joint.links and not joint.excluded:
-            link = joint.other(None)
-            if link is not None:
-                roots.setdefault(link.path, (link, joint))
-    for path in articulation_prims(stage):
-        stage.ledger.mapped(path, "PhysicsArticulationRootAPI", "the choice of the root")
-        link = links.by_path.get(str(path))
-        if link:
-            roots.setdefault(link.path, (link, None))
-    children = {j.links[1].path for j in joints if j.links[1] and j.links[0] and not j.excluded}
-    free = [link for link in links if link.path not in children]
-    ordered = list(roots.values())
-    return ordered + [(link, None) for link in free if link.path not in roots]
-
-
 class _Builder:
     """Grows trees breadth first; joints that reach a body already placed close a loop."""
 
-    def __init__(self, stage: Stage, joints: list[Joint], base: BaseMode) -> None:
-        self.stage, self.joints, self.base = stage, joints, base
+    def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
+        self.stage, self.graph, self.base = stage, graph, base
         self.tree = Tree()
         self._placed: dict[str, Frame] = {}
         self._used: set[str] = set()
 
-    def grow(self, root: Link, joint: Joint | None) -> None:
+    def grown(self) -> Tree:
+        """Return all trees, and what closes loops in them."""
+        for root, joint in find_roots(self.stage, self.graph):
+            self._grow(root, joint)
+        for link in self.graph.links:
+            self._grow(link, None)
+        self._close()
+        return self.tree
+
+    def note(self) -> None:
+        """Say what was decided, once it is settled."""
+        for node in self.tree.nodes:
+            if node.joint is None and self.base == "fixed" and not node.link.kinematic:
+                self.stage.ledger.assume(node.link.path, "--base fixed", "no free joint")
+        for joint in self.tree.closures:
+            if not joint.closes:
+                self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
+
+    def _grow(self, root: Link, joint: Joint | None) -> None:
         """Place ``root`` (by ``joint`` to the world, or free) and all that hangs on it."""
         if root.path in self._placed:
             return
@@ -154,55 +172,53 @@ class _Builder:
         queue = deque([(root, 0)])
         while queue:
             link, depth = queue.popleft()
-            for edge in self.joints:
-                child = edge.other(link) if link in edge.links else None
-                if child is None or edge.excluded or child.path in self._placed:
+            for edge in self.graph.at(link):
+                child = edge.other(link)
+                if child is None or edge.closes or child.kinematic or child.path in self._placed:
                     continue
                 self._place(child, link, edge, depth + 1)
                 queue.append((child, depth + 1))
 
     def _place(self, link: Link, parent: Link | None, joint: Joint | None, depth: int) -> None:
-        floating = False
         if joint is None:
-            relative = link.frame
-            floating = self.base != "fixed" and not link.kinematic
-            if not floating and not link.kinematic:
-                self.stage.ledger.assume(link.path, "--base fixed", "no free joint")
+            relative, floating = link.frame, self.base != "fixed" and not link.kinematic
         else:
-            mine = joint.frames[0 if joint.links[0] is link else 1]
-            theirs = joint.frames[1 if joint.links[0] is link else 0]
-            relative = theirs @ mine.inverse()
+            side = joint.side(link)
+            relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
             self._used.add(joint.path)
         above = self._placed[parent.path] if parent else Frame.identity()
         self._placed[link.path] = above @ relative
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
 
-    def close(self) -> None:
+    def _close(self) -> None:
         """Take the joints that are no edge of the tree for loops, or add them to their edge."""
-        adds = _joints_add_up(self.stage)
-        for joint in self.joints:
+        said = _joints_add_up(self.stage)
+        edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
+        for joint in self.graph.joints:
             if joint.path in self._used:
                 continue
-            edge = self._edge(joint) if adds and not joint.excluded else None
-            if edge is not None:
+            edge = edges.get((id(joint.links[0]), id(joint.links[1])))
+            adds = _are_mujocos(edge.joint, joint) if said is None and edge else said
+            if edge is not None and not joint.closes and adds:
                 edge.added.append(joint)
-                continue
-            if not joint.excluded and joint.prim.IsA(UsdPhysics.Joint):
-                self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
-            self.tree.closures.append(joint)
-
-    def _edge(self, joint: Joint) -> Node | None:
-        """Return the edge of the tree between the same two bodies, with the same one as child."""
-        for node in self.tree.nodes:
-            if node.joint is not None and node.joint.links == joint.links:
-                return node
-        return None
+            elif all(link is None or link.kinematic for link in joint.links):
+                reason = "joins bodies that nothing moves: kinematic ones, or the world"
+                self.stage.ledger.leave(joint.path, joint.kind, reason)
+            else:
+                self.tree.closures.append(joint)
 
 
-def _joints_add_up(stage: Stage) -> bool:
-    """Return whether several joints between two bodies add their freedoms, as in MuJoCo, instead of a loop."""
+def _joints_add_up(stage: Stage) -> bool | None:
+    """Return whether several joints between two bodies add their freedoms, as in MuJoCo; None when nothing says so."""
     name = "newton:jointsAddMobility"
-    return any(stage.ledger.read(prim, name, "several joints of one body") is True for prim in stage.prims)
+    said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
+    given = [value for value in said if value is not None]
+    return any(given) if given else None
+
+
+def _are_mujocos(*joints: Joint | None) -> bool:
+    """Return whether joints carry MuJoCo's schema, which lets several of one body add up."""
+    return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)
 
 
 def drawn_in_parent(node: Node) -> Frame:

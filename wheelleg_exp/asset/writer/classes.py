@@ -1,56 +1,154 @@
-"""Groups joints that share gains and passive forces, so that a number stands once in the file."""
+"""Gathers what elements have in common into default classes, so that a number stands once in the file.
+
+One class has the robot's name and holds what all elements of a kind share. Classes within it hold what several
+share, and are called after the words that those have in common: ``FL_hip`` and ``FR_hip`` make the class ``hip``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
-from wheelleg_exp.asset.description import Dof, Drive
-from wheelleg_exp.asset.writer.xml import Value
+from wheelleg_exp.asset.writer.attributes import Attributes
+from wheelleg_exp.asset.writer.xml import Element, Value, value_text
 
 VISUAL, COLLISION = "visual", "collision"
+ACTUATORS = {"position", "velocity", "motor", "general"}
+RESERVED = {"main", VISUAL, COLLISION, *ACTUATORS}
+EMPTY_WORDS = {"joint", "actuator", "act", "geom", "site", "link", VISUAL, COLLISION}  # unless nothing else is left
 
 
-def joint_attributes(dof: Dof) -> dict[str, Value]:
-    """Return what joints may share."""
-    return {
-        "stiffness": dof.stiffness or None,
-        "damping": dof.damping or None,
-        "armature": dof.armature or None,
-        "frictionloss": dof.frictionloss or None,
-        "actuatorfrcrange": dof.force_range,
-    }
+@dataclass
+class Family:
+    """Elements of one tag by name, and which attributes may make a class of their own (None: all of them)."""
+
+    tag: str
+    members: Mapping[str, Attributes]
+    parent: str
+    grouping: frozenset[str] | None = None
+    fixed: Attributes = field(default_factory=dict)
 
 
-def drive_attributes(drive: Drive) -> dict[str, Value]:
-    """Return what actuators may share; gains in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
-    return {
-        "kp": drive.stiffness if drive.kind == "position" else None,
-        "kv": drive.damping if drive.kind != "motor" and drive.damping > 0 else None,
-        "forcerange": None if drive.effort is None else (-drive.effort, drive.effort),
-    }
+class Classes:
+    """The default classes of a document, and what is left for each element to say."""
+
+    def __init__(self, root: str) -> None:
+        self.root = root
+        self._content: dict[str, dict[str, Attributes]] = {root: {}}
+        self._parents: dict[str, str] = {}
+        self._of: dict[tuple[str, str], str] = {}
+        self._rest: dict[tuple[str, str], Attributes] = {}
+
+    def child(self, name: str) -> None:
+        """Make an empty class within the robot's."""
+        self._content.setdefault(name, {})
+        self._parents[name] = self.root
+
+    def add(self, family: Family) -> None:
+        """Find the classes of a family's members."""
+        shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
+        if shared:
+            self._content[family.parent][family.tag] = shared
+        rests = {name: _without(own, shared) for name, own in family.members.items()}
+        for name, rest in rests.items():
+            self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
+        for names in _alike(rests, family.grouping):
+            self._group(family, names, {key: rests[names[0]][key] for key in _grouping(rests[names[0]], family)})
+
+    def of(self, tag: str, name: str) -> str | None:
+        """Return an element's class, None when it has none or when it is the robot's, which bodies hand down."""
+        found = self._of.get((tag, name))
+        return None if found is None or found == self.root or not self._needed(found) else found
+
+    def explicit(self, tag: str, name: str) -> str | None:
+        """Return an element's class where no body hands one down: the robot's only if it says something of ``tag``."""
+        found = self._of.get((tag, name))
+        return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
+
+    def rest(self, tag: str, name: str) -> Attributes:
+        """Return the attributes that an element's class does not give it."""
+        return self._rest[tag, name]
+
+    def inherited(self) -> bool:
+        """Return whether bodies have something to hand down."""
+        return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
+
+    def element(self) -> Element:
+        """Return the ``<default>`` of the document."""
+        out = Element("default")
+        made = {self.root: Element("default", {"class": self.root})}
+        for name, tags in self._content.items():
+            element = made.setdefault(name, Element("default", {"class": name}))
+            for tag, shared in tags.items():
+                element.add(tag, shared)
+        for name, parent in self._parents.items():
+            if self._needed(name):
+                made[parent].children.append(made[name])
+        if made[self.root].children:
+            out.children.append(made[self.root])
+        return out
+
+    def _needed(self, name: str) -> bool:
+        return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
+
+    def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
+        name = self._free(_words_in_common(names), family)
+        self._content.setdefault(name, {})[family.tag] = shared
+        self._parents[name] = family.parent
+        for member in names:
+            self._of[family.tag, member] = name
+            self._rest[family.tag, member] = _without(self._rest[family.tag, member], shared)
+
+    def _free(self, stem: str, family: Family) -> str:
+        """Return a name for a class: one of the same parent may hold several tags."""
+        if family.parent == self.root:
+            stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
+        else:
+            stem = f"{stem}_{family.parent}" if stem else family.parent
+        name, number = stem, 2
+        while name in RESERVED or name == self.root or self._taken(name, family):
+            name, number = f"{stem}_{number}", number + 1
+        return name
+
+    def _taken(self, name: str, family: Family) -> bool:
+        return name in self._content and (family.tag in self._content[name] or self._parents.get(name) != family.parent)
 
 
-def _key(dof: Dof) -> tuple[object, ...]:
-    drive = dof.drive
-    gains = tuple(drive_attributes(drive).items()) if drive else ()
-    return (dof.kind, drive.kind if drive else "", gains, tuple(joint_attributes(dof).items()))
+def _key(value: Value) -> str:
+    return value_text(value)
 
 
-def group(dofs: Iterable[Dof]) -> dict[str, list[Dof]]:
-    """Return class names and their joints, for joints that have something in common with another one.
+def _common(members: Iterable[Attributes], fixed: Attributes) -> Attributes:
+    """Return what all members say alike; nothing of a single one, which can say it itself."""
+    first, *others = [*members] or [{}]
+    if not others:
+        return {}
+    shared = {k: v for k, v in first.items() if all(k in o and _key(o[k]) == _key(v) for o in others)}
+    return {k: v for k, v in shared.items() if k not in fixed or _key(fixed[k]) != _key(v)}
 
-    A class is called after what its joints are: ``position_hinge``, ``velocity_hinge_2``.
-    """
-    shared: dict[tuple[object, ...], list[Dof]] = {}
-    for dof in dofs:
-        if any(v is not None for v in joint_attributes(dof).values()) or dof.drive:
-            shared.setdefault(_key(dof), []).append(dof)
-    out: dict[str, list[Dof]] = {}
-    for members in shared.values():
-        if len(members) < 2:
-            continue
-        drive = members[0].drive
-        stem = f"{drive.kind if drive else 'passive'}_{members[0].kind}"
-        name = stem if stem not in out else f"{stem}_{sum(key.startswith(stem) for key in out) + 1}"
-        out[name] = members
-    return out
+
+def _without(own: Attributes, shared: Attributes) -> Attributes:
+    return {k: v for k, v in own.items() if k not in shared or _key(shared[k]) != _key(v)}
+
+
+def _grouping(rest: Attributes, family: Family) -> list[str]:
+    return [key for key in rest if family.grouping is None or key in family.grouping]
+
+
+def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> list[list[str]]:
+    """Return the names of members that say the same, where there are two or more."""
+    groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    for name, rest in rests.items():
+        key = tuple(sorted((k, _key(v)) for k, v in rest.items() if grouping is None or k in grouping))
+        if key:
+            groups.setdefault(key, []).append(name)
+    return [names for names in groups.values() if len(names) > 1]
+
+
+def _words_in_common(names: list[str]) -> str:
+    """Return the words that all names have, in the order of the first."""
+    split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
+    shared = [word for word in split[0] if all(word in words for words in split[1:])]
+    words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
+    return "_".join([word for word in words if word.lower() not in EMPTY_WORDS] or words)

@@ -10,6 +10,7 @@ import numpy as np
 from wheelleg_exp.asset.description import Drive, RobotDescription
 from wheelleg_exp.asset.writer.meshes import file_name, obj_text
 from wheelleg_exp.asset.writer.mjcf import Writer
+from wheelleg_exp.asset.writer.verify import build
 
 
 def with_force_gains(robot: RobotDescription) -> RobotDescription:
@@ -36,7 +37,7 @@ def _scaled(drive: Drive, inertia: float) -> Drive:
 
 def _effective_inertia(robot: RobotDescription) -> dict[str, float]:
     assets = {file_name(mesh): obj_text(mesh).encode() for mesh in robot.meshes if len(mesh.faces)}
-    model = mujoco.MjModel.from_xml_string(Writer(robot, "", []).text(), assets)
+    model = build(Writer(robot, "").text(), assets, robot.name)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 
 from wheelleg_exp.asset.description import Mesh
-from wheelleg_exp.asset.writer.xml import number
 
 
 def file_name(mesh: Mesh) -> str:
@@ -15,6 +14,6 @@ def file_name(mesh: Mesh) -> str:
 
 def obj_text(mesh: Mesh) -> str:
     """Return the mesh as OBJ, every number without loss."""
-    points = (f"v {number(float(x))} {number(float(y))} {number(float(z))}" for x, y, z in mesh.vertices)
-    faces = (f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces)
+    points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (twice as fast)
+    faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
     return "\n".join([*points, *faces]) + "\n"

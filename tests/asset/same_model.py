@@ -1,0 +1,129 @@
+"""Two MuJoCo models side by side: parts matched by name, states carried over, differences relative to the norm."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+Obj = mujoco.mjtObj
+FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+WIDTHS = {FREE: (7, 6), BALL: (4, 3)}
+
+
+def name_of(model: mujoco.MjModel, kind: Obj, index: int) -> str:
+    """A part's name, empty when it has none."""
+    return mujoco.mj_id2name(model, kind, index) or ""
+
+
+def difference(first: np.ndarray, second: np.ndarray, floor: float = 1e-9) -> float:
+    """The largest difference relative to the largest number of the first (or ``floor``, for what is nothing)."""
+    first, second = np.asarray(first, float), np.asarray(second, float)
+    return float(np.abs(first - second).max() / max(np.abs(first).max(), floor)) if first.size else 0.0
+
+
+def converged(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Let the solver run to the end and leave contacts away, so that two models differ by what they are alone."""
+    option = model.opt
+    option.solver, option.iterations, option.ls_iterations = int(mujoco.mjtSolver.mjSOL_NEWTON), 500, 200
+    option.tolerance, option.ls_tolerance, option.timestep = 1e-14, 1e-8, 0.002
+    option.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model
+
+
+class Pair:
+    """An original and what came back of it."""
+
+    def __init__(self, original: mujoco.MjModel, ours: mujoco.MjModel) -> None:
+        self.original, self.ours = converged(original), converged(ours)
+        self.bodies = self._matched(Obj.mjOBJ_BODY, original.nbody, first=1)
+        self.actuators = self._matched(Obj.mjOBJ_ACTUATOR, original.nu)
+        self.tendons = self._matched(Obj.mjOBJ_TENDON, original.ntendon)
+        self.joints = [self._joint(index) for index in range(original.njnt)]
+        self.positions, self.velocities = self._coordinates()
+        self.data = mujoco.MjData(original), mujoco.MjData(ours)
+
+    def _matched(self, kind: Obj, count: int, first: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Ids of named parts in both models."""
+        pairs = []
+        for index in range(first, count):
+            if name := name_of(self.original, kind, index):
+                other = mujoco.mj_name2id(self.ours, kind, name)
+                assert other >= 0, f"{name} did not come back"
+                pairs.append((index, other))
+        ids = np.array(pairs, int).reshape(-1, 2)
+        return ids[:, 0], ids[:, 1]
+
+    def _joint(self, index: int) -> int:
+        """A joint by name; one without a name by its place on its body."""
+        original, ours = self.original, self.ours
+        name = name_of(original, Obj.mjOBJ_JOINT, index)
+        found = mujoco.mj_name2id(ours, Obj.mjOBJ_JOINT, name) if name else -1
+        if found < 0:
+            body = original.jnt_bodyid[index]
+            other = ours.body(name_of(original, Obj.mjOBJ_BODY, body)).id
+            found = ours.body_jntadr[other] + index - original.body_jntadr[body]
+        assert original.jnt_type[index] == ours.jnt_type[found]
+        return int(found)
+
+    def _coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where each entry of the original's qpos and qvel is in ours."""
+        original, ours = self.original, self.ours
+        positions, velocities = np.zeros(original.nq, int), np.zeros(original.nv, int)
+        for index, other in enumerate(self.joints):
+            width, speed = WIDTHS.get(int(original.jnt_type[index]), (1, 1))
+            at, to = original.jnt_qposadr[index], ours.jnt_qposadr[other]
+            positions[at : at + width] = np.arange(to, to + width)
+            at, to = original.jnt_dofadr[index], ours.jnt_dofadr[other]
+            velocities[at : at + speed] = np.arange(to, to + speed)
+        return positions, velocities
+
+    def draw(self, random: np.random.Generator) -> None:
+        """Put both into the same random state, within the limits, and compute everything."""
+        model = self.original
+        qpos = np.array(model.qpos0)
+        for index in range(model.njnt):
+            at, kind = model.jnt_qposadr[index], int(model.jnt_type[index])
+            if kind in WIDTHS:
+                turn = slice(at + 3, at + 7) if kind == FREE else slice(at, at + 4)
+                qpos[turn] = random.normal(size=4) + np.array([2.0, 0, 0, 0])
+                qpos[turn] /= np.linalg.norm(qpos[turn])
+            else:
+                low, high = model.jnt_range[index] if model.jnt_limited[index] else (-1.0, 1.0)
+                qpos[at] = random.uniform(low, high)
+        ranges = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0])
+        self.state(qpos, random.normal(size=model.nv), random.uniform(ranges[:, 0], ranges[:, 1]))
+
+    def state(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> None:
+        """Put both into a state of the original and compute everything."""
+        first, second = self.data
+        mujoco.mj_resetData(self.original, first)
+        mujoco.mj_resetData(self.ours, second)
+        first.qpos[:], first.qvel[:], first.ctrl[:] = qpos, qvel, ctrl
+        second.qpos[self.positions], second.qvel[self.velocities] = qpos, qvel
+        second.ctrl[self.actuators[1]] = ctrl[self.actuators[0]]
+        mujoco.mj_forward(self.original, first)
+        mujoco.mj_forward(self.ours, second)
+
+    def masses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mass matrices, the second in the order of the original."""
+        matrices = []
+        for model, data in zip((self.original, self.ours), self.data, strict=True):
+            full = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, full)
+            matrices.append(full)
+        return matrices[0], matrices[1][np.ix_(self.velocities, self.velocities)]
+
+    def tensors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Inertia tensors (n, 6) of the named bodies about their centres, in body axes."""
+        return _tensors(self.original, self.bodies[0]), _tensors(self.ours, self.bodies[1])
+
+
+def _tensors(model: mujoco.MjModel, bodies: np.ndarray) -> np.ndarray:
+    out = []
+    for body in bodies:
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+        turn = turn.reshape(3, 3)
+        out.append((turn @ np.diag(model.body_inertia[body]) @ turn.T)[np.triu_indices(3)])
+    return np.array(out)

@@ -1,0 +1,60 @@
+"""Puts each assumption beside the element that it is about; what belongs to no element stands in the head."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from wheelleg_exp.asset.writer.xml import Element
+
+
+class Note(Protocol):
+    """Where something was assumed, by which rule, and what came of it."""
+
+    @property
+    def path(self) -> str:
+        """Path in the source."""
+
+    @property
+    def rule(self) -> str:
+        """The rule."""
+
+    @property
+    def value(self) -> str:
+        """What came of it."""
+
+
+class Notes:
+    """The notes of a document and the elements of its paths."""
+
+    def __init__(self, notes: Sequence[Note | str]) -> None:
+        self._notes = notes
+        self._elements: dict[str, Element] = {}
+
+    def place(self, path: str, element: Element) -> None:
+        """Say which element a path became; the first one counts."""
+        if path:
+            self._elements.setdefault(path, element)
+
+    def write(self) -> list[str]:
+        """Give the elements their comments, and return the notes of no element."""
+        head = []
+        for note in self._notes:
+            if isinstance(note, str):
+                head.append(note)
+                continue
+            text = f"{note.rule}: {note.value}" if note.value else note.rule
+            element = self._find(note.path)
+            if element is None:
+                head.append(f"{note.path}: {text}")
+            elif text not in element.comment:
+                element.comment = f"{element.comment}; {text}" if element.comment else text
+        return head
+
+    def _find(self, path: str) -> Element | None:
+        """Return the element of a path or of what is above it."""
+        while path.strip("/"):
+            if path in self._elements:
+                return self._elements[path]
+            path = path.rpartition("/")[0]
+        return None
