@@ -108,6 +108,7 @@ def test_speeds_beyond_their_limits_are_cut_at_one_each():
 def test_differences_between_left_and_right():
     env = fake_env(**JOINTS)
     close(rewards.joint_symmetry_l1(env, entity(joints=[0, 1]), entity(joints=[2, 0])), [3.0, 0.0])
+    close(rewards.joint_symmetry_l1(env, entity(joints=[0]), entity(joints=[1]), mirrored=True), [0.5, 0.0])  # not 1.5
 
 
 def test_raw_actions():

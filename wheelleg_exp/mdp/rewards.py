@@ -94,10 +94,13 @@ def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Te
     return (data.joint_pos[:, ids] - data.default_joint_pos[:, ids]).abs().sum(dim=1)
 
 
-def joint_symmetry_l1(env: Env, left_cfg: SceneEntityCfg, right_cfg: SceneEntityCfg) -> torch.Tensor:
+def joint_symmetry_l1(
+    env: Env, left_cfg: SceneEntityCfg, right_cfg: SceneEntityCfg, mirrored: bool = False
+) -> torch.Tensor:
     """Sum of |q_left - q_right| over pairs of joints, rad. Not in Isaac Lab.
 
-    The pairs are the joints of the two entities in order; give both the same ``preserve_order``.
+    The pairs are the joints of the two entities in order; give both the same ``preserve_order``. ``mirrored`` joints
+    turn in opposite senses on the two sides, so that a symmetric pose has |q_left + q_right| = 0.
     """
     left = env.scene[left_cfg.name].data.joint_pos[:, left_cfg.joint_ids]
     right = env.scene[right_cfg.name].data.joint_pos[:, right_cfg.joint_ids]
@@ -105,7 +108,7 @@ def joint_symmetry_l1(env: Env, left_cfg: SceneEntityCfg, right_cfg: SceneEntity
         raise ConfigError(
             f"{left.shape[1]} left and {right.shape[1]} right joints", key="right_cfg.joint_names", expected="pairs"
         )
-    return (left - right).abs().sum(dim=1)
+    return (left + right if mirrored else left - right).abs().sum(dim=1)
 
 
 def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
