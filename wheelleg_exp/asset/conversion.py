@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import mujoco
 
 from wheelleg_exp.asset.description import BaseMode, RobotDescription
 from wheelleg_exp.asset.reader.robot import read_usd
@@ -48,10 +51,23 @@ def convert(
     """
     source, output = Path(source), Path(output)
     _require_output(source, output)
-    robot, report = read(source, base, variants or {})
-    robot = with_force_gains(robot)
-    write(robot, report, output)
-    return Conversion(output, robot, report)
+    with _told_by_mujoco() as told:
+        robot, report = read(source, base, variants or {})
+        robot = with_force_gains(robot)
+        write(robot, report, output)
+    return Conversion(output, robot, replace(report, warnings=report.warnings + tuple(dict.fromkeys(told))))
+
+
+@contextmanager
+def _told_by_mujoco() -> Iterator[list[str]]:
+    """Collect what MuJoCo warns of, which it would write into a log file in the current folder."""
+    told: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: told.append(f"MuJoCo: {text}"))
+    try:
+        yield told
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from wheelleg_exp.asset.description import BaseMode, Body, Dof, Inertial, Pose, RobotDescription
 from wheelleg_exp.asset.geometry import Frame
 from wheelleg_exp.asset.naming import RESERVED
-from wheelleg_exp.asset.reader.summary import base_of, totals
+from wheelleg_exp.asset.reader.summary import report_of
 from wheelleg_exp.asset.reader.urdf.audit import audit
 from wheelleg_exp.asset.reader.urdf.document import Document, open_document
 from wheelleg_exp.asset.reader.urdf.files import Files
@@ -16,7 +16,7 @@ from wheelleg_exp.asset.reader.urdf.joints import couplings, dofs_of
 from wheelleg_exp.asset.reader.urdf.kinematics import Link, Tree, read_tree
 from wheelleg_exp.asset.reader.urdf.shapes import Shapes
 from wheelleg_exp.asset.reader.urdf.simulator import Seen, read_with_mujoco
-from wheelleg_exp.asset.report import DofOrder, Report
+from wheelleg_exp.asset.report import Report
 
 SUFFIXES = (".urdf",)
 EARTH = 9.81
@@ -185,23 +185,13 @@ def _body_names(document: Document, tree: Tree) -> dict[str, str]:
 
 def summarise(document: Document, robot: RobotDescription, files: Files) -> Report:
     """Return the report of a URDF and the robot read from it."""
-    mapped, assumed, left, warnings = document.ledger.entries()
-    return Report(
+    return report_of(
+        robot,
+        document.ledger,
         source=document.source.name,
-        model=robot.name,
         root=document.root.path,
-        base=base_of(robot),
         stage=dict(SI),
         variants={},
-        totals=totals(robot),
-        bodies={body.path: body.name for body in robot.bodies},
-        joints={dof.name: dof.path for dof in robot.dofs},
-        dof_order=DofOrder(robot.breadth_first_dofs, tuple(dof.name for dof in robot.dofs)),
-        velocity_limits={dof.name: dof.max_velocity for dof in robot.dofs if dof.max_velocity is not None},
-        mapped=mapped,
-        assumptions=assumed,
-        left_out=left,
-        warnings=warnings,
         unresolved=tuple(files.missing),
         layers=dict(sorted(files.hashes.items())),
     )
