@@ -22,7 +22,7 @@ DEEPEST = 499  # nested elements that MuJoCo's XML reader takes
 class Writer:
     """Makes the document of one robot."""
 
-    def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Note | str] = ()) -> None:
+    def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Note] = ()) -> None:
         self.robot, self.mesh_folder = robot, mesh_folder
         self.notes = Notes(notes)
         self.names = Names(robot)

@@ -27,7 +27,7 @@ class Note(Protocol):
 class Notes:
     """The notes of a document and the elements of its paths."""
 
-    def __init__(self, notes: Sequence[Note | str]) -> None:
+    def __init__(self, notes: Sequence[Note]) -> None:
         self._notes = notes
         self._elements: dict[str, Element] = {}
 
@@ -40,9 +40,6 @@ class Notes:
         """Give the elements their comments, and return the notes of no element."""
         head = []
         for note in self._notes:
-            if isinstance(note, str):
-                head.append(note)
-                continue
             text = f"{note.rule}: {note.value}" if note.value else note.rule
             element = self._find(note.path)
             if element is None:
