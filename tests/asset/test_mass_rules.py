@@ -340,3 +340,43 @@ def test_a_body_of_nothing_is_physx_ball_of_one_kilogram(tmp_path):
     model, _ = converted(write(tmp_path, link("a", mass="")))
     assert model.body("a").mass[0] == pytest.approx(1.0)
     np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 0.4 * 0.1**2)
+
+
+def shape(kind: str, text: str, scale: str = "(1, 1, 1)") -> str:
+    """A gprim that collides, in SI."""
+    return f"""def {kind} "shape" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {{
+            {text}
+            double3 xformOp:scale = {scale}
+            uniform token[] xformOpOrder = ["xformOp:scale"]
+        }}"""
+
+
+@pytest.mark.parametrize(
+    ("inside", "volume"),
+    [  # the volumes of the masses that PhysX gives these files
+        (shape("Sphere", "double radius = 0.2", "(1.5, 1, 0.7)"), 4 / 3 * math.pi * 0.3**3),
+        (
+            shape("Cylinder", 'double radius = 0.1\n double height = 0.5\n token axis = "X"', "(2, 1, 0.7)"),
+            math.pi * 0.01,
+        ),
+        (shape("Cone", "double radius = 0.1\n double height = 0.5"), math.pi * 0.01 * 0.5 / 3),
+        (shape("Cone", "double radius = 0.1\n double height = 0.5", "(1.5, 1, 1)"), math.pi * 0.0225 * 0.5 / 3),
+    ],
+    ids=["sphere", "cylinder", "cone", "oval cone"],
+)
+def test_what_is_scaled_unevenly_weighs_as_its_largest_scale_across(tmp_path, inside, volume):
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
+    np.testing.assert_allclose(model.body("a").mass[0], 1000 * volume, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("axis", "flip", "center"), [("Z", 1, [0, 0, -0.15]), ("Y", 1, [0, -0.15, 0]), ("Z", -1, [0, 0, 0.15])]
+)
+def test_a_cone_weighs_as_a_cone_and_not_as_its_hull(tmp_path, axis, flip, center):
+    """Centre a quarter of the height above the base; moments 3/10 m r² and m(3/20 r² + 3/80 h²)."""
+    inside = shape("Cone", f'double radius = 0.2\n double height = 0.6\n token axis = "{axis}"', f"(1, 1, {flip})")
+    model, _ = converted(write(tmp_path, link("a", mass="float physics:mass = 2", inside=inside)))
+    np.testing.assert_allclose(model.body("a").ipos, center, atol=1e-9)
+    moments = np.sort(model.body("a").inertia)
+    np.testing.assert_allclose(moments, [2 * 0.3 * 0.04] + [2 * (0.15 * 0.04 + 3 / 80 * 0.36)] * 2, rtol=1e-6)

@@ -120,6 +120,12 @@ def balanced(moments: Vec3) -> Vec3:
     return values[0], values[1], values[2]
 
 
+def cone(radius: float, half: float) -> Solid:
+    """Return the solid of a cone along z, its tip at ``half`` and its base at ``-half`` (m)."""
+    volume, moments = _cone(radius, half)
+    return Solid(volume, np.array([0.0, 0.0, -half / 2]), np.diag(moments))
+
+
 def primitive(kind: str, size: tuple[float, ...]) -> Solid:
     """Return the solid of a box, sphere, ellipsoid, capsule or cylinder (``size`` as in MuJoCo)."""
     volume, moments = _FORMS[kind](*size)
@@ -146,6 +152,12 @@ def _capsule(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
     tube, ends = 2 * math.pi * r * r * half, 4 / 3 * math.pi * r**3
     side = tube * (half * half / 3 + r * r / 4) + ends * (2 / 5 * r * r + half * half + 3 / 4 * half * r)
     return tube + ends, (side, side, tube * r * r / 2 + ends * 2 / 5 * r * r)
+
+
+def _cone(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
+    v, height = 2 / 3 * math.pi * r * r * half, 2 * half
+    side = v * (3 / 20 * r * r + 3 / 80 * height * height)
+    return v, (side, side, v * 3 / 10 * r * r)
 
 
 _FORMS: dict[str, Callable[..., tuple[float, tuple[float, float, float]]]] = {

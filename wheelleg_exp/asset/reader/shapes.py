@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from pxr import Usd, UsdGeom
 from wheelleg_exp.asset.description import ShapeKind
 from wheelleg_exp.asset.geometry import Z_TO_AXIS, Array, Frame, rounded, split_scale
 from wheelleg_exp.asset.reader.attributes import number_of, plain
+from wheelleg_exp.asset.solids import Solid, cone, primitive
 
 THIN = 1e-3  # m, the thickness of what is flat
 SMALLEST_AREA = 1e-12  # m²; MuJoCo refuses meshes without a surface
@@ -21,7 +22,10 @@ _SEGMENTS = 32  # sides of a cone, and of a cylinder that is not round
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape in its body: MuJoCo's kind and size (m), a frame, a mesh's points (n, 3), triangles (k, 3)."""
+    """A shape in its body: MuJoCo's kind and size (m), a frame, a mesh's points (n, 3), triangles (k, 3).
+
+    ``weight`` is the solid that PhysX weighs, in the shape's frame, where the shape itself is another one.
+    """
 
     kind: ShapeKind
     size: tuple[float, ...]
@@ -29,6 +33,7 @@ class Shape:
     vertices: Array | None = None
     faces: NDArray[np.int64] | None = None
     note: str = ""
+    weight: Solid | None = None
 
 
 def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
@@ -94,7 +99,9 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
         return Shape("ellipsoid", _clean(*(radius * np.abs(values))), at.frame(axes), note="scaled unevenly: ellipsoid")
     if np.ptp(at.scale) <= 1e-6 * at.scale.max():
         return Shape("sphere", _clean(radius * at.scale[0]), at.frame())
-    return Shape("ellipsoid", _clean(*(radius * at.scale)), at.frame(), note="scaled unevenly: ellipsoid")
+    weight = primitive("sphere", (radius * float(at.scale.max()),))
+    note = "scaled unevenly: ellipsoid, weighed as the sphere around it as in PhysX"
+    return Shape("ellipsoid", _clean(*(radius * at.scale)), at.frame(), note=note, weight=weight)
 
 
 def _round(kind: ShapeKind) -> Maker:
@@ -125,7 +132,8 @@ def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: 
     )
     if (tapered or oval) and min(top, bottom, half) >= 0 < max(top, bottom):
         why = "with two radii" if tapered else "scaled unevenly or sheared"
-        return _hull(_rings(top, bottom, half, kind) @ Z_TO_AXIS[axis].T, at, why)
+        hull = _hull(_rings(top, bottom, half, kind) @ Z_TO_AXIS[axis].T, at, why)
+        return hull if tapered else _weighed(hull, "cylinder", at, axis, top, half)
     scale = np.ones(3) if at.scale is None else at.scale
     radius, length = top * scale[across].max(), half * scale[along]
     if kind == "capsule" and length == 0:
@@ -151,7 +159,8 @@ def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
     (axis, _), half, radius = _axis(prim), number_of(prim, "height") / 2, number_of(prim, "radius")
     angles = np.linspace(0, 2 * math.pi, _SEGMENTS, endpoint=False)
     ring = [[math.cos(a) * radius, math.sin(a) * radius, -half] for a in angles]
-    return _hull(np.array([*ring, [0.0, 0.0, half]]) @ Z_TO_AXIS[axis].T, at, f"a cone of {_SEGMENTS} sides")
+    hull = _hull(np.array([*ring, [0.0, 0.0, half]]) @ Z_TO_AXIS[axis].T, at, f"a cone of {_SEGMENTS} sides")
+    return _weighed(hull, "cone", at, axis, radius, half)
 
 
 def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
@@ -244,6 +253,17 @@ def triangles(
     first = np.repeat(starts, fans)
     corner = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans) + 1
     return np.stack([indices[first], indices[first + corner], indices[first + corner + 1]], axis=1).astype(np.int64)
+
+
+def _weighed(hull: Shape, kind: str, at: _Placing, axis: str, radius: float, half: float) -> Shape:
+    """Let a hull weigh as the round solid that PhysX makes of it: the larger scale across its axis counts."""
+    if at.scale is None:
+        return hull
+    along = "XYZ".index(axis)
+    size = radius * float(np.delete(at.scale, along).max()), half * float(at.scale[along])
+    solid = cone(*size) if kind == "cone" else primitive(kind, size)
+    mirrored = -1.0 if np.trace(at.stretch) < 0 else 1.0
+    return replace(hull, weight=solid.seen_from(Frame(mirrored * Z_TO_AXIS[axis], np.zeros(3))))
 
 
 def _hull(points: Array, at: _Placing, note: str) -> Shape:

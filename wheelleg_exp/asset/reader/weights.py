@@ -87,7 +87,9 @@ def _solid(piece: Piece) -> Solid | None:
     if shape.kind == "plane":
         return None
     try:
-        if shape.vertices is None:
+        if shape.weight is not None:
+            solid = shape.weight
+        elif shape.vertices is None:
             solid = primitive(shape.kind, shape.size)
         else:
             solid = solid_of_mesh(shape.vertices, shape.faces, _volume(piece))
