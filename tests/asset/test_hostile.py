@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import time
 import zipfile
 
 import mujoco
@@ -12,6 +13,7 @@ import pytest
 from pxr import Sdf, Usd, UsdUtils
 
 from wheelleg_exp.asset import convert
+from wheelleg_exp.asset.naming import unique_names
 from wheelleg_exp.errors import AssetError
 
 from .small_usd import SI, applied, converted, cube_inside, hinge, link, two_links, write
@@ -429,6 +431,12 @@ def test_a_gprim_that_collides_leaves_its_children_alone(tmp_path):
     assert [geom.kind for geom in done.description.colliders] == ["box"]
 
 
+@pytest.mark.parametrize("apis", ["", "PhysicsCollisionAPI"])
+def test_a_cone_without_height_is_flat(tmp_path, apis):
+    model, _ = converted(write(tmp_path, link("a", inside=gprim("Cone", "double height = 1e-300", apis=apis))))
+    assert model.geom_type[0] == int(mujoco.mjtGeom.mjGEOM_BOX)
+
+
 def test_tiny_and_flat_colliders_become_something_that_mujoco_builds(tmp_path):
     tiny = cube_inside("convexHull").replace("0.1", "0.000002")
     model, _ = converted(write(tmp_path, link("a", inside=tiny)))
@@ -447,6 +455,8 @@ INSTANCER = """def PointInstancer "many" {apis}
         def Sphere "ball" {inner}
         {{
             double radius = 0.25
+            double3 xformOp:translate = (0, 0.5, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
         }}
     }}
 }}
@@ -456,7 +466,7 @@ INSTANCER = """def PointInstancer "many" {apis}
 def test_a_point_instancer_shows_its_prototype_where_it_says(tmp_path):
     text = INSTANCER.format(apis="", inner=COLLIDES)
     model, _ = converted(write(tmp_path, link("a", inside=text)))
-    assert model.geom_pos.tolist() == [[5, 0, 0], [5, 0, 1], [5, 0, 2]]
+    assert model.geom_pos.tolist() == [[5, 0.5, 0], [5, 0.5, 1], [5, 0.5, 2]]
     assert set(model.geom_contype.tolist()) == {1}
 
 
@@ -476,14 +486,13 @@ def test_a_point_instancer_of_nothing_or_of_bodies_is_left_out_with_a_warning(tm
 
 
 # ---------------------------------------------------------------- size
-def test_work_grows_with_the_stage_and_not_with_its_square(tmp_path, monkeypatch):
-    """Ten thousand equal names, of which each would try all numbers before it, take no second."""
-    from wheelleg_exp.asset.naming import unique_names
-
-    names = unique_names(f"/bot/g{i}/shape" for i in range(20_000))
-    assert len(set(names.values())) == 20_000
+def test_names_take_time_in_proportion_to_their_number():
+    start = time.process_time()
+    equal = unique_names(f"/g{i}" + "/a" * 8 for i in range(20_000))
     deep = unique_names("/" + "/".join(["a"] * n) for n in range(1, 2_000))
+    assert len(set(equal.values())) == 20_000
     assert len(set(deep.values())) == 1_999
+    assert time.process_time() - start < 3  # some 0.3 s; trying all numbers anew for each name takes half a minute
 
 
 # ---------------------------------------------------------------- a small fuzz

@@ -9,6 +9,7 @@ import pytest
 from pxr import Usd
 
 from wheelleg_exp.asset import Conversion, Report, convert
+from wheelleg_exp.asset.reader.ledger import Ledger
 from wheelleg_exp.paths import find_asset
 
 from .small_usd import converted, cube_inside, link, two_links, write
@@ -207,6 +208,17 @@ def test_a_missing_texture_layer_is_no_end(tmp_path):
     body = link("a") + 'def Xform "extra" (references = @textures/wood.usda@)\n{\n}\n'
     _, done = converted(write(tmp_path, body))
     assert done.report.unresolved == ("textures/wood.usda",)
+
+
+def test_what_is_left_out_after_all_is_not_mapped_as_well():
+    ledger = Ledger()
+    ledger.mapped("/a", "x", "something")
+    ledger.leave("/a", "x", "no place")
+    ledger.mapped("/a", "x", "something")
+    mapped, _, left, _ = ledger.entries()
+    assert mapped == ()
+    assert left[0].values == {"/a": ""}
+    assert ledger.knows("/a", "x")
 
 
 def test_totals_are_those_of_the_model(conversion):

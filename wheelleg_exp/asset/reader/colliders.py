@@ -89,6 +89,8 @@ def _piece(
         if carrier is not None:
             shape = _approximated(stage, prim, carrier, shape, link is None)
             stage.ledger.mapped(carrier.GetPath(), "PhysicsCollisionAPI", "colliders")
+        elif shape.vertices is not None and shape.faces is None:  # MuJoCo needs the hull of points alone, drawn or not
+            shape = flat_to_box(shape)
         if shape.kind == "plane" and (link is not None or carrier is None):
             shape = None if collides else plane_as_box(prim, inside)
             reason = "a plane collides only where it stands still, in the world"
