@@ -36,6 +36,9 @@ def pair(folder, text: str = "", *, target: str = "j", inside: str = "", joint: 
     return converted(write(folder, body + actuator(target, text)))
 
 
+BOTH = "float physics:lowerLimit = -30\n        float physics:upperLimit = 40"
+
+
 def test_parameters_and_ranges_are_kept_as_they_were_written(tmp_path):
     model, done = pair(
         tmp_path,
@@ -173,3 +176,15 @@ def test_an_actuator_called_like_a_driven_joint_gets_another_name(tmp_path):
 def test_a_drive_without_an_actuator_stays(tmp_path):
     model, _ = two_links(tmp_path, "float drive:angular:physics:stiffness = 5", apis="PhysicsDriveAPI:angular")
     assert model.nu == 1
+
+
+@pytest.mark.parametrize(
+    ("limits", "inherited"), [("", False), ("float physics:lowerLimit = -30", False), (BOTH, True)]
+)
+def test_controls_inherit_a_range_only_where_there_is_one(tmp_path, limits, inherited):
+    motor = 'def MjcActuator "motor"\n{\n double mjc:inheritRange = 1\n rel mjc:target = </bot/j>\n'
+    motor += " uniform double[] mjc:gainPrm = [5]\n uniform double[] mjc:biasPrm = [0, -5, 0]\n"
+    motor += ' uniform token mjc:biasType = "affine"\n}\n'
+    model, done = converted(write(tmp_path, link("a") + link("b") + hinge("j", "a", "b", text=limits) + motor))
+    assert bool(model.actuator("motor").ctrllimited[0]) is inherited
+    assert any("inheritRange" in warning for warning in done.report.warnings) is not inherited

@@ -31,8 +31,9 @@ PLAIN = {
 
 @dataclass(frozen=True)
 class Targets:
-    """Names in the model by prim path of what an actuator may act on."""
+    """Names in the model by prim path of what an actuator may act on; ``ranged`` of them have limits."""
 
+    ranged: set[str] = field(default_factory=set)
     joints: dict[str, str] = field(default_factory=dict)
     tendons: dict[str, str] = field(default_factory=dict)
     sites: dict[str, str] = field(default_factory=dict)
@@ -81,6 +82,10 @@ def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actu
         transmission = "jointinparent"
     extra |= {key.lower(): kind for key, kind in kinds.items() if kind is not None}
     extra |= _parameters(stage, prim)
+    if extra.get("inheritrange") and name_of_target not in targets.ranged:
+        reason = f"{name_of_target} has no limits that the controls could inherit"
+        stage.ledger.leave(prim.GetPath(), "mjc:inheritRange", reason, extra.pop("inheritrange"))
+        stage.ledger.warn(f"{prim.GetPath()}: mjc:inheritRange was left out: {reason}")
     stage.ledger.mapped(prim.GetPath(), KIND, f"actuator {name}")
     return Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
 

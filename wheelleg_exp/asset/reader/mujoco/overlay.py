@@ -36,7 +36,9 @@ def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDes
     sites |= {site.path: site.name for site in robot.static_sites}
     shapes = {geom.path: geom.name for geom in _all_geoms(robot)}
     tendons = distinct(robot.tendons, read_tendons(stage, names, sites, shapes))
+    ranged = {dof.name for dof in robot.dofs if dof.range} | {t.name for t in (*robot.tendons, *tendons) if t.range}
     targets = Targets(
+        ranged=ranged,
         joints=names,
         tendons={tendon.path: tendon.name for tendon in tendons},
         sites=sites,
