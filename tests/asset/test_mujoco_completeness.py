@@ -177,7 +177,8 @@ def report(tmp_path_factory):
     mesh = MESH + everything("MjcCollisionAPI") + "\n" + everything("MjcMeshCollisionAPI")
     shapes += prim("Mesh", "m", mesh, colliding)
     shapes += prim("Sphere", "v", everything("MjcImageableAPI"), "MjcImageableAPI")
-    coupled = everything("MjcJointAPI") + "\n" + everything("MjcEqualityJointAPI") + "\nrel mjc:target = </bot/k>"
+    limits = "float physics:lowerLimit = -10\nfloat physics:upperLimit = 10\n"
+    coupled = limits + everything("MjcJointAPI") + "\n" + everything("MjcEqualityJointAPI") + "\nrel mjc:target = </bot/k>"
     welded = everything("MjcEqualityAPI") + "\n" + everything("MjcEqualityWeldAPI")
     rubber = "float physics:dynamicFriction = 0.5\n" + everything("MjcMaterialAPI")
     parts = (

@@ -23,6 +23,7 @@ def single(value: float) -> float:
 
 
 SHORT_DIGITS = 5  # a decimal this short, within single precision, is what was meant and not an accident
+NOTHING = 1e-12  # m; what is shorter is no length
 NOISE = 1e-14  # relative error of a few operations in double precision
 
 
@@ -46,9 +47,16 @@ def rounded(value: float, scale: float | None = None) -> float:
     return value
 
 
+def plain_float(value: float) -> float:
+    """Return a number without the noise of the few operations that made it: -0.29624999999999996 is -0.29625."""
+    return float(f"{value:.15g}")
+
+
 def vec3(values: Array) -> Vec3:
-    """Return three plain floats, rounded to single precision of the largest."""
+    """Return three plain floats in m, without the noise below single precision of the largest and below 1 pm."""
     scale = float(np.abs(values).max())
+    if scale < NOTHING:
+        return 0.0, 0.0, 0.0
     x, y, z = (rounded(float(v), scale) for v in values)
     return x, y, z
 

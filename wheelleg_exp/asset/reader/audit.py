@@ -98,8 +98,12 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
     if name in _MASS:
         return _why_mass(prim, name)
     joint = prim.IsA(UsdPhysics.Joint)
+    if joint and stage.ledger.left_out(prim.GetPath(), kind):
+        return "its joint was left out"
     if joint and not stage.ledger.knows(prim.GetPath(), kind):
         return "its joint says nothing here"
+    if name == "newton:inertia":
+        return "zeros, which mean not given" if "PhysicsRigidBodyAPI" in schemas(prim) else "it counts on bodies alone"
     if name.startswith(("drive:", "limit:", "state:")) and ":physics:" in name:
         return "the joint leaves no such axis free" if joint else "only joints have drives, limits and states"
     if joint and name.startswith(("physics:lower", "physics:upper", "physics:cone", "physics:axis")):

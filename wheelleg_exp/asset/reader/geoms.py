@@ -66,7 +66,7 @@ class Geoms:
 
     def _name(self, owner: str, short: str, collides: bool) -> str:
         """Return a geom's name: the body's, the shape's, and ``visual``; numbered where that is taken."""
-        name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}"
+        name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
         name += "" if collides else "_visual"
         return self._taken.take(name)
 

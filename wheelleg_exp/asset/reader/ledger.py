@@ -70,6 +70,10 @@ class Ledger:
         key = (str(path), name)
         return key in self._mapped or key in self._left_names
 
+    def left_out(self, path: object, name: str) -> bool:
+        """Return whether something was left out for a reason."""
+        return (str(path), name) in self._left_names
+
     def entries(
         self,
     ) -> tuple[tuple[Mapped, ...], tuple[Assumption, ...], tuple[LeftOut, ...], tuple[str, ...]]:

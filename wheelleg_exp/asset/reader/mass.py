@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from wheelleg_exp.asset.description import Inertial, Quat, Vec3
-from wheelleg_exp.asset.geometry import Array, apply, quaternion, rotation_matrix, vec3
+from wheelleg_exp.asset.geometry import Array, apply, plain_float, quaternion, rotation_matrix, vec3
 from wheelleg_exp.asset.reader.bodies import Link
 from wheelleg_exp.asset.reader.colliders import Piece
 from wheelleg_exp.asset.reader.mujoco.angles import find_scene
@@ -57,7 +57,8 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], still: bool =
         if parts:
             stage.ledger.assume(link.path, "no centre of mass: that of the colliders", str(vec3(center)))
     values, axes = _moments(stage, link, parts, mass, center, moments)
-    return Inertial(mass, vec3(center), _possible(stage, link, values), axes)
+    x, y, z = (plain_float(value) for value in values)
+    return Inertial(plain_float(mass), vec3(center), _possible(stage, link, (x, y, z)), axes)
 
 
 def _moments(

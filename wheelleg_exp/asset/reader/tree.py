@@ -109,6 +109,7 @@ def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
             continue
         if any(Sdf.Path(link.path).HasPrefix(mark) or mark == Sdf.Path(joint.path) for mark in marks):
             joint.axes = []
+            stage.ledger.mapped(joint.path, joint.kind, "a fixed base")
             stage.ledger.assume(joint.path, "a generic joint without limits from the root to the world", "fixed base")
     return joints
 

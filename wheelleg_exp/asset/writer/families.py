@@ -10,7 +10,7 @@ from wheelleg_exp.asset.writer.attributes import GROUP_COLLIDER, GROUP_VISUAL, A
 from wheelleg_exp.asset.writer.classes import COLLISION, RESERVED, VISUAL, Classes, Family
 
 COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)
-CONTACT = frozenset({"friction", "condim", "solref", "solimp", "solmix", "margin", "gap", "priority"})
+SHARED = frozenset({"group", "rgba", "friction", "condim", "solref", "solimp", "solmix", "margin", "gap", "priority"})
 UNSEEN: Attributes = {"group": GROUP_VISUAL, "contype": 0, "conaffinity": 0, "mass": 0.0}
 TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}  # by the ground, and by nothing of the robot
 
@@ -38,7 +38,7 @@ def _geoms(robot: RobotDescription) -> Iterator[Family]:
 
 
 def _family(name: str, geoms: list[Geom], fixed: Attributes) -> Family:
-    return Family("geom", {geom.name: of.geom(geom) for geom in geoms}, name, CONTACT, fixed)
+    return Family("geom", {geom.name: of.geom(geom) for geom in geoms}, name, SHARED, fixed)
 
 
 def _others(robot: RobotDescription, root: str) -> Iterator[Family]:

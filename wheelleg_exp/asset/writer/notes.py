@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
 from wheelleg_exp.asset.writer.xml import Element
+
+FEW = 6  # a rule that was followed more often is told once, in the head; the report has every place
 
 
 class Note(Protocol):
@@ -37,9 +40,13 @@ class Notes:
             self._elements.setdefault(path, element)
 
     def write(self) -> list[str]:
-        """Give the elements their comments, and return the notes of no element."""
-        head = []
+        """Give the elements their comments, and return the notes of no element and those of many."""
+        rules = Counter(note.rule for note in self._notes)
+        many = {rule: count for rule, count in rules.items() if count > FEW}
+        head = [f"{rule} ({count} places)" for rule, count in many.items()]
         for note in self._notes:
+            if note.rule in many:
+                continue
             text = f"{note.rule}: {note.value}" if note.value else note.rule
             element = self._find(note.path)
             if element is None:
