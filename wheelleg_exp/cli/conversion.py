@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,7 @@ def show(conversion: Conversion) -> None:
     print(f"\nWrote {output}")
     if report.base == "fixed":
         print("Its base is fixed to the world: --base floating lets it move")
-    print(f"Look at it: python -m mujoco.viewer --mjcf={output}")
+    print(f"Look at it: python -m mujoco.viewer --mjcf={shlex.quote(str(output))}")
     print("Train with it: name the source as env.robot.asset; it is converted and cached by itself")
     print("What became of every attribute: the same command with --json")
 
