@@ -23,7 +23,7 @@ def single(value: float) -> float:
 
 
 SHORT_DIGITS = 5  # a decimal this short, within single precision, is what was meant and not an accident
-NOTHING = 1e-12  # m; what is shorter is no length
+NOTHING = 1e-8  # m; less is the noise of single precision at the size of a link
 NOISE = 1e-14  # relative error of a few operations in double precision
 
 
@@ -53,7 +53,7 @@ def plain_float(value: float) -> float:
 
 
 def vec3(values: Array) -> Vec3:
-    """Return three plain floats in m, without the noise below single precision of the largest and below 1 pm."""
+    """Return three plain floats in m, without the noise below single precision of the largest and below 10 nm."""
     scale = float(np.abs(values).max())
     if scale < NOTHING:
         return 0.0, 0.0, 0.0
