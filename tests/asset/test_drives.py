@@ -278,3 +278,14 @@ def test_limits_targets_and_gains_of_a_reversed_joint_stay_as_authored(tmp_path)
     assert model.actuator("j").gainprm[0] == pytest.approx(2 * DEGREES, rel=1e-6)
     key = model.key("home")
     np.testing.assert_allclose([key.ctrl[0], key.qpos[-1]], np.radians([25, 15]), rtol=1e-6)
+
+
+def test_a_speed_target_beside_a_stiffness_is_named_with_where_physx_would_rest(tmp_path):
+    """k (q* - q) + d v* = 0 at q = q* + d v*/k: 2·(π/2)/4 rad."""
+    drive = "float drive:angular:physics:stiffness = 4\n float drive:angular:physics:damping = 2\n"
+    drive += " float drive:angular:physics:targetVelocity = 90"
+    _, done = two_links(tmp_path, drive, apis="PhysicsDriveAPI:angular")
+    (entry,) = [item for item in done.report.left_out if item.name == "drive:angular:physics:targetVelocity"]
+    assert float(entry.values["/bot/j"].split()[0]) == pytest.approx(math.pi / 4, rel=1e-5)
+    assert any("targetVelocity" in warning for warning in done.report.warnings)
+    assert "drive:angular:physics:targetVelocity" not in {item.name for item in done.report.mapped}

@@ -140,3 +140,18 @@ def test_two_joints_between_the_same_bodies_close_a_loop(tmp_path):
     assert model.nv == 7
     assert model.neq == 2
     assert any("/bot/two" in warning for warning in done.report.warnings)
+
+
+def test_a_robot_with_loops_is_not_torn_apart_to_get_zero_into_its_limits(tmp_path):
+    """The hinge ab may not be at 0; alone it is moved to 30 degrees, in a closed linkage the drawing stays."""
+    limits = "float physics:lowerLimit = 30\n float physics:upperLimit = 60"
+    bounded = at("ab", "a", "b", "(1, 0, 0)", text=limits)
+    open_chain, done = converted(write(tmp_path, SQUARE[: SQUARE.index('def Xform "c"')] + bounded))
+    np.testing.assert_allclose(open_chain.key("home").qpos[-1], np.pi / 6)
+    assert any(item.rule == "zero is outside the limits: clamped" for item in done.report.assumptions)
+    joints = bounded + at("ac", "a", "c", "(0, 1, 0)") + at("bd", "b", "d", "(0, 1, 0)")
+    closed, _ = converted(write(tmp_path, SQUARE + joints + at("cd", "c", "d", "(1, 0, 0)")))
+    data = mujoco.MjData(closed)
+    mujoco.mj_resetDataKeyframe(closed, data, closed.key("home").id)
+    mujoco.mj_forward(closed, data)
+    np.testing.assert_allclose(data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY], 0, atol=1e-9)

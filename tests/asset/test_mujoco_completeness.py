@@ -178,7 +178,9 @@ def report(tmp_path_factory):
     shapes += prim("Mesh", "m", mesh, colliding)
     shapes += prim("Sphere", "v", everything("MjcImageableAPI"), "MjcImageableAPI")
     limits = "float physics:lowerLimit = -10\nfloat physics:upperLimit = 10\n"
-    coupled = limits + everything("MjcJointAPI") + "\n" + everything("MjcEqualityJointAPI") + "\nrel mjc:target = </bot/k>"
+    coupled = (
+        limits + everything("MjcJointAPI") + "\n" + everything("MjcEqualityJointAPI") + "\nrel mjc:target = </bot/k>"
+    )
     welded = everything("MjcEqualityAPI") + "\n" + everything("MjcEqualityWeldAPI")
     rubber = "float physics:dynamicFriction = 0.5\n" + everything("MjcMaterialAPI")
     parts = (

@@ -219,3 +219,13 @@ def test_the_velocity_of_a_floating_root_is_in_the_keyframe(tmp_path):
     np.testing.assert_allclose(
         speed[3:], [0, 0, -np.pi / 2], atol=1e-6
     )  # stage y is -z of a body turned by 90° about x
+
+
+def test_a_joint_that_holds_a_kinematic_body_moves_nothing_and_is_named(tmp_path):
+    kinematic = link("a").replace("float physics:mass", "bool physics:kinematicEnabled = 1\n float physics:mass", 1)
+    to_world = 'def PhysicsRevoluteJoint "hold"\n{\n rel physics:body1 = </bot/a>\n}\n'
+    model, done = converted(write(tmp_path, kinematic + link("b") + to_world + hinge("j", "a", "b")))
+    assert model.body("a").mocapid[0] == 0
+    assert model.nv == 1
+    assert any("/bot/hold" in item.values for item in done.report.left_out)
+    assert any("/bot/hold" in warning for warning in done.report.warnings)

@@ -19,8 +19,10 @@ from wheelleg_exp.asset.reader.tree import Node, drawn_in_parent
 CLOSE_M, CLOSE_RAD = 1e-5, 1e-4  # below this a drawing and its joint frames agree
 
 
-def dofs_of(stage: Stage, node: Node) -> tuple[Dof, ...]:
+def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
     """Return the degrees of freedom of a body in its parent; without a saved state, the drawn one is it.
+
+    A zero that is outside the limits is moved into them, but not in a robot with ``loops``, which would come apart.
 
     The coordinate is body1's against body0 about +axis. When the body is body0, its axis is negated, and
     limits, targets and gains stay as authored.
@@ -28,7 +30,7 @@ def dofs_of(stage: Stage, node: Node) -> tuple[Dof, ...]:
     if node.joint is None:
         return ()
     found = [dof for joint in node.joints for dof in _dofs_of_joint(stage, node, joint)]
-    return _compare_drawing(stage, node, tuple(found))
+    return _compare_drawing(stage, node, tuple(found), loops)
 
 
 def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
@@ -44,7 +46,7 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
     return found
 
 
-def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...]) -> tuple[Dof, ...]:
+def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: bool) -> tuple[Dof, ...]:
     """Report a drawn pose that the joint cannot reach; keep one that it can as the saved state."""
     assert node.joint is not None
     drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
@@ -55,8 +57,12 @@ def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...]) -> tuple[D
         reached = reached @ _moved(dof, value)
     _warn_if_apart(stage, node, moved, reached)
     saved = any(name.startswith("state:") for name in map(str, node.joint.prim.GetAuthoredPropertyNames()))
-    if saved or all(abs(value) < CLOSE_RAD for value in values):
+    drawn_at_zero = all(abs(value) < CLOSE_RAD for value in values)
+    if saved or (drawn_at_zero and loops):
         return dofs
+    if drawn_at_zero:
+        prim = node.joint.prim
+        return tuple(replace(d, position=clamped(stage, prim, "zero", d.position, d.range)) for d in dofs)
     shown = ", ".join(f"{value:.6g}" for value in values)
     stage.ledger.assume(node.joint.path, "the file is saved in a bent pose: zero is between the frames", shown)
     return tuple(_at(stage, node.joint, dof, value) for dof, value in zip(dofs, values, strict=True))

@@ -116,7 +116,7 @@ def _why_mass(prim: Usd.Prim, name: str) -> str:
     if "PhysicsRigidBodyAPI" in applied:
         return "not needed beside the others" if name == "physics:density" else "it means not given: 0 or not finite"
     if "PhysicsCollisionAPI" in applied:
-        return "not needed: the body it would weigh in has mass properties of its own"
+        return "it means not given, or the body that it would weigh in has mass properties of its own"
     if "PhysicsMaterialAPI" in applied:
         return "not needed: what it would weigh has a mass, or nothing is bound to it"
     return "mass properties count on bodies, colliders and materials alone"

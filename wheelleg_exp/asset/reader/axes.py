@@ -39,7 +39,8 @@ def axis_name(stage: Stage, prim: Usd.Prim) -> str:
     name = stage.ledger.read(prim, "physics:axis", "axis")
     if name in UNIT:
         return str(name)
-    stage.ledger.assume(prim.GetPath(), "physics:axis is not given: X", repr(name))
+    what = "unknown" if name else "not given"
+    stage.ledger.assume(prim.GetPath(), f"physics:axis is {what}: X", repr(name))
     return "X"
 
 

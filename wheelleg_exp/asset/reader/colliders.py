@@ -51,13 +51,16 @@ def find_pieces(stage: Stage, links: Links) -> list[Piece]:
     pieces: list[Piece | None] = []
     for prim in stage.prims:
         path = prim.GetPath()
-        carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else carriers.get(path.GetParentPath())
+        above = carriers.get(path.GetParentPath())
+        carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else above
         if prim.IsA(UsdGeom.Gprim):
+            if above is not None:  # a gprim's own schema goes for itself alone
+                carriers[path] = above
             if not is_site(prim):
                 pieces.append(_piece(stage, links.owner(path), prim, carrier, stage.matrix(prim)))
         elif prim.IsA(UsdGeom.PointInstancer):
             pieces += _instances(stage, links.owner(path), prim, carrier)
-        elif carrier is not None:  # a gprim collides alone, anything else with all below it
+        elif carrier is not None:
             carriers[path] = carrier
     return [piece for piece in pieces if piece is not None]
 

@@ -31,7 +31,7 @@ def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction:
         max_velocity=velocity_limit(stage, prim, axis),
         force_range=force_range(stage, prim, angular),
         drive=None if axis.kind == "ball" else read_drive(stage, prim, axis, limits, ref),
-        position=clamped(stage, prim, "the saved state", state + ref, limits),
+        position=ref if state is None else clamped(stage, prim, "the saved state", state + ref, limits),
         velocity=speed,
         ref=ref,
         extra={},
@@ -47,8 +47,9 @@ def _ref(stage: Stage, prim: Usd.Prim, angular: bool) -> float:
     return angle_in_radians(stage, float(value)) if angular else float(value) * stage.units.meters
 
 
-def _state(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> tuple[float, float]:
+def _state(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> tuple[float | None, float]:
+    """Return the saved coordinate, None when there is none, and the saved speed."""
     read, units, angular = stage.ledger.read, stage.units, axis.kind != "slide"
     position = read(prim, f"state:{axis.token}:physics:position", "keyframe home, qpos")
     velocity = read(prim, f"state:{axis.token}:physics:velocity", "keyframe home, qvel")
-    return units.coordinate(position or 0.0, angular), units.coordinate(velocity or 0.0, angular)
+    return None if position is None else units.coordinate(position, angular), units.coordinate(velocity or 0.0, angular)

@@ -32,15 +32,27 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
     kp, kd = (max(0.0, units.gain(value[key] or 0.0, angular)) for key in ("stiffness", "damping"))
     limit = _effort(stage, prim, value["maxForce"])
     target = units.coordinate(value["targetPosition"] or 0.0, angular) + ref
+    speed = units.coordinate(value["targetVelocity"] or 0.0, angular)
+    if kp > 0 and kd > 0 and speed:
+        _leave_speed(stage, prim, axis, speed * kd / kp)
     return Drive(
         kind="position" if kp > 0 else "velocity" if kd > 0 else "motor",
         stiffness=kp,
         damping=kd,
         effort=None if limit is None else units.effort(limit, angular),
         target_position=clamped(stage, prim, f"the target of drive:{axis.token}", target, limits),
-        target_velocity=units.coordinate(value["targetVelocity"] or 0.0, angular),
+        target_velocity=speed,
         acceleration=value["type"] == "acceleration",
     )
+
+
+def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
+    """Say that a position actuator follows no speed; in PhysX the drive rests ``shift`` (rad or m) from its target."""
+    name = f"drive:{axis.token}:physics:targetVelocity"
+    unit = "m" if axis.kind == "slide" else "rad"
+    reason = "a position actuator has no target of speed; PhysX would rest this far from the target position"
+    stage.ledger.leave(prim.GetPath(), name, reason, f"{shift:g} {unit}")
+    stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason} ({shift:g} {unit})")
 
 
 def _values(stage: Stage, prim: Usd.Prim, token: str) -> dict[str, Any] | None:

@@ -80,6 +80,9 @@ def _moments(
 def _authored_mass(stage: Stage, link: Link) -> float | None:
     value = stage.ledger.read(link.prim, "physics:mass")
     if not given(value):
+        if value is not None and value < 0:
+            stage.ledger.leave(link.path, "physics:mass", "a negative mass is taken for not given", value)
+            stage.ledger.warn(f"{link.path}: a mass of {value:g} is taken for not given")
         return None
     stage.ledger.mapped(link.path, "physics:mass", "inertial mass")
     return stage.units.mass(value)
@@ -117,6 +120,9 @@ def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | No
     if not given_moments(moments):
         return None
     ledger.mapped(link.path, "physics:diagonalInertia", "inertial diaginertia")
+    if any(v < 0 for v in moments):
+        ledger.assume(link.path, "a negative moment of inertia: its size counts", str(moments))
+        ledger.warn(f"{link.path}: moments of inertia {moments} are read without their signs")
     x, y, z = (abs(float(v)) * factor for v in moments)
     return (x, y, z), _authored_axes(stage, link)
 

@@ -49,7 +49,7 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
     touching = self_collision(stage)
     parts = _Parts(stage, Geoms(stage, pieces), read_filters(stage, links, joints, pieces, touching), ropes)
     parts.sites = find_sites(stage, links)
-    dofs = {node.link.path: dofs_of(stage, node) for node in tree.nodes}
+    dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
     bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())
     robot = RobotDescription(
         name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),

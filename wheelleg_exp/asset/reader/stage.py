@@ -140,7 +140,8 @@ def _unreadable(source: Path, error: Tf.ErrorException) -> AssetError:
     text = _complaint(error)
     place = re.search(r"(\S+?):(\d+):(\d+): .*?(Expected .*?)?at (.*)$", text)
     if place is None:
-        return AssetError(f"'{source.name}' cannot be read: {text}", where=str(source))
+        expected = "a whole USD layer, text or crate"
+        return AssetError(f"'{source.name}' cannot be read: {text}", where=str(source), expected=expected)
     path, line, _, expected, found = place.groups()
     return AssetError(
         f"'{source.name}' cannot be read: something is wrong at {found.strip()[:200]}",

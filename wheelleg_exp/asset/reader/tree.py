@@ -76,7 +76,7 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
         joints: its joints; those to the world decide the base.
         base: ``floating`` drops what pins a root to the world, ``fixed`` removes the free joint.
     """
-    joints = _pinned(stage, joints)
+    joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
     if base == "floating":
         joints = _unpinned(stage, joints)
@@ -97,6 +97,19 @@ def _trade(stage: Stage, kept: Joint, opened: Joint) -> None:
     rule = f"no equality can stand for it where it closes a loop, so the loop opens at {opened.path}"
     stage.ledger.assume(kept.path, rule, "a joint of the tree")
     stage.ledger.warn(f"{kept.path}: {rule}, which has no coordinate in the model")
+
+
+def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
+    """Leave out joints that move nothing: those that hold kinematic bodies to the world or to each other."""
+    kept = []
+    for joint in joints:
+        if all(link is None or link.kinematic for link in joint.links):
+            reason = "a kinematic body is moved by no joint"
+            stage.ledger.leave(joint.path, joint.kind, reason)
+            stage.ledger.warn(f"{joint.path}: left out, because {reason}")
+        else:
+            kept.append(joint)
+    return kept
 
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:

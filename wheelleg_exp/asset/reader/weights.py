@@ -119,6 +119,8 @@ def _density(stage: Stage, link: Link, piece: Piece) -> float:
         value = stage.ledger.read(prim, "physics:density", "the body's mass")
         if given(value):
             return stage.units.density(value)
+        if value is not None and value < 0:
+            stage.ledger.warn(f"{prim.GetPath()}: a density of {value:g} is taken for not given")
     material = physics_material(stage, piece.prim)
     if material is not None:
         value = stage.ledger.read(material, "physics:density", "the body's mass")
