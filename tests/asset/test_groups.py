@@ -164,3 +164,30 @@ def test_inside_an_articulation_joined_bodies_never_touch(tmp_path, allowed):
     model, done = converted(write(tmp_path, root + link("b", inside=cube()) + joint), base="fixed")
     assert touching(model) == set()
     assert any("ignores collisionEnabled" in item.rule for item in done.report.assumptions) is (allowed == "1")
+
+
+QUIET = MASS + "\n        bool physxArticulation:enabledSelfCollisions = 0\n"
+ROOT = "PhysicsArticulationRootAPI PhysxArticulationAPI"
+
+
+def articulation(*names: str, quiet: bool) -> str:
+    """A chain of three bodies, the middle one without a shape, so that the joints filter none of the others."""
+    first, middle, last = names
+    text = link(first, mass=QUIET if quiet else MASS, apis=ROOT, inside=cube()) + link(middle)
+    return text + link(last, inside=cube()) + hinge(first + middle, first, middle) + hinge(middle + last, middle, last)
+
+
+def test_self_collision_that_is_off_goes_for_its_own_articulation_alone(tmp_path):
+    """One quiet chain a-c, one that may touch itself x-z, and a loose box: all stand in the same place."""
+    body = articulation("a", "b", "c", quiet=True) + articulation("x", "y", "z", quiet=False) + link("l", inside=cube())
+    model, _ = converted(write(tmp_path, body + GROUND))
+    cubes = [f"{name}_cube" for name in "aczxl"]
+    everything = {frozenset(pair) for pair in itertools.combinations([*cubes, "world_ground"], 2)}
+    assert touching(model) == everything - pairs("a_cube+c_cube")
+
+
+def test_two_quiet_articulations_touch_each_other(tmp_path):
+    body = articulation("a", "b", "c", quiet=True) + articulation("x", "y", "z", quiet=True)
+    model, _ = converted(write(tmp_path, body))
+    expected = pairs("a_cube+x_cube", "a_cube+z_cube", "c_cube+x_cube", "c_cube+z_cube")
+    assert touching(model) == expected

@@ -272,7 +272,8 @@ def test_joined_bodies_do_not_touch_unless_the_joint_allows_it(tmp_path):
 def test_without_self_collision_the_robot_still_touches_the_ground(tmp_path):
     root = "PhysicsArticulationRootAPI PhysxArticulationAPI"
     switch = "\n        bool physxArticulation:enabledSelfCollisions = 0\n"
-    body = link("a", mass=MASS + switch, inside=cube(0.2), apis=root) + link("b", inside=cube(0.2))
+    body = link("a", mass=MASS + switch, inside=cube(0.2), apis=root) + link("m") + link("b", inside=cube(0.2))
+    body += hinge("am", "a", "m") + hinge("mb", "m", "b")
     ground = 'def Plane "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n token axis = "Z"\n}\n'
     model, _ = converted(write(tmp_path, body + ground))
     data = mujoco.MjData(model)

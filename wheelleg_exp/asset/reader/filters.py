@@ -57,7 +57,9 @@ class _Rules:
         return out
 
 
-def read_filters(stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], self_collision: bool) -> Filters:
+def read_filters(
+    stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
+) -> Filters:
     """Return what never touches.
 
     Args:
@@ -65,12 +67,15 @@ def read_filters(stage: Stage, links: Links, joints: list[Joint], pieces: list[P
         links: its bodies.
         joints: its joints; bodies that one joins do not touch unless it says so.
         pieces: the shapes of bodies and of the world.
-        self_collision: whether bodies of the robot may touch each other at all.
+        quiet: sets of bodies, by path, that do not touch each other; None: they are one set, and no two of them touch.
     """
     solid = {piece.path: piece for piece in pieces if piece.collides}
     rules = _Rules()
     bare = list(_filtered(stage, links, solid, rules))
     _grouped(stage, solid, rules)
+    for part in quiet or ():
+        inside = {path for path, piece in solid.items() if piece.link and piece.link.path in part}
+        rules.add(inside, inside)
     order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
     pairs = {_ordered(order, a, b): None for a, b in (*_joined(joints), *bare)}
     classes = rules.classes(solid)
@@ -83,7 +88,7 @@ def read_filters(stage: Stage, links: Links, joints: list[Joint], pieces: list[P
         stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
-    return Filters(tuple(pairs), _bits(solid, classes, forbidden, self_collision))
+    return Filters(tuple(pairs), _bits(solid, classes, forbidden, quiet is not None))
 
 
 def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
@@ -146,7 +151,7 @@ def _members(
         query = group.GetCollidersCollectionAPI().ComputeMembershipQuery()
         inside = {path for path, piece in solid.items() if _included(query, piece)}
         double = inside & taken.keys()
-        for path in double:
+        for path in sorted(double):
             rule = f"a collider of two collision groups: the first, {taken[path]}"
             stage.ledger.assume(path, rule, f"not {group.GetPath()}")
         out[group.GetPath()] = inside - double

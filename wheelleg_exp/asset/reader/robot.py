@@ -20,7 +20,9 @@ from wheelleg_exp.asset.reader.mass import inertial_of
 from wheelleg_exp.asset.reader.mimic import read_mimics
 from wheelleg_exp.asset.reader.motion import velocity_of
 from wheelleg_exp.asset.reader.mujoco import with_mujoco
-from wheelleg_exp.asset.reader.scene import gravity, self_collision
+from wheelleg_exp.asset.reader.quiet import all_quiet, quiet_parts
+from wheelleg_exp.asset.reader.roots import Graph
+from wheelleg_exp.asset.reader.scene import gravity
 from wheelleg_exp.asset.reader.sites import find_sites
 from wheelleg_exp.asset.reader.stage import Stage, library, open_stage
 from wheelleg_exp.asset.reader.summary import summarise
@@ -46,8 +48,10 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
     joints = read_joints(stage, links)
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
-    touching = self_collision(stage)
-    parts = _Parts(stage, Geoms(stage, pieces), read_filters(stage, links, joints, pieces, touching), ropes)
+    quiet = quiet_parts(stage, Graph(links, joints))
+    touching = not all_quiet(quiet, {piece.link.path for piece in pieces if piece.link and piece.collides})
+    filters = read_filters(stage, links, joints, pieces, quiet if touching else None)
+    parts = _Parts(stage, Geoms(stage, pieces), filters, ropes)
     parts.sites = find_sites(stage, links)
     dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
     bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())

@@ -10,7 +10,7 @@ from pxr import Usd
 from wheelleg_exp.asset.description import Vec3
 from wheelleg_exp.asset.geometry import single, vec3
 from wheelleg_exp.asset.reader.scenes import physics_scenes, scene_of_robot
-from wheelleg_exp.asset.reader.stage import Stage, schemas
+from wheelleg_exp.asset.reader.stage import Stage
 
 EARTH = 9.81
 
@@ -40,14 +40,3 @@ def _vector(stage: Stage, scene: Usd.Prim) -> Vec3:
         return 0.0, 0.0, -metres
     turned = stage.units.world()[:3, :3] @ np.array(direction)
     return vec3(metres * turned / np.linalg.norm(turned))
-
-
-def self_collision(stage: Stage) -> bool:
-    """Return whether the robot's own bodies may touch; on unless a root says otherwise."""
-    values = []
-    for prim in (prim for prim in stage.prims if schemas(prim)):
-        for name in ("physxArticulation:enabledSelfCollisions", "newton:selfCollisionEnabled"):
-            value = stage.ledger.read(prim, name, "contype and conaffinity of the colliders")
-            if value is not None:
-                values.append(bool(value))
-    return all(values)
