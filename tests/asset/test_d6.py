@@ -161,3 +161,14 @@ def test_a_bent_drawing_of_several_axes_is_the_keyframe(tmp_path):
     model, done = converted(write(tmp_path, link("a") + moved + hinge("j", "a", "b", kind="", text=text)))
     np.testing.assert_allclose(model.key("home").qpos[7:], [0.2, math.radians(40), math.radians(10)], atol=1e-6)
     assert not any("the frames win" in item.rule for item in done.report.assumptions)
+
+
+def test_a_generic_joint_that_locks_everything_is_mapped_and_not_warned_about(tmp_path):
+    axes = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
+    locks = "\n".join(f"float limit:{a}:physics:low = 1\n float limit:{a}:physics:high = -1" for a in axes)
+    apis = " ".join(f"PhysicsLimitAPI:{a}" for a in axes)
+    _, done = two_links(tmp_path, locks, apis=apis, kind="")
+    assert {(m.name, m.became) for m in done.report.mapped if m.path == "/bot/j"} >= {
+        ("PhysicsJoint", "a weld to the parent body")
+    }
+    assert done.report.warnings == ()

@@ -289,3 +289,15 @@ def test_a_speed_target_beside_a_stiffness_is_named_with_where_physx_would_rest(
     assert float(entry.values["/bot/j"].split()[0]) == pytest.approx(math.pi / 4, rel=1e-5)
     assert any("targetVelocity" in warning for warning in done.report.warnings)
     assert "drive:angular:physics:targetVelocity" not in {item.name for item in done.report.mapped}
+
+
+@pytest.mark.parametrize(
+    ("drive", "integrator"),
+    [
+        ("float drive:angular:physics:stiffness = 1000", mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+        ("float drive:angular:physics:maxForce = 3", mujoco.mjtIntegrator.mjINT_EULER),
+    ],
+)
+def test_drives_with_gains_are_integrated_implicitly_as_in_physx(tmp_path, drive, integrator):
+    model, _ = two_links(tmp_path, drive, apis="PhysicsDriveAPI:angular")
+    assert model.opt.integrator == int(integrator)

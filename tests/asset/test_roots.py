@@ -229,3 +229,13 @@ def test_a_joint_that_holds_a_kinematic_body_moves_nothing_and_is_named(tmp_path
     assert model.nv == 1
     assert any("/bot/hold" in item.values for item in done.report.left_out)
     assert any("/bot/hold" in warning for warning in done.report.warnings)
+
+
+def test_a_base_set_free_is_still_the_root(tmp_path):
+    """A chain a-b-c whose end is pinned by the joint that marks the articulation: free, its middle is not the root."""
+    pin = 'def PhysicsFixedJoint "pin" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])\n'
+    pin += "{\n rel physics:body1 = </bot/a>\n}\n"
+    chain = link("a") + link("b") + link("c") + hinge("ab", "a", "b") + hinge("bc", "b", "c")
+    model, _ = converted(write(tmp_path, chain + pin, root_apis="PhysicsArticulationRootAPI"), base="floating")
+    assert model.body(1).name == "a"
+    assert model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE)

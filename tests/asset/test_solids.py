@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wheelleg_exp.asset.geometry import Frame, rotation_matrix
-from wheelleg_exp.asset.solids import convex_hull, primitive
+from wheelleg_exp.asset.solids import mesh_solid, primitive
 
 SHAPES = {
     "box": (0.1, 0.2, 0.3),
@@ -32,7 +32,7 @@ def test_primitives(kind):
 def test_a_hull_is_the_solid_of_its_points(size):
     half = np.array([0.1, 0.2, 0.3]) * size
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half + size
-    solid, box = convex_hull(corners), primitive("box", tuple(half))
+    solid, box = mesh_solid(corners, None, "convex"), primitive("box", tuple(half))
     assert solid.volume == pytest.approx(box.volume, rel=1e-5)
     np.testing.assert_allclose(solid.center, [size] * 3, rtol=1e-5)
     np.testing.assert_allclose(solid.inertia, box.inertia, rtol=1e-4, atol=1e-4 * box.inertia.max())
@@ -40,7 +40,7 @@ def test_a_hull_is_the_solid_of_its_points(size):
 
 def test_points_in_one_plane_have_no_solid():
     with pytest.raises(ValueError, match=r".*"):
-        convex_hull(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]))
+        mesh_solid(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), None, "convex")
 
 
 def test_a_turned_solid_has_turned_moments():

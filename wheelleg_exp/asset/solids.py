@@ -169,15 +169,6 @@ _FORMS: dict[str, Callable[..., tuple[float, tuple[float, float, float]]]] = {
 }
 
 
-def convex_hull(vertices: Array) -> Solid:
-    """Return the solid of the convex hull of points (n, 3), by MuJoCo's compiler.
-
-    Raises:
-        ValueError: the points span no volume.
-    """
-    return mesh_solid(vertices, None, "convex")
-
-
 def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVolume) -> Solid:
     """Return the solid of a mesh, by MuJoCo's compiler.
 

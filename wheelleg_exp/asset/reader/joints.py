@@ -15,6 +15,8 @@ from wheelleg_exp.asset.reader.stage import Stage, schemas
 
 DISTANCE = "PhysicsDistanceJoint"
 
+WELD = "a weld to the parent body"
+
 
 @dataclass(eq=False)
 class Joint:
@@ -96,10 +98,13 @@ def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
     if kind == "PhysicsSphericalJoint":
         return ball_axes(stage, prim), same
     if kind == "PhysicsFixedJoint":
-        stage.ledger.mapped(prim.GetPath(), kind, "a weld to the parent body")
+        stage.ledger.mapped(prim.GetPath(), kind, WELD)
         return [], same
     if kind == "PhysicsJoint":
-        return generic_axes(stage, prim)
+        axes, offset = generic_axes(stage, prim)
+        if not axes:
+            stage.ledger.mapped(prim.GetPath(), kind, WELD)
+        return axes, offset
     if kind == DISTANCE:
         return [], same
     stage.ledger.leave(prim.GetPath(), kind, "this kind of joint is not supported")

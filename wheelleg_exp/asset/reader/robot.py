@@ -70,9 +70,17 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
         self_collision=touching,
         breadth_first_dofs=_breadth_first(tree, dofs),
     )
-    robot = with_mujoco(stage, links, robot)
+    robot = _integrated(stage, with_mujoco(stage, links, robot))
     audit(stage)
     return robot
+
+
+def _integrated(stage: Stage, robot: RobotDescription) -> RobotDescription:
+    """Let stiff drives be integrated as PhysX does, implicitly; MuJoCo's own default blows some of them up."""
+    if "integrator" in robot.option or not any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
+        return robot
+    stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
+    return replace(robot, option={**robot.option, "integrator": "implicitfast"})
 
 
 def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str, ...]:

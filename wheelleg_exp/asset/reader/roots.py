@@ -17,10 +17,14 @@ Root = tuple[Link, "Joint | None"]
 
 @dataclass
 class Graph:
-    """Bodies and the joints at each of them; ``edges[None]`` are the joints to the world."""
+    """Bodies and the joints at each of them; ``edges[None]`` are the joints to the world.
+
+    ``released`` are bodies that a dropped joint held to the world: they stay roots.
+    """
 
     links: Links
     joints: list[Joint]
+    released: list[Link] = field(default_factory=list)
     edges: dict[str | None, list[Joint]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -78,6 +82,8 @@ def find_roots(stage: Stage, graph: Graph) -> list[Root]:
         link = joint.other(None)
         if link is not None and not joint.closes:
             roots.setdefault(link.path, (link, joint))
+    for link in graph.released:
+        roots.setdefault(link.path, (link, None))
     for path in marks:
         stage.ledger.mapped(path, "PhysicsArticulationRootAPI", "the choice of the root")
         if marked := graph.links.by_path.get(str(path)):

@@ -10,7 +10,7 @@ from pxr import Sdf
 from wheelleg_exp.asset.description import BaseMode, Pose
 from wheelleg_exp.asset.geometry import Frame
 from wheelleg_exp.asset.reader.bodies import Link, Links
-from wheelleg_exp.asset.reader.joints import Joint
+from wheelleg_exp.asset.reader.joints import WELD, Joint
 from wheelleg_exp.asset.reader.loops import better_break
 from wheelleg_exp.asset.reader.roots import Graph, articulated, articulation_prims, find_roots
 from wheelleg_exp.asset.reader.stage import Stage, schemas
@@ -78,11 +78,12 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     """
     joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
+    released: list[Link] = []
     if base == "floating":
-        joints = _unpinned(stage, joints)
+        joints, released = _unpinned(stage, joints)
     settled: set[str] = set()
     while True:
-        builder = _Builder(stage, Graph(links, joints), base)
+        builder = _Builder(stage, Graph(links, joints, released), base)
         tree = builder.grown()
         trade = better_break(tree.nodes, tree.closures, settled)
         if trade is None:
@@ -132,6 +133,8 @@ def _articulate(stage: Stage, joints: list[Joint]) -> None:
     for joint in joints:
         if joint.kind == "PhysicsJoint" and any(axis.kind == "slide" for axis in joint.axes):
             joint.axes = [axis for axis in joint.axes if axis.kind != "slide"]
+            if joint.welds:
+                stage.ledger.mapped(joint.path, joint.kind, WELD)
             rule = "a generic joint of an articulation does not slide in PhysX: locked"
             stage.ledger.assume(joint.path, rule, "no slides")
             stage.ledger.warn(f"{joint.path}: {rule}, though its file leaves translations free")
@@ -141,14 +144,17 @@ def _articulate(stage: Stage, joints: list[Joint]) -> None:
             stage.ledger.assume(joint.path, rule, "the joined bodies do not touch")
 
 
-def _unpinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
-    kept = []
+def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link]]:
+    """Drop what pins bodies to the world; return the other joints, and the bodies, which stay the roots."""
+    kept: list[Joint] = []
+    released: list[Link] = []
     for joint in joints:
         if None in joint.links and joint.welds:
             stage.ledger.leave(joint.path, joint.kind, "--base floating drops the joint to the world")
+            released += [link for link in joint.links if link]
         else:
             kept.append(joint)
-    return kept
+    return kept, released
 
 
 class _Builder:
