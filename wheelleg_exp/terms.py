@@ -9,9 +9,9 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib import metadata
 from typing import Any
 
+from wheelleg_exp import projects
 from wheelleg_exp.errors import ConfigError, nearest_name
 
 TARGET = "_target_"
@@ -30,7 +30,7 @@ RESERVED: dict[str, tuple[str, ...]] = {
 # What a manager passes to every target; never written in a config.
 INJECTED = ("env", "env_ids", "generator")
 
-ENTRY_POINT_GROUP = "wheelleg_exp.packages"
+ENTRY_POINT_GROUP = projects.ENTRY_POINT_GROUP
 
 # A config may build terms, noise, entities, actuators and sensors, but call nothing else of this package.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
@@ -75,16 +75,16 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
 def allowed_packages() -> tuple[str, ...]:
     """Return the packages that targets may come from: this one's terms, and those that declare themselves.
 
-    A user's package joins by an entry point in the group ``wheelleg_exp.packages``, whose value is its name.
+    A user's package joins by an entry point in the group ``wheelleg_exp.packages``, whose value is its name: installed,
+    or in the ``pyproject.toml`` of the project whose configs are in use (see ``projects``).
     """
-    return (*_OWN_PACKAGES, *_declared_packages())
+    return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *projects.joined_packages())))
 
 
 @functools.cache
 def _declared_packages() -> tuple[str, ...]:
     """Read the declarations of every installed distribution, once: it takes a millisecond."""
-    points = metadata.entry_points(group=ENTRY_POINT_GROUP)
-    return tuple(sorted({point.value.split(":")[0] for point in points}))
+    return projects.installed_packages()
 
 
 def require_allowed(target: str, path: str) -> None:
@@ -123,6 +123,11 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     """
     require_allowed(target, path)
     module_name, _, attribute = target.rpartition(".")
+    try:
+        projects.make_importable(target)
+    except ConfigError as error:
+        error.key = error.key or f"{path}.{TARGET}"
+        raise
     try:
         module = __import__(module_name, fromlist=[attribute])
     except Exception as error:  # a user's module may fail in any way

@@ -39,6 +39,13 @@ def test_progress_and_tables_go_to_standard_error(trained):
         assert word not in trained.said.out
 
 
+def test_findings_of_the_physics_check_are_warnings(trained):
+    said = " ".join(trained.said.err.split())
+    # Episodes of 0.3 s hold less than three time constants of the fall.
+    assert "warning: env.episode_length_s: an episode of 0.3 s holds 2.8 time constants of the fall" in said
+    assert "check.silence.episode_end silences it" in said
+
+
 @pytest.fixture(scope="module")
 def answered(tmp_path_factory):
     """``--json`` in a folder of its own, with the default root and no recording."""

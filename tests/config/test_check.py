@@ -31,7 +31,7 @@ def test_an_int_is_fine_where_a_float_is_read(composed):
 
 
 def test_silenced_findings_are_read(composed):
-    assert check(composed("++check.silence.friction=known")) == []
+    assert check(composed("++check.silence.push_size=known")) == []
 
 
 def test_classes_of_rsl_rl_and_of_allowed_packages_are_fine(composed):

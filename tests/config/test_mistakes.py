@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 
 import pytest
 
 from wheelleg_exp import terms
-from wheelleg_exp.cli import compose as command_module
 from wheelleg_exp.cli import main as script
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.check import require_valid
-from wheelleg_exp.config.compose import compose
 
 # words of the command line -> what the message must hold
 OVERRIDES = {
@@ -142,6 +140,14 @@ OVERRIDES = {
         ["env.events.push.mode=intervall"],
         ["env.events.push.mode:", "unknown mode 'intervall'", "override", "'interval'"],
     ),
+    "an interval event without an interval": (
+        ["~env.events.push.interval_range_s"],
+        ["env.events.push.interval_range_s:", "needs an interval", "override ~env.events.push.interval_range_s"],
+    ),
+    "a field of another mode": (
+        ["+env.events.push.min_step_count_between_reset=3"],
+        ["env.events.push.min_step_count_between_reset: only events of mode 'reset'", "override"],
+    ),
     "missing parameter": (
         ["~env.rewards.height.target_height"],
         ["env.rewards.height:", "needs 'target_height'", "configs/reward/height.yaml:3"],
@@ -255,10 +261,81 @@ OVERRIDES = {
         ["--config-dir", "conifgs"],
         ["conifgs:", "--config-dir", "did you mean 'configs'"],
     ),
-    "unknown primary": (
-        ["--primary", "trian"],
-        ["trian: there is no such primary config", "did you mean 'train'"],
+    "a joint that the robot does not have": (
+        ["env.actions.effort.joint_names=[left_hp]"],
+        ["env.actions.effort.joint_names:", "'left_hp' matches nothing", "override", "did you mean 'left_hip'"],
     ),
+    "no regular expression": (
+        ["env.actions.effort.joint_names=['(']"],
+        ["env.actions.effort.joint_names:", "'(' is not a regular expression", "override"],
+    ),
+    "a joint matched twice": (
+        ["env.actions.effort.joint_names=[a,'.*']"],
+        ["env.actions.effort.joint_names:", "'a' is matched by both", "override"],
+    ),
+    "a command that is not there": (
+        [
+            "+env.rewards.track={_target_: wheelleg_exp.mdp.rewards.track_lin_vel_xy_exp, weight: 1, std: 1, "
+            "command_name: base_velocity}"
+        ],
+        ["env.rewards.track.command_name: there is no command 'base_velocity'", "override"],
+    ),
+    "a silence that names no rule": (
+        ["++check.silence.push_sze=known"],
+        ["check.silence.push_sze: there is no such rule", "override", "did you mean 'push_size'"],
+    ),
+    "a group mounted in the wrong place": (
+        ["+reward@env.reward=smooth"],
+        [
+            "env.reward: nothing reads what 'reward' brings",
+            "override +reward@env.reward=smooth",
+            "'reward@env.rewards'",
+        ],
+    ),
+    "an observation group that no network gets": (
+        ["agent.obs_groups.critic=[policy]"],
+        ["agent.obs_groups.critic: no network gets", "'critic'", "override agent.obs_groups.critic=[policy]"],
+    ),
+    "a set of groups that no network reads": (
+        ["+agent.obs_groups.actr=[policy]"],
+        ["agent.obs_groups.actr: no network reads this set", "override", "did you mean 'actor'"],
+    ),
+    "a network without groups": (
+        ["agent.obs_groups.actor=[]"],
+        ["agent.obs_groups.actor: names no group", "override", "policy, critic"],
+    ),
+    "an observation group without terms": (
+        ["observation@env.observations.policy.terms=[]"],
+        [
+            "env.observations.policy.terms: this value is missing",
+            "override observation@env.observations.policy.terms=[]",
+        ],
+    ),
+    "a range turned round": (
+        ["env.events.push.velocity_range=[1,-1]"],
+        ["env.events.push.velocity_range: is [1, -1]", "override", "[low, high]"],
+    ),
+    "a run root that is a file": (
+        ["run.root=configs/train.yaml"],
+        ["run.root: 'configs/train.yaml' is a file", "override run.root=configs/train.yaml", "a folder"],
+    ),
+    "two options of a group that takes one": (
+        ["task=[stand,walk]"],
+        ["task: this group takes one option", "override task=[stand,walk]"],
+    ),
+    "a section in which a value stands": (
+        ["env.rewards=3"],
+        ["env.rewards: 3 is not of the right type", "override env.rewards=3", "a mapping"],
+    ),
+    "a term in which a value stands": (
+        ["env.rewards.alive=3"],
+        ["env.rewards.alive: a term must be a mapping", "override env.rewards.alive=3"],
+    ),
+    "an interpolation in a circle": (
+        ["env.num_envs=${env.num_envs}"],
+        ["env.num_envs: Recursive interpolation", "override"],
+    ),
+    "a deleted group": (["~task"], ["task: this value is missing", "override ~task"]),
 }
 
 # file, its text (or old and new text), words, what the message must hold
@@ -335,6 +412,65 @@ FILES = {
         [],
         ["env.rewards.alive:", "configs/reward/alive.yaml:1", "mapping"],
     ),
+    "a term under another name": (
+        ("reward/alive.yaml", "alve:\n  _target_: shelf_terms.alive\n  weight: 1.0\n"),
+        [],
+        ["env.rewards.alive: this file holds the term 'alve'", "configs/reward/alive.yaml:1", "did you mean 'alive'"],
+    ),
+    "a term without its name": (
+        ("reward/height.yaml", "_target_: shelf_terms.height\nweight: 1.0\ntarget_height: 0.1\n"),
+        [],
+        [
+            "env.rewards.height: this file holds no term 'height'",
+            "configs/reward/height.yaml:1",
+            "did you mean 'height'",
+        ],
+    ),
+    "an empty file of a term": (
+        ("reward/alive.yaml", ""),
+        [],
+        ["env.rewards.alive: this file holds no term 'alive'", "configs/reward/alive.yaml:1"],
+    ),
+    "a task without a package line": (
+        ("task/mine.yaml", "# Mine.\ndefaults: [stand, _self_]\nenv: {num_envs: 3}\n"),
+        ["task=mine"],
+        ["task/mine: this file has no package line", "configs/task/mine.yaml:1", "'# @package _global_'"],
+    ),
+    "a task without a package line, and an override that it makes fail": (
+        ("task/mine.yaml", "defaults: [stand, _self_]\n"),
+        ["task=mine", "env.decimation=3"],
+        ["task/mine: this file has no package line", "configs/task/mine.yaml:1", "'# @package _global_'"],
+    ),
+    "a robot without a package line": (
+        ("robot/mine.yaml", "asset: mine.usda\n"),
+        ["robot=mine"],
+        ["robot/mine: this file has no package line", "configs/robot/mine.yaml:1", "'# @package env.robot'"],
+    ),
+    "a list whose order is not kept": (
+        ("task/stand.yaml", "  - _self_\n", "", "defaults:\n", "defaults:\n  - _self_\n"),
+        [],
+        ["env.rewards: the order of the list is not kept", "configs/task/stand.yaml:23", "alive, height"],
+    ),
+    "a list mounted in the wrong place": (
+        ("task/stand.yaml", "/reward@env.rewards:", "/reward@env.reward:"),
+        [],
+        ["env.reward: nothing reads what 'reward' brings", "configs/task/stand.yaml:11", "'reward@env.rewards'"],
+    ),
+    "a tab": (
+        ("reward/alive.yaml", "alive:\n\t_target_: shelf_terms.alive\n"),
+        [],
+        ["reward/alive: the file is not valid YAML", "configs/reward/alive.yaml:2"],
+    ),
+    "a misspelled key of a term": (
+        ("reward/alive.yaml", "weight: 1.0", "weight: 1.0\n  wieght: 2.0"),
+        [],
+        ["env.rewards.alive.wieght:", "configs/reward/alive.yaml:4", "one of weight"],
+    ),
+    "a misspelled key at the top": (
+        ("train.yaml", "seed: 1", "sed: 1"),
+        [],
+        ["sed: nothing reads this key", "configs/train.yaml:7", "did you mean 'seed'"],
+    ),
     "a module that does not import": (
         ("../shelf_broken.py", "raise NameError('oops')\n"),
         ["env.rewards.alive._target_=shelf_broken.alive"],
@@ -345,16 +481,9 @@ FILES = {
 
 @pytest.fixture
 def command(stock: object, monkeypatch: pytest.MonkeyPatch) -> Callable[[list[str]], int]:
-    """Run a command that composes and checks, as ``wheelleg train`` does before it trains."""
-
-    def run(args):
-        composed = compose(args.overrides, primary=args.primary, config_dirs=args.config_dirs)
-        require_valid(composed)
-        return 0
-
-    monkeypatch.setattr(command_module, "run", run)
+    """Run ``wheelleg check``, with the words that come after it."""
     monkeypatch.setattr(terms, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
-    return lambda words: main(["compose", *words])
+    return lambda words: main(["check", *words])
 
 
 def test_the_small_tree_is_free_of_mistakes(command, capsys):
@@ -365,24 +494,89 @@ def test_the_small_tree_is_free_of_mistakes(command, capsys):
 @pytest.mark.parametrize("name", OVERRIDES)
 def test_a_wrong_command_line_is_told_with_key_place_and_nearest_name(name, command, capsys):
     words, parts = OVERRIDES[name]
-    _assert_told(command(words), capsys, parts)
+    _assert_told(command(words), capsys, parts, alone=name != "a deleted group")
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_wrong_file_is_told_with_key_file_and_line(name, command, edit, capsys):
-    change, words, parts = FILES[name]
-    edit(*change)
+    (file, *texts), words, parts = FILES[name]
+    for old, new in zip(texts[::2], texts[1::2], strict=True) if len(texts) > 1 else ():
+        edit(file, old, new)
+    if len(texts) == 1:
+        edit(file, *texts)
     _assert_told(command(words), capsys, parts)
 
 
-def _assert_told(status, capsys, parts):
+def _assert_told(status, capsys, parts, *, alone=True):
     captured = capsys.readouterr()
     assert status == 2, captured.err
     assert captured.out == ""
     assert captured.err.startswith("wheelleg: error: ")
     assert "Traceback" not in captured.err
+    assert alone == ("mistakes in the config" not in captured.err)
     for part in parts:
         assert part in captured.err
+
+
+def test_an_unknown_primary_is_told(stock, capsys):
+    assert main(["compose", "--primary", "trian"]) == 2
+    message = capsys.readouterr().err
+    assert "trian: there is no such primary config" in message
+    assert "did you mean 'train'" in message
+
+
+def test_the_small_tree_has_no_mistakes_as_json(command, capsys):
+    assert command(["--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"mistakes": []}
+
+
+def test_a_mistake_as_json_has_key_file_line_and_nearest_name(command, edit, capsys):
+    edit("task/stand.yaml", "[alive, height]", "[alive, heigth]")
+    assert command(["--json", "env.num_envs=0"]) == 2
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    first, second = json.loads(captured.out)["mistakes"]
+    assert (first["key"], first["file"], first["line"]) == ("reward", "configs/task/stand.yaml", 11)
+    assert (first["nearest"], first["override"]) == ("height", None)
+    assert (second["key"], second["override"], second["file"]) == ("env.num_envs", "env.num_envs=0", None)
+
+
+def test_mistakes_behind_those_that_stop_the_composition_are_told_as_well(command, edit, capsys):
+    edit("task/stand.yaml", "[alive, height]", "[alive, heigth]")
+    edit("task/stand.yaml", "decimation: 2", "decimation: ???")
+    edit("sim/mujoco.yaml", "solver: newton", "solver: newton\nimpratios: 3")
+    edit("robot/article.yaml", "${env.sim.dt}", "${env.sim.tt}")
+    assert command(["robt=physical", "env.rewards.alive.weight=heavy"]) == 2
+    message = capsys.readouterr().err
+    assert "6 mistakes" in message
+    for part in (
+        "reward: 'heigth' is not an option (configs/task/stand.yaml:11)",
+        "robt: there is no such key (override robt=physical)",
+        "env.robot.length: Interpolation key 'env.sim.tt' not found (configs/robot/article.yaml:7)",
+        "env.decimation: this value is missing (configs/task/stand.yaml:19)",
+        "env.sim.impratios: nothing reads this key (configs/sim/mujoco.yaml:4)",
+        "env.rewards.alive.weight: 'heavy' is not of the right type (override env.rewards.alive.weight=heavy)",
+    ):
+        assert f"\n  {part}" in message
+
+
+def test_mistakes_behind_two_broken_files_are_told_as_well(command, edit, capsys):
+    edit("robot/article.yaml", "order: [a, b]", "order: [a, b")
+    edit("reward/height.yaml", "height:\n\tweight: 1.0\n")
+    assert command(["env.num_envs=0", "env.robot.ordr=[a]"]) == 2
+    message = capsys.readouterr().err
+    assert "robot/article: the file is not valid YAML" in message
+    assert "reward/height: the file is not valid YAML" in message
+    assert "env.num_envs: 0 is out of range" in message
+    assert "not selected" not in message, "a broken file makes its settings look like a mistake"
+
+
+def test_a_list_that_overrides_nothing_does_not_hide_other_mistakes(command, edit, capsys):
+    edit("task/walk.yaml", "- _self_", "- _self_\n  - override /reward@env.reward: [alive]")
+    assert command(["task=walk", "env.num_envs=0"]) == 2
+    message = capsys.readouterr().err
+    assert "reward@env.reward: this group is mounted nowhere under this name (configs/task/walk.yaml:7)" in message
+    assert "env.num_envs: 0 is out of range" in message
 
 
 def test_debug_shows_the_traceback(command, capsys):

@@ -31,13 +31,11 @@ def run_random(args: argparse.Namespace) -> int:
 
 
 def _run(kind: AgentKind, args: argparse.Namespace) -> int:
-    from wheelleg_exp.config.check import require_valid
-    from wheelleg_exp.config.compose import compose
+    from wheelleg_exp.config.collect import compose_valid
 
     if args.steps is not None and args.steps < 1:
         raise WheellegError(f"is {args.steps}", key="--steps", expected="at least 1")
-    composed = compose(args.overrides, config_dirs=args.config_dirs)
-    require_valid(composed)
+    composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
     from wheelleg_exp.cli.display import ConsoleDisplay
     from wheelleg_exp.cli.report import print_contacts, print_figures, print_recording

@@ -26,14 +26,39 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the mistake as a UsageError."""
         options = [option for action in self._actions for option in action.option_strings]
-        wrong = re.search(r"unrecognized arguments: (\S+)", message)
-        word = wrong.group(1) if wrong else None
-        raise UsageError(
-            "unknown option" if word and word.startswith("-") else message,
-            key=word or self.prog,
-            expected="one of " + ", ".join(options) if word and word.startswith("-") else None,
-            nearest=nearest_name(word.split("=")[0], options) if word else None,
-        )
+        raise _unknown_word(message, options) or _wrong_value(message) or UsageError(message, key=self.prog)
+
+
+def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
+    match = re.search(r"unrecognized arguments: (\S+)", message)
+    if match is None:
+        return None
+    word = match.group(1)
+    if not word.startswith("-"):
+        return UsageError("one word too many", key=word)
+    nearest = nearest_name(word.split("=")[0], options)
+    return UsageError("unknown option", key=word, expected="one of " + ", ".join(options), nearest=nearest)
+
+
+def _wrong_value(message: str) -> UsageError | None:
+    """Explain what argparse says of one argument: a choice, a type, a count, or that it is missing."""
+    missing = re.match(r"the following arguments are required: (.+)", message)
+    if missing is not None:
+        return UsageError("is missing", key=missing.group(1))
+    argument = re.match(r"argument (\S+): (.+)", message)
+    if argument is None:
+        return None
+    key, text = argument.group(1), argument.group(2)
+    choice = re.match(r"invalid choice: '?(.*?)'? \(choose from (.+)\)", text)
+    if choice is not None:
+        names = [name.strip(" '") for name in choice.group(2).split(",")]
+        expected, nearest = "one of " + ", ".join(names), nearest_name(choice.group(1), names)
+        return UsageError(f"'{choice.group(1)}' is not known", key=key, expected=expected, nearest=nearest)
+    kind = re.match(r"invalid (\w+) value: '?(.*?)'?$", text)
+    if kind is not None:
+        wanted = {"int": "a whole number", "float": "a number", "Path": "a path"}.get(kind.group(1), kind.group(1))
+        return UsageError(f"'{kind.group(2)}' is not of the right type", key=key, expected=wanted)
+    return UsageError(text, key=key)
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +81,8 @@ def add_config_dir(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar="DIR",
-        help="a folder of your own configs, searched after the stock ones (may be repeated)",
+        help="a folder of your own configs, a project, or the name of an installed one, searched after the stock "
+        "configs (may be repeated); the project that one stands in is found by itself",
     )
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json, print_table
+from wheelleg_exp.cli.words import source_document
 from wheelleg_exp.config.compose import Composed, compose
 from wheelleg_exp.config.diagnose import nearest_path
 from wheelleg_exp.config.provenance import Source
 from wheelleg_exp.config.tree import dotted, node_paths, select
-from wheelleg_exp.errors import EXIT_OK, ConfigError
+from wheelleg_exp.errors import EXIT_OK, ConfigError, WheellegError
+
+if TYPE_CHECKING:
+    from wheelleg_exp.config.shapes import GroupShape, Shapes, TermShape
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -20,14 +25,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--primary", default="train", metavar="NAME", help="the primary config (default: train)")
     parser.add_argument("--package", metavar="KEY", help="print only the part below this key")
     parser.add_argument("--resolve", action="store_true", help="replace ${...} by what it stands for")
-    parser.add_argument("--provenance", action="store_true", help="say where each leaf comes from")
+    parser.add_argument("--provenance", action="store_true", help="say where each leaf comes from, and what it hides")
+    parser.add_argument("--shapes", action="store_true", help="print the layout of observations and actions")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the config as YAML, as JSON, or leaf by leaf with its place."""
+    """Print the config as YAML, as JSON, or leaf by leaf with its place; or the layout of its vectors."""
+    if args.shapes and (args.package or args.resolve or args.provenance):
+        raise WheellegError(
+            "stands alone", key="--shapes", expected="no --package, --resolve or --provenance beside it"
+        )
     composed = compose(args.overrides, primary=args.primary, config_dirs=args.config_dirs)
+    if args.shapes:
+        _print_shapes(composed, as_json=args.json)
+        return EXIT_OK
     if args.provenance:
-        _print_provenance(composed, args.package, as_json=args.json)
+        _print_provenance(composed, args.package, resolve=args.resolve, as_json=args.json)
         return EXIT_OK
     tree = _part(_tree(composed, resolve=args.resolve), args.package)
     if args.json:
@@ -60,19 +73,82 @@ def _yaml(tree: Any) -> str:
     return text.removesuffix("...\n")
 
 
-def _print_provenance(composed: Composed, package: str | None, *, as_json: bool) -> None:
-    _part(_tree(composed, resolve=False), package)
+def _print_provenance(composed: Composed, package: str | None, *, resolve: bool, as_json: bool) -> None:
     places = composed.provenance
-    sources = places.below(package) if package is not None else list(places.values())
+    deleted = places.deleted_below(package or "")
+    if not deleted:
+        _part(_tree(composed, resolve=False), package)
+    sources = places.below(package or "")
+    values = _tree(composed, resolve=resolve)
     if as_json:
-        print_json({source.path: _document(source) for source in sources})
+        found = {source.path: _document(source, select(values, source.path)) for source in sources}
+        print_json({**found, **{source.path: {**_document(source, None), "deleted": True} for source in deleted}})
         return
     for source in sources:
-        print(f"{source.path}: {source.value!r}  # {source.where}")
-        for hidden in reversed(source.shadowed):
-            print(f"  # hides {hidden.path}: {hidden.value!r} ({hidden.where})")
+        print(f"{source.path}: {select(values, source.path)!r}  # {source.where}")
+        _print_hidden(source)
+    for source in deleted:
+        print(f"# {source.path}: removed  # {source.where}")
+        _print_hidden(source)
 
 
-def _document(source: Source) -> dict[str, Any]:
-    hidden = [{"path": s.path, "value": s.value, "where": s.where} for s in source.shadowed]
-    return {"value": source.value, "where": source.where, "shadowed": hidden}
+def _print_hidden(source: Source) -> None:
+    for hidden in reversed(source.shadowed):
+        print(f"  # hides {hidden.path}: {hidden.value!r} ({hidden.where})")
+
+
+def _document(source: Source, value: Any) -> dict[str, Any]:
+    return {**source_document(source), "value": value, "shadowed": [source_document(s) for s in source.shadowed]}
+
+
+def _print_shapes(composed: Composed, *, as_json: bool) -> None:
+    from wheelleg_exp.config.check import require_valid
+    from wheelleg_exp.config.shapes import shapes
+
+    require_valid(composed)
+    found = shapes(composed)
+    if as_json:
+        print_json(_shapes_document(found))
+        return
+    for name, group in found.observations.items():
+        print(f"observations.{name}: {_size(group.shape) if group.shape else 'one tensor for each term'}")
+        columns = ("term", "target", "width", "history", "shape", "indices")
+        print_table(columns, [*map(_observation_row, group.terms), _total(group)])
+        print()
+    print(f"actions: {_size(found.actions.shape or ())}")
+    print_table(("term", "target", "width", "indices", "joints"), [*map(_action_row, found.actions.terms)])
+
+
+def _observation_row(term: TermShape) -> tuple[Any, ...]:
+    return term.name, _last(term.target), term.width, term.history or "-", _size(term.shape), _place(term)
+
+
+def _action_row(term: TermShape) -> tuple[Any, ...]:
+    return term.name, _last(term.target), term.width, _place(term), " ".join(term.joints)
+
+
+def _total(group: GroupShape) -> tuple[Any, ...]:
+    width = sum(term.width for term in group.terms)
+    return "total", "", width, "", _size(group.shape) if group.shape else "", ""
+
+
+def _last(target: str) -> str:
+    return target.rsplit(".", 1)[-1]
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))
+
+
+def _place(term: TermShape) -> str:
+    return "-" if term.start is None or term.stop is None else f"{term.start}..{term.stop - 1}"
+
+
+def _shapes_document(found: Shapes) -> dict[str, Any]:
+    groups = {name: _group_document(group) for name, group in found.observations.items()}
+    return {"joints": list(found.joints), "observations": groups, "actions": _group_document(found.actions)}
+
+
+def _group_document(group: GroupShape) -> dict[str, Any]:
+    terms = {term.name: {k: v for k, v in asdict(term).items() if k != "name"} for term in group.terms}
+    return {"shape": group.shape, "terms": terms}

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json, print_table
 from wheelleg_exp.config import catalog
 from wheelleg_exp.config.catalog import Entry
-from wheelleg_exp.errors import EXIT_OK, nearest_name
+from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
 
 KINDS = ("tasks", "terms", "groups", "options", "runs")
+_ROOT = Path("runs")
+_NEVER = datetime.min.replace(tzinfo=UTC)  # what stands for an unknown start
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("kind", nargs="?", default="tasks", metavar="{" + ",".join(KINDS) + "}", help="what to list")
-    parser.add_argument("group", nargs="?", metavar="GROUP", help="the group whose terms or options to list")
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where the runs are (default: runs)")
+    parser.add_argument("group", nargs="?", metavar="GROUP", help="the group (reward) whose terms or options to list")
+    parser.add_argument("--root", type=Path, metavar="DIR", help="where the runs are (default: runs)")
     add_config_dir(parser)
     add_json(parser)
 
@@ -37,8 +40,17 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json([dict(zip(columns, row, strict=True)) for row in rows])
     else:
-        print_table(columns, rows)
+        print_table(columns, [list(map(_cell, row)) for row in rows])
     return EXIT_OK
+
+
+def _cell(value: Any) -> Any:
+    """Return a value as a cell: a dash for what is not known, a path as seen from here, a list without brackets."""
+    if isinstance(value, Path) and value.is_relative_to(Path.cwd()):
+        return value.relative_to(Path.cwd())
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return "-" if value is None else value
 
 
 Table = tuple[list[str], list[list[Any]]]
@@ -59,16 +71,72 @@ def _options(args: argparse.Namespace) -> Table:
 
 
 def _terms(args: argparse.Namespace) -> Table:
-    return _entries(["group", "term", "target", "help"], catalog.terms(args.group, args.config_dirs))
+    from wheelleg_exp.config.library import MODULES, library
+
+    section = _section(args.group) if args.group else None
+    group = args.group if section is None else section.removesuffix("s")
+    known = catalog.groups(args.config_dirs)
+    stock = catalog.terms(group, args.config_dirs) if section is None or group in known else []
+    rows = [_stock_row(entry) for entry in stock]
+    used = {entry.target for entry in stock}
+    found = [t for t in library() if t.target not in used and (group is None or section == t.section)]
+    names = [t.target.rsplit(".", 1)[-1] for t in found]
+    rows += [
+        [t.section.removesuffix("s"), name, None, t.target, t.signature, t.help]
+        for name, t in zip(names, found, strict=True)
+    ]
+    order = {name.removesuffix("s"): index for index, name in enumerate(MODULES.values())}
+    rows.sort(key=lambda row: order.get(row[0], len(order)))
+    return ["group", "term", "file", "target", "takes", "help"], rows
+
+
+def _section(name: str) -> str | None:
+    """Return the section that a group or a section name stands for: reward, rewards."""
+    from wheelleg_exp.terms import RESERVED
+
+    return next((section for section in RESERVED if name in (section, section.removesuffix("s"))), None)
+
+
+def _stock_row(entry: Entry) -> list[Any]:
+    from wheelleg_exp.config.library import signature_of
+    from wheelleg_exp.terms import resolve_target
+
+    try:
+        takes = signature_of(resolve_target(str(entry.target), f"{entry.group}.{entry.name}"))
+    except WheellegError:
+        takes = ""
+    return [entry.group, entry.name, entry.file, entry.target, takes, entry.help]
 
 
 def _runs(args: argparse.Namespace) -> Table:
     from wheelleg_exp.run.listing import list_runs
+
+    if args.root is not None and not args.root.is_dir():
+        raise WheellegError(
+            "there is no such folder",
+            key=str(args.root),
+            where="--root",
+            expected="the folder of the runs (run.root)",
+            nearest=_folder_like(args.root),
+        )
+    rows = [_summary(asdict(run)) for run in list_runs(args.root or _ROOT)]
+    columns = ["id", "task", "status", "started", "ended", "seeds", "path"]
+    return columns, [[row[column] for column in columns] for row in rows]
+
+
+def _folder_like(path: Path) -> str | None:
+    parent = path.absolute().parent
+    names = [p.name for p in parent.iterdir() if p.is_dir()] if parent.is_dir() else []
+    found = nearest_name(path.name, names)
+    return str(path.with_name(found)) if found else None
+
+
+def _summary(run: dict[str, Any]) -> dict[str, Any]:
+    """Return a run's row; what a damaged one does not say is left open."""
     from wheelleg_exp.run.timestamps import utc_text
 
-    summaries = [{**asdict(run), "started": utc_text(run.started)} for run in list_runs(args.root)]
-    columns = ["id", "task", "status", "started", "ended", "seeds", "path"]
-    return columns, [[summary.get(column) for column in columns] for summary in summaries]
+    started = None if run["started"] == _NEVER else utc_text(run["started"])
+    return {**run, "started": started, "seeds": list(run["seeds"]) or None}
 
 
 def _entries(columns: list[str], entries: list[Entry]) -> Table:

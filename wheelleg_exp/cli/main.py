@@ -9,24 +9,29 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from types import FrameType
 
 from wheelleg_exp import __version__
 from wheelleg_exp.cli.common import Parser, UsageError
-from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, WheellegError, nearest_name
+from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, WheellegError, nearest_name
+from wheelleg_exp.projects import with_current
 from wheelleg_exp.threads import prepare_threads
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command: the module with ``configure(parser)`` and the function ``run(args) -> int``; its help."""
+    """A command: the module with ``configure(parser)`` and the function ``run(args) -> int``; its help.
+
+    ``project`` says whether it works in the project of the user's that one stands in.
+    """
 
     module: str
     help: str
     run: str = "run"
+    project: bool = True
 
 
 COMMANDS: dict[str, Command] = {
@@ -34,9 +39,14 @@ COMMANDS: dict[str, Command] = {
     "play": Command("play", "run a policy and record it"),
     "zero-agent": Command("agents", "run a task with zero actions and record it", "run_zero"),
     "random-agent": Command("agents", "run a task with random actions and record it", "run_random"),
-    "convert": Command("convert", "convert a robot file to MJCF, with a report"),
+    "convert": Command("convert", "convert a robot file to MJCF, with a report", project=False),
+    "check": Command("check", "find every mistake in a config, and with --physics look at its numbers"),
     "compose": Command("compose", "print the composed config"),
+    "explain": Command("explain", "say what a key holds, who set it, what it means, what else could stand there"),
+    "diff": Command("diff", "compare two runs, tasks or lists of overrides by meaning"),
     "list": Command("list", "list tasks, terms, groups, options or runs"),
+    "new": Command("new", "make a project of your own: a robot, a task, a term and a test", project=False),
+    "completion": Command("completion", "print the shell's completion script", project=False),
 }
 
 
@@ -95,7 +105,18 @@ def _run(name: str, words: list[str]) -> int:
     if args is None:
         return EXIT_OK
     args.command = ["wheelleg", name, *words]
+    if command.project:
+        _enter_project(args)
     return int(getattr(module, command.run)(args))
+
+
+def _enter_project(args: argparse.Namespace) -> None:
+    """Let a command work in the project that one stands in: with its configs, if it composes, and its terms."""
+    if hasattr(args, "config_dirs"):
+        args.config_dirs = with_current(args.config_dirs)
+        return
+    with suppress(ConfigError):  # what a command without configs does not need is no mistake
+        with_current([])
 
 
 def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:

@@ -10,7 +10,9 @@ from typing import Any
 import yaml
 from omegaconf import OmegaConf
 
+from wheelleg_exp.config.docstrings import headline
 from wheelleg_exp.config.loader import Loader, hydra_globals
+from wheelleg_exp.config.replacing import chosen_file
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.terms import RESERVED, TARGET, resolve_target
 
@@ -99,10 +101,14 @@ def _entry(loader: Loader, group: str, name: str) -> Entry:
 
 
 def _file(loader: Loader, config_path: str) -> Path:
-    for source in loader.get_sources():
-        if source.scheme() == "file" and source.is_config(config_path):
-            return Path(source.path) / f"{config_path}.yaml"
-    return Path(f"{config_path}.yaml")
+    sources = [source for source in loader.get_sources() if source.scheme() == "file"]
+    found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
+    try:
+        return chosen_file(config_path, found)
+    except ConfigError:  # told when the file is used
+        return found[0]
+    except IndexError:
+        return Path(f"{config_path}.yaml")
 
 
 def _target(file: Path, name: str) -> str | None:
@@ -130,11 +136,9 @@ def leading_comment(text: str) -> str:
 
 
 def _with_docstring(entry: Entry) -> Entry:
-    from wheelleg_exp.config.check_terms import documentation
-
     try:
         target = resolve_target(str(entry.target), f"{entry.group}.{entry.name}")
     except (ConfigError, ImportError):
         return entry
-    text = documentation(target)
+    text = headline(target)
     return Entry(entry.group, entry.name, text or entry.help, entry.file, entry.target)

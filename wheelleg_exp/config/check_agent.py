@@ -13,6 +13,7 @@ from wheelleg_exp.config import schema
 from wheelleg_exp.config.sections import check_section, wrong_type
 from wheelleg_exp.config.values import fits
 from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.projects import make_importable
 
 # Keys whose text rsl_rl imports and calls.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
@@ -28,6 +29,7 @@ _RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optim
 # What rsl_rl takes without a word and then fails on, or passes over.
 _AT_LEAST_ONE = ("num_learning_epochs", "num_mini_batches")
 _SCHEDULES = ("fixed", "adaptive")
+_SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 _EXTRA_KEYS = {"algorithm": ("share_cnn_encoders",)}
 
 
@@ -51,23 +53,37 @@ def check_agent(agent: Any, groups: Collection[str]) -> list[ConfigError]:
 
 
 def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
-    named = sets.items() if isinstance(sets, Mapping) and groups else ()
+    named = list(sets.items()) if isinstance(sets, Mapping) and groups else []
     empty = [
         ConfigError("names no group", key=f"agent.obs_groups.{name}", expected="some of " + ", ".join(groups))
         for name, members in named
         if members == []
     ]
-    return empty + [
+    unread = [
         ConfigError(
-            f"there is no observation group '{group}'",
+            "no network reads this set",
             key=f"agent.obs_groups.{name}",
-            expected="one of " + ", ".join(groups),
-            nearest=nearest_name(str(group), groups),
+            expected="one of " + ", ".join(_SETS),
+            nearest=nearest_name(str(name), _SETS),
         )
-        for name, members in named
-        for group in (members if isinstance(members, list) else [])
-        if group not in groups
+        for name, _ in named
+        if name not in _SETS
     ]
+    return (
+        empty
+        + unread
+        + [
+            ConfigError(
+                f"there is no observation group '{group}'",
+                key=f"agent.obs_groups.{name}",
+                expected="one of " + ", ".join(groups),
+                nearest=nearest_name(str(group), groups),
+            )
+            for name, members in named
+            for group in (members if isinstance(members, list) else [])
+            if group not in groups
+        ]
+    )
 
 
 def _class_names(node: Any, path: str) -> Iterator[tuple[str, Any]]:
@@ -90,6 +106,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
     refused = ConfigError(f"class '{name}' is outside the allowed packages", key=path, expected=expected)
     if not plain and not _inside(text, packages):
         return [refused]
+    make_importable(text)
     found = _resolve(name)
     if found is None:
         nearest = nearest_name(str(name), _library_names())

@@ -120,11 +120,26 @@ def _check_fields(section: str, term: TermNode) -> list[ConfigError]:
 
 def _mode_errors(term: TermNode) -> list[ConfigError]:
     mode = term.fields.get("mode")
-    nearest = nearest_name(mode, schema.EVENT_MODES) if isinstance(mode, str) else None
-    if nearest is None or mode == nearest:
+    if not isinstance(mode, str):
         return []
-    expected = ", ".join(schema.EVENT_MODES) + ", or a name of your own that is not so like one of them"
-    return [ConfigError(f"unknown mode '{mode}'", key=f"{term.path}.mode", expected=expected, nearest=nearest)]
+    nearest = nearest_name(mode, schema.EVENT_MODES)
+    if nearest is not None and mode != nearest:
+        expected = ", ".join(schema.EVENT_MODES) + ", or a name of your own that is not so like one of them"
+        message = f"unknown mode '{mode}'"
+        return [ConfigError(message, key=f"{term.path}.mode", expected=expected, nearest=nearest)]
+    errors = [
+        ConfigError(
+            f"only events of mode '{owner}' read it, and this one has mode '{mode}'",
+            key=f"{term.path}.{name}",
+            expected=f"mode {owner}, or no {name}",
+        )
+        for name, owner in schema.MODE_FIELDS.items()
+        if name in term.fields and owner != mode
+    ]
+    if mode == "interval" and term.fields.get("interval_range_s") is None:
+        key = f"{term.path}.interval_range_s"
+        errors.append(ConfigError("an interval event needs an interval", key=key, expected="[shortest, longest] in s"))
+    return errors
 
 
 def _parameter_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
@@ -195,20 +210,21 @@ def _nested_errors(path: str, target: str, config: Mapping[str, Any]) -> list[Co
 
 def _node_at(config: Mapping[str, Any], path: str) -> Any:
     """Return the node at a path of ``walk_targets``, whose list indices stand in brackets."""
-    for found, node in _walk_nodes(config, ""):
+    for found, node in walk_nodes(config, ""):
         if found == path:
             return node
     return None
 
 
-def _walk_nodes(node: Any, path: str) -> Iterator[tuple[str, Any]]:
+def walk_nodes(node: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """Yield ``(path, node)`` of each mapping at or below ``node``; list indices stand in brackets."""
     if isinstance(node, Mapping):
         yield path, node
         for key, value in node.items():
-            yield from _walk_nodes(value, f"{path}.{key}" if path else str(key))
+            yield from walk_nodes(value, f"{path}.{key}" if path else str(key))
     elif isinstance(node, (list, tuple)):
         for index, value in enumerate(node):
-            yield from _walk_nodes(value, f"{path}[{index}]")
+            yield from walk_nodes(value, f"{path}[{index}]")
 
 
 def documentation(target: Callable[..., Any]) -> str:

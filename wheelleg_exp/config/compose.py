@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -23,6 +23,9 @@ from wheelleg_exp.config.tree import dotted, leaves
 from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.terms import RESERVED
 
+if TYPE_CHECKING:
+    from wheelleg_exp.config.mounts import Mount
+
 
 @dataclass(frozen=True)
 class Composed:
@@ -36,6 +39,9 @@ class Composed:
         primary: name of the primary config.
         config_dirs: the user's config folders, absolute.
         removed_terms: paths of the terms that were set to null.
+        hydra: Hydra's own node.
+        loader: the loader that has composed it.
+        parsed: the overrides, parsed.
     """
 
     config: dict[str, Any]
@@ -45,13 +51,25 @@ class Composed:
     config_dirs: tuple[Path, ...]
     removed_terms: tuple[str, ...]
     hydra: DictConfig = field(repr=False)
-    _loader: Loader = field(repr=False)
-    _parsed: list[Override] = field(repr=False)
+    loader: Loader = field(repr=False)
+    parsed: list[Override] = field(repr=False)
 
     @cached_property
     def provenance(self) -> Provenance:
         """Where each leaf comes from, worked out when it is first asked for."""
-        return trace(self._loader, self.primary, self._parsed)
+        return trace(self.loader, self.primary, self.parsed)
+
+    @cached_property
+    def mounts(self) -> list[Mount]:
+        """The groups that it mounts: where each stands, what it selects, who selected it."""
+        from wheelleg_exp.config.mounts import find_mounts
+
+        return find_mounts(self)
+
+    def raw_tree(self) -> dict[str, Any]:
+        """Return the raw tree as plain mappings."""
+        tree = OmegaConf.to_container(self.raw, resolve=False)
+        return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
 
     @contextmanager
     def placing(self) -> Iterator[None]:
@@ -67,7 +85,7 @@ class Composed:
     @property
     def files(self) -> list[Path]:
         """The files that were read, stock and the user's, in order of reading."""
-        return [loaded.file for loaded in self._loader.repository_used.loaded.values()]
+        return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
 
     @property
     def asset_roots(self) -> tuple[Path, ...]:
@@ -83,13 +101,20 @@ class Composed:
         }
 
 
-def compose(overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()) -> Composed:
+def compose(
+    overrides: Sequence[str] = (),
+    *,
+    primary: str = "train",
+    config_dirs: Sequence[Path] = (),
+    loader: Callable[[Sequence[Path]], Loader] = Loader,
+) -> Composed:
     """Compose the primary config with overrides, as Hydra does.
 
     Args:
         overrides: Hydra overrides, such as ``task=walk`` or ``env.rewards.alive.weight=2``.
         primary: name of the primary config.
         config_dirs: the user's config folders, searched after the stock configs.
+        loader: makes the loader from the folders.
 
     Raises:
         ConfigError: anything that is wrong with the files, the overrides or the interpolations.
@@ -97,18 +122,18 @@ def compose(overrides: Sequence[str] = (), *, primary: str = "train", config_dir
     texts = [str(text) for text in overrides]
     folders = tuple(require_folder(folder) for folder in config_dirs)
     with hydra_globals():
-        loader = Loader(folders)
+        used = loader(folders)
         try:
-            raw = loader.load(primary, texts)
+            raw = used.load(primary, texts)
         except (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError) as error:
-            raise explain(error, loader, primary, texts) from error
+            raise explain(error, used, primary, texts) from error
         parsed = OverridesParser.create().parse_overrides(texts)
     OmegaConf.set_struct(raw, False)
     hydra = raw.pop("hydra")
     OmegaConf.set_readonly(raw, True)
-    config = _resolve(raw, lambda: trace(loader, primary, parsed))
+    config = _resolve(raw, lambda: trace(used, primary, parsed))
     removed = _drop_removed(config)
-    return Composed(config, raw, texts, primary, folders, removed, hydra, loader, parsed)
+    return Composed(config, raw, texts, primary, folders, removed, hydra, used, parsed)
 
 
 def _resolve(raw: DictConfig, provenance: Any) -> dict[str, Any]:

@@ -21,9 +21,11 @@ from wheelleg_exp.config.diagnose_groups import (
     defaults_problem,
     flat,
     missing_option,
+    mounts,
     option_problems,
     where_of,
 )
+from wheelleg_exp.config.headers import missing_headers
 from wheelleg_exp.config.loader import Loader, Repository
 from wheelleg_exp.config.problems import join
 from wheelleg_exp.config.tree import Keys, dotted, node_paths, scalar_line, show_file, split_path
@@ -73,12 +75,16 @@ def _unreadable(text: str) -> ConfigError | None:
 def _sweep(override: Override) -> ConfigError:
     key = override.key_or_group
     text = str(override.input_line).split("=", 1)[-1]
-    forms = "" if "(" in text else f"; a list is written {key}=[{text}], text with commas {key}='{text}'"
+    forms = "; -m (--multirun) trains each of several"
+    forms += "" if "(" in text else f"; a list is written {key}=[{text}], text with commas {key}='{text}'"
     return ConfigError("several values for one run", key=key, where=where_of(override), expected=f"one value{forms}")
 
 
 def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[Override]) -> ConfigError:
     """Compose again step by step, to see which one fails."""
+    misplaced = missing_headers(loader.repository_used, _mounted_groups(loader.repository_used, parsed))
+    if misplaced:
+        return join(misplaced)
     try:
         defaults = loader.defaults(primary, parsed)
     except (HydraException, OmegaConfBaseException, ValueError, AssertionError) as problem:
@@ -95,6 +101,12 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
         except (HydraException, OmegaConfBaseException) as problem:
             problems.append(_override_problem(problem, override, cfg, loader.groups()))
     return join(problems) if problems else ConfigError(flat(error), key=primary)
+
+
+def _mounted_groups(repository: Repository, parsed: Sequence[Override]) -> set[str]:
+    """Return the groups that something mounts at a package of its own."""
+    names = [*mounts(repository), *(o.get_key_element().lstrip("+~") for o in parsed)]
+    return {name.split("@")[0] for name in names if "@" in name}
 
 
 def _merge_problem(problem: Exception, repository: Repository) -> ConfigError:

@@ -118,10 +118,13 @@ def _override_with(parsed: Sequence[Override], group: str, name: str) -> str | N
 def _place_in_defaults(repository: Repository, message: str, path: str) -> str | None:
     """Return the line of the defaults list, in the file that a message speaks of, that names ``path``."""
     match = IN_FILE.match(message.strip())
-    loaded = repository.loaded.get(match.group(1).strip()) if match else None
-    if loaded is None:
-        return None
-    return show_file(loaded.file, _defaults_line(loaded.file, path))
+    return place_of_option(repository, match.group(1).strip(), path) if match else None
+
+
+def place_of_option(repository: Repository, parent: str, path: str) -> str | None:
+    """Return the line of a config's defaults list that names ``path``; None when the config is not read."""
+    loaded = repository.loaded.get(parent)
+    return show_file(loaded.file, _defaults_line(loaded.file, path)) if loaded is not None else None
 
 
 def _defaults_line(file: Path, path: str) -> int | None:
@@ -154,23 +157,29 @@ def _defaults_entries(file: Path) -> list[tuple[str | None, yaml.Node]]:
 def defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Override]) -> ConfigError:
     """Explain a failure in the defaults list, such as an override of a group that no file mounts there."""
     text = str(problem)
+    listed = next((o for o in parsed if o.package is None and isinstance(o.value(), list)), None)
+    if "appears more than once" in text and listed is not None:
+        expected = f"{listed.key_or_group}=<one option>"
+        return ConfigError(
+            "this group takes one option", key=listed.key_or_group, where=where_of(listed), expected=expected
+        )
     doubled = re.match(r"Multiple values for (\S+)\. ", text)
     if doubled:
         return _chosen_twice(doubled.group(1), parsed)
     quoted = re.search(r"Could not (?:override|delete) '([^']+)'", text)
     key = quoted.group(1).split("=")[0] if quoted else None
-    mounts = _mounts(loader.repository_used)
+    mounted = mounts(loader.repository_used)
     culprit = next((o for o in parsed if o.get_key_element().lstrip("+~") == key), None)
     where = where_of(culprit) if culprit else _place_in_defaults(loader.repository_used, text, key or "")
     if key is None:
         return ConfigError(flat(problem), where=where)
-    mounted_group = [m for m in mounts if m.split("@")[0] == key.split("@")[0]]
+    mounted_group = [m for m in mounted if m.split("@")[0] == key.split("@")[0]]
     return ConfigError(
         "this group is mounted nowhere under this name",
         key=key,
         where=where,
-        expected="one of " + ", ".join(mounted_group or mounts),
-        nearest=nearest_name(key, mounted_group) or (mounted_group[0] if mounted_group else nearest_name(key, mounts)),
+        expected="one of " + ", ".join(mounted_group or mounted),
+        nearest=nearest_name(key, mounted_group) or (mounted_group[0] if mounted_group else nearest_name(key, mounted)),
     )
 
 
@@ -184,7 +193,7 @@ def _chosen_twice(key: str, parsed: Sequence[Override]) -> ConfigError:
     )
 
 
-def _mounts(repository: Repository) -> list[str]:
+def mounts(repository: Repository) -> list[str]:
     """Return the names under which the files read so far mount groups, such as ``reward@env.rewards``."""
     names: dict[str, None] = {}
     for loaded in repository.loaded.values():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,9 +27,11 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from wheelleg_exp.config.replacing import chosen_file
 from wheelleg_exp.config.tree import show_file
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.projects import config_folder, join_folder
 
 VERSION_BASE = "1.3"
 _HEADER = re.compile(r"^\s*#+\s*@package +\S+\s*$")
@@ -81,7 +83,9 @@ class Repository(CachingConfigRepository):
         result = _load(super().load_config, config_path, file)
         _require_mapping(result.config, file)
         _require_package_header(file)
-        self._require_not_hidden(config_path, file)
+        chosen = chosen_file(config_path, self.files(config_path))
+        if chosen != file:
+            file, result = chosen, self._load_replacement(config_path, chosen)
         content = OmegaConf.to_container(result.config, resolve=False)
         # Hydra edits the config objects while it composes, so the content is copied now.
         self.loaded[config_path] = LoadedFile(file, dict(content) if isinstance(content, dict) else {})
@@ -100,16 +104,25 @@ class Repository(CachingConfigRepository):
                 return found[0] if source.scheme() == "file" and found else None
         return None
 
-    def _require_not_hidden(self, config_path: str, file: Path) -> None:
-        same = {path.resolve() for path in self.files(config_path)}
-        hidden = same - {file.resolve()}
-        if hidden:
-            raise ConfigError(
-                f"this file is never read, because {show_file(file)} has the same name",
-                key=config_path,
-                where=show_file(sorted(hidden)[0]),
-                expected="a name that no stock config and no other config folder has",
-            )
+    def _load_replacement(self, config_path: str, file: Path) -> ConfigResult:
+        """Load the file that takes the stock one's place, in place of the first of that name."""
+        self.cache[f"config_path={config_path}"] = result = _load(self._load_from(file), config_path, file)
+        _require_mapping(result.config, file)
+        _require_package_header(file)
+        return result
+
+    def _load_from(self, file: Path) -> Callable[[str], ConfigResult]:
+        """Return what loads a config from the folder of the search path that holds ``file``."""
+
+        def load(config_path: str) -> ConfigResult:
+            name = ConfigSource._normalize_file_name(config_path)
+            sources = [s for s in self.get_sources() if s.scheme() == "file"]
+            result = next(s for s in sources if Path(s.path) / name == file).load_config(config_path)
+            listed = self.delegate._extract_defaults_list(config_path, result.config)
+            result.defaults_list = self.delegate._create_defaults_list(config_path, listed)
+            return result
+
+        return load
 
 
 def _load(load: Any, config_path: str, file: Path) -> ConfigResult:
@@ -241,26 +254,19 @@ class Loader(ConfigLoaderImpl):
 
 
 def search_path(config_dirs: Sequence[Path]) -> ConfigSearchPath:
-    """Return Hydra's search path: the stock configs, then each of the user's folders."""
+    """Return Hydra's search path: the stock configs, then each of the user's folders.
+
+    The packages that a folder's project declares join the ones that configs may call.
+    """
     path = create_config_search_path(str(configs_dir()))
     schema = path.get_path().pop()
-    for folder in config_dirs:
-        path.append("config-dir", f"file://{require_folder(folder)}")
+    for folder in map(require_folder, config_dirs):
+        join_folder(folder)
+        path.append("config-dir", f"file://{folder}")
     path.append(schema.provider, schema.path)
     return path
 
 
 def require_folder(folder: Path) -> Path:
     """Return the absolute path of a config folder; raises ConfigError when there is none."""
-    absolute = Path(folder).expanduser().absolute()
-    if absolute.is_dir():
-        return absolute
-    parent = absolute.parent
-    siblings = [p.name for p in parent.iterdir() if p.is_dir()] if parent.is_dir() else []
-    raise ConfigError(
-        "there is no such config folder",
-        key=str(folder),
-        where="--config-dir",
-        expected="a folder with YAML files",
-        nearest=nearest_name(absolute.name, siblings),
-    )
+    return config_folder(folder)

@@ -30,6 +30,7 @@ class Source:
         file: the file, or None for an override.
         line: the line in the file, from 1.
         override: the override as typed, or None for a file.
+        package: the keys under which the file's own keys stand.
         shadowed: the earlier writers whose values this one hides, oldest first.
     """
 
@@ -38,6 +39,7 @@ class Source:
     file: Path | None = None
     line: int | None = None
     override: str | None = None
+    package: Keys = ()
     shadowed: tuple[Source, ...] = ()
 
     @property
@@ -74,6 +76,11 @@ class Provenance(Mapping[str, Source]):
         keys = split_path(path)
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
+    def deleted_below(self, path: str) -> list[Source]:
+        """Return what overrides removed at or below ``path``."""
+        keys = split_path(path)
+        return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
+
     def where(self, path: str) -> str | None:
         """Return the place that set ``path``: the leaf's, else the first below, else the nearest above."""
         if path in self.deleted:
@@ -102,20 +109,30 @@ class _Replay:
         if absent and (below or keys in self.sources):
             return
         above = [keys[:n] for n in range(1, len(keys)) if keys[:n] in self.sources]
-        hidden = [self.sources.pop(leaf) for leaf in (*above, *below)]
-        same = self.sources.get(keys)
-        hidden += [same] if same is not None else []
-        shadowed = tuple(entry for old in hidden for entry in _history(old))
-        self.sources[keys] = replace(source, shadowed=shadowed)
+        same = [keys] if keys in self.sources else []
+        hidden = [*above, *below, *same]
+        shadowed = tuple(entry for old in hidden for entry in _history(self.sources[old]))
+        self._put(keys, replace(source, shadowed=shadowed), hidden)
 
     def delete(self, keys: Keys, override: str) -> None:
         gone = [leaf for leaf in self.sources if leaf[: len(keys)] == keys]
-        hidden = [(leaf, self.sources.pop(leaf)) for leaf in gone]
-        for leaf, old in hidden:
-            self.deleted[leaf] = Source(dotted(leaf), None, override=override, shadowed=_history(old))
+        for leaf in gone:
+            shadowed = _history(self.sources[leaf])
+            self.deleted[leaf] = Source(dotted(leaf), None, override=override, shadowed=shadowed)
         parent = keys[:-1]
-        if parent and not any(leaf[: len(parent)] == parent for leaf in self.sources):
-            self.sources[parent] = Source(dotted(parent), {}, override=override)
+        if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
+            self._put(parent, Source(dotted(parent), {}, override=override), gone)
+        else:
+            self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
+
+    def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
+        """Put a leaf in the place of the first of those that it hides, because the order of terms has a meaning."""
+        if not hidden or list(hidden) == [keys]:
+            self.sources[keys] = source
+            return
+        gone, first = set(hidden), next(leaf for leaf in self.sources if leaf in hidden)
+        kept = [(keys, source) if leaf == first else (leaf, old) for leaf, old in self.sources.items()]
+        self.sources = {leaf: old for leaf, old in kept if leaf == keys or leaf not in gone}
 
     def _value(self, keys: Keys) -> Any:
         source = self.sources.get(keys)
@@ -157,7 +174,7 @@ def _write_file(replay: _Replay, loaded: LoadedFile, package: str) -> None:
     for keys, value in leaves(loaded.content):
         line = next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), None)
         path = (*prefix, *keys)
-        replay.write(path, Source(dotted(path), value, file=loaded.file, line=line))
+        replay.write(path, Source(dotted(path), value, file=loaded.file, line=line, package=prefix))
 
 
 def _write_override(replay: _Replay, override: Override) -> None:

@@ -140,7 +140,43 @@ FIELD_TYPES: dict[str, Any] = {
 }
 # Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval")
+# Fields that only events of one mode read.
+MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
+
+
+# The rules of `wheelleg check --physics`, which `check.silence` may name.
+PHYSICS_RULES: tuple[str, ...] = (
+    "action_clip_never_acts",
+    "action_scale",
+    "armature_ratio",
+    "command_reach",
+    "contact_threshold",
+    "control_rate",
+    "cumulative_randomisation",
+    "discount_horizon",
+    "drive_bandwidth",
+    "effort_against_load",
+    "effort_against_traction",
+    "episode_end",
+    "event_never_fires",
+    "falling_pays",
+    "gains_against_time_step",
+    "noise_against_signal",
+    "noop_curriculum",
+    "noop_joint_reset",
+    "noop_restitution",
+    "observation_scale",
+    "ppo_batch",
+    "push_size",
+    "reward_too_small",
+    "spawn_height",
+    "target_height",
+    "tracking_std",
+    "unbounded_observation",
+    "wrench_size",
+    "zero_width_range",
+)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,14 @@ from wheelleg_exp.config import schema
 from wheelleg_exp.config.values import describe, fits
 from wheelleg_exp.errors import ConfigError, nearest_name
 
+NOTHING_READS = "nothing reads"
+_MISSING = "this value is missing"
+
+
+def is_missing(error: ConfigError) -> bool:
+    """Return whether an error says that a value is missing."""
+    return error.message == _MISSING
+
 
 def check_section(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
     """Hold the keys and values of one section against the fields of a dataclass."""
@@ -23,7 +31,7 @@ def check_section(path: str, node: Mapping[str, Any], options: type) -> list[Con
         else:
             errors.append(
                 ConfigError(
-                    "nothing reads this key",
+                    f"{NOTHING_READS} this key",
                     key=key,
                     expected="one of " + ", ".join(keys),
                     nearest=nearest_name(str(name), keys),
@@ -32,7 +40,7 @@ def check_section(path: str, node: Mapping[str, Any], options: type) -> list[Con
     for absent in keys.values():
         if absent.required and absent.name not in node:
             full = f"{path}.{absent.name}" if path else absent.name
-            errors.append(ConfigError("this value is missing", key=full, expected=describe(absent.annotation)))
+            errors.append(ConfigError(_MISSING, key=full, expected=describe(absent.annotation)))
     return errors
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -133,3 +134,34 @@ def show_file(file: Path, line: int | None = None) -> str:
     except ValueError:
         shown = file
     return f"{shown}:{line}" if line is not None else str(shown)
+
+
+@dataclass(frozen=True)
+class DefaultsEntry:
+    """One ``key: value`` of a file's defaults list.
+
+    Attributes:
+        key: the group as written, without ``override`` and ``optional``, such as ``/reward@env.rewards``.
+        value: what it selects.
+        override: whether it replaces what another file selected.
+        line: its line, from 1.
+    """
+
+    key: str
+    value: Any
+    override: bool
+    line: int
+
+
+def defaults_entries(file: Path) -> list[DefaultsEntry]:
+    """Return the entries of a file's defaults list that name a group; plain entries have none."""
+    root = yaml_node(file)
+    pairs = root.value if isinstance(root, yaml.MappingNode) else []
+    items = [item for key, value in pairs if key.value == "defaults" for item in value.value]
+    return [_entry(*pair) for item in items if isinstance(item, yaml.MappingNode) for pair in item.value]
+
+
+def _entry(key: yaml.Node, value: yaml.Node) -> DefaultsEntry:
+    words = str(key.value).split()
+    chosen = [str(n.value) for n in value.value] if isinstance(value, yaml.SequenceNode) else value.value
+    return DefaultsEntry(words[-1], chosen, "override" in words[:-1], key.start_mark.line + 1)

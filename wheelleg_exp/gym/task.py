@@ -10,10 +10,10 @@ import numpy as np
 import torch
 
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.check import require_valid
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.collect import compose_valid
 from wheelleg_exp.env import ManagerBasedRLEnv, Observations
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.projects import with_current
 
 Arrays = dict[str, np.ndarray]
 
@@ -30,8 +30,7 @@ def task_env(
         if word.lstrip("+").startswith("env.num_envs="):
             raise ConfigError("is given by Gymnasium", key="env.num_envs", expected="make_vec(..., num_envs=N)")
     words = [f"task={task}", *overrides, f"env.num_envs={num_envs}"]
-    composed = compose(words, config_dirs=[Path(folder) for folder in config_dirs])
-    require_valid(composed)
+    composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in config_dirs]))
     with composed.placing():
         env = build_env(composed.config, composed.asset_roots)
         _require_concatenated(env)

@@ -51,6 +51,7 @@ class ObservationTerm:
         for modifier in self._modifiers:
             modifier.start(sample)
         self.history = HistoryBuffer(env.num_envs, history_length, sample.shape[1:]) if history_length > 0 else None
+        self.history_length = history_length
         self.width = int(sample.shape[1])
         self.shape = (
             (self.width,)
@@ -171,6 +172,10 @@ class ObservationManager:
     def active_terms(self) -> dict[str, list[str]]:
         """Names of the terms of each group, in order."""
         return {group: list(terms) for group, terms in self._groups.items()}
+
+    def terms(self, group: str) -> dict[str, ObservationTerm]:
+        """Return the terms of a group by name, in order."""
+        return dict(self._groups[group])
 
     @property
     def group_obs_concatenate(self) -> dict[str, bool]:

@@ -18,6 +18,7 @@ from tensordict import TensorDict
 
 from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
 from wheelleg_exp.managers.streams import stream_seed
+from wheelleg_exp.projects import make_classes_importable
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION
 from wheelleg_exp.rl.episode_log import EpisodeLog
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -177,6 +178,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = None
+    make_classes_importable(config)
     try:
         with redirect_stdout(io.StringIO()):
             kind = resolve_callable(config["algorithm"]["class_name"])

@@ -1,0 +1,202 @@
+"""Shell completion: what it offers, and that a real bash takes it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.cli import completion
+from wheelleg_exp.cli.main import COMMANDS, main
+from wheelleg_exp.paths import configs_dir
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
+
+
+def _rewards() -> list[str]:
+    return sorted(path.stem for path in (configs_dir() / "reward").glob("*.yaml"))
+
+
+OFFERED = {
+    "wheelleg com": ["compose", "completion"],
+    "wheelleg --v": ["--version"],
+    "wheelleg compose --p": ["--primary", "--package", "--provenance"],
+    "wheelleg compose --primary ": ["play", "train"],
+    "wheelleg compose --package env.sim.s": ["env.sim.solver"],
+    "wheelleg train tas": ["task=", "task."],
+    "wheelleg train robot=": ["robot=article", "robot=explicit", "robot=physical"],
+    "wheelleg train robot=e": ["robot=explicit"],
+    "wheelleg train rew": ["reward@env.rewards="],
+    "wheelleg train +rew": ["+reward@env.rewards="],
+    "wheelleg train reward@env.rewards=[al": ["reward@env.rewards=[alive"],
+    "wheelleg train reward@env.rewards=[alive,a": [
+        "reward@env.rewards=[alive,action_rate", "reward@env.rewards=[alive,ang_vel_xy",
+    ],
+    "wheelleg train env.rewards.al": ["env.rewards.alive."],
+    "wheelleg train env.rewards.alive.": ["env.rewards.alive._target_=", "env.rewards.alive.weight="],
+    "wheelleg train env.decimation=": ["env.decimation=2"],
+    "wheelleg train env.robot.base=f": ["env.robot.base=floating", "env.robot.base=fixed"],
+    "wheelleg train recording.enabled=": ["recording.enabled=true", "recording.enabled=false"],
+    "wheelleg train env.rewards.alive=": ["env.rewards.alive=null"],
+    "wheelleg train ~env.events.pu": ["~env.events.push_robot", "~env.events.push_robot."],
+    "wheelleg train 'env.decim": ["env.decimation="],
+    "wheelleg train reward@env.rewards=[alive] env.rewards.": ["env.rewards.alive."],
+    "wheelleg explain env.sim.d": ["env.sim.dt"],
+    "wheelleg explain robo": ["robot"],
+    "wheelleg list r": ["runs"],
+    "wheelleg list options ro": ["robot"],
+    "wheelleg play lat": ["latest"],
+    "wheelleg diff sta": ["stand"],
+    "wheelleg diff stand sta": ["stand"],
+    "wheelleg completion b": ["bash"],
+    "wheelleg nothing ": [],
+    "wheelleg train robot=nothing": [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", OFFERED)
+def test_what_is_offered(line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert completion.answer(line) == OFFERED[line]
+
+
+def test_every_command_and_every_option_of_a_group_is_offered():
+    assert completion.answer("wheelleg ") == list(COMMANDS)
+    offered = completion.answer("wheelleg train reward@env.rewards=[")
+    assert offered == [f"reward@env.rewards=[{name}" for name in _rewards()]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_options_of_every_command_are_offered(command):
+    assert "--help" in completion.answer(f"wheelleg {command} --")
+
+
+def test_a_users_folder_is_looked_into(tmp_path):
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "mine.yaml").write_text("# @package env.robot\n")
+    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=m") == ["robot=mine"]
+
+
+def test_a_changed_file_is_seen(tmp_path):
+    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=m") == []
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "mine.yaml").write_text("# @package env.robot\n")
+    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=m") == ["robot=mine"]
+
+
+def test_files_are_offered_where_a_file_is_asked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "some").mkdir()
+    (tmp_path / "some" / "robot.usda").write_text("")
+    assert completion.answer("wheelleg convert so") == ["some/"]
+    assert completion.answer("wheelleg convert some/r") == ["some/robot.usda"]
+
+
+def test_a_broken_config_offers_nothing_and_says_nothing(tmp_path, capsys):
+    (tmp_path / "task").mkdir()
+    (tmp_path / "task" / "bad.yaml").write_text("a: [\n")
+    assert completion.answer(f"wheelleg train --config-dir {tmp_path} task=bad env.decim") == ["env.decimation="]
+    assert capsys.readouterr().err == ""
+
+
+def _bash(line: str, tmp_path: Path) -> list[str]:
+    """Type a line into bash, ask for completion as it does, and return what it got."""
+    (tmp_path / "bin").mkdir(exist_ok=True)
+    program = tmp_path / "bin" / "wheelleg"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m wheelleg_exp.cli.main "$@"\n')
+    program.chmod(0o755)
+    script = f"""
+    eval "$(wheelleg completion bash)"
+    COMP_LINE={line!r}; COMP_POINT=${{#COMP_LINE}}
+    _wheelleg_complete wheelleg
+    printf '%s\\n' "${{COMPREPLY[@]}}"
+    complete -p wheelleg
+    """
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, check=True, env={**os.environ, "PATH": path}
+    )
+    assert done.stderr == ""
+    *found, registered = done.stdout.splitlines()
+    assert registered == "complete -o nospace -F _wheelleg_complete wheelleg"
+    return found
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        # bash breaks words at = and @, and replaces only what comes after.
+        ("wheelleg train reward@env.rew", ["env.rewards="]),
+        ("wheelleg train env.robot.base=", ["auto ", "floating ", "fixed "]),
+    ],
+)
+def test_bash_gets_the_part_after_the_last_break_and_a_space_when_complete(line, wanted, tmp_path):
+    assert _bash(line, tmp_path) == wanted
+
+
+def test_an_interactive_bash_completes_on_tab(tmp_path):
+    """Type into a terminal, press TAB, press return, and see which words the program was given."""
+    program, given = tmp_path / "wheelleg", tmp_path / "given"
+    real = f'exec {sys.executable} -m wheelleg_exp.cli.main "$@"'
+    program.write_text(f'#!/bin/sh\nif [ "$1" = completion ]; then {real}; fi\nprintf "%s|" "$@" > {given}\n')
+    program.chmod(0o755)
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.environ.update(PATH=f"{tmp_path}:{os.environ['PATH']}", PS1="ready> ", TERM="dumb")
+        os.execvp("bash", ["bash", "--norc", "--noprofile", "-i"])
+    termios.tcsetwinsize(terminal, (40, 250))
+    try:
+        _type(terminal, 'eval "$(wheelleg completion bash)"; echo loa""ded\n', "loaded")
+        _type(terminal, "wheelleg train robot=exp\t", "robot=explicit ")
+        _type(terminal, "reward@env.rewards=[alive,te\t", "[alive,terminating ")
+        _type(terminal, "env.deci\t", "env.decimation=")
+        _type(terminal, "4; echo do''ne\n", "done")
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        os.close(terminal)
+    assert given.read_text() == "train|robot=explicit|reward@env.rewards=[alive,terminating|env.decimation=4|"
+
+
+def _type(terminal: int, text: str, until: str) -> None:
+    os.write(terminal, text.encode())
+    seen, end = "", time.monotonic() + 60.0
+    while until not in seen:
+        assert time.monotonic() < end, f"waited for {until!r}, saw {seen!r}"
+        if select.select([terminal], [], [], 1.0)[0]:
+            seen += os.read(terminal, 4096).decode(errors="replace")
+
+
+def test_the_answer_needs_neither_torch_nor_mujoco_nor_when_kept_hydra(tmp_path):
+    code = (
+        "import os, sys; from wheelleg_exp.cli.main import main; status = main(['completion', 'query']);"
+        "print(status, [m for m in ('torch', 'mujoco', 'rsl_rl', 'hydra') if m in sys.modules])"
+    )
+    environment = {**os.environ, "WHEELLEG_COMPLETE_LINE": "wheelleg train env.rewards.alive.wei"}
+    for loaded in (["hydra"], []):
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+        assert done.stdout.splitlines() == ["env.rewards.alive.weight=", f"0 {loaded}"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_script_for_each_shell(shell, capsys):
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert "wheelleg" in script
+    assert "completion query" in script
+
+
+def test_an_unknown_shell_is_told(capsys):
+    assert main(["completion", "tcsh"]) == 2
+    assert "bash" in capsys.readouterr().err

@@ -1,0 +1,251 @@
+"""``wheelleg new``: a project that works at once, appears whole or not at all, and overwrites nothing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from asset.corpus import ABSENT, corpus_folder
+from jobs.small import TINY, cache_of, wheelleg
+from project.robots import urdf
+
+from wheelleg_exp import projects
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+
+
+@pytest.fixture(autouse=True)
+def _no_project_stays():
+    yield
+    for project in list(projects._joined.values()):
+        projects.forget(project.root)
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, in the current folder."""
+    return subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, timeout=300, check=False)
+
+
+def inside(folder: Path) -> list[str]:
+    """The names of what a folder holds."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+def config(*words: str) -> dict:
+    said = wheelleg("compose", "--resolve", *words)
+    assert said.status == 0, said.err
+    return yaml.safe_load(said.out)
+
+
+def robot_of(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
+    """Words that choose a robot: the stock one, a URDF, or one of the corpus."""
+    if name == "stock":
+        return []
+    if name == "urdf":
+        return ["--robot", str(urdf(tmp_path / "robots"))]
+    folder = corpus_folder(request.config.getoption("--corpus"))
+    if folder is None:
+        pytest.skip(ABSENT)
+    return ["--robot", str(folder / "assets" / name)]
+
+
+# --- it works at once ---
+
+
+@pytest.mark.train
+@pytest.mark.parametrize("robot", ["stock", "urdf", "wf_tron2a_isaac/robot.usd", "upkie/upkie.usda"])
+def test_a_new_project_checks_steps_tests_and_trains(robot, request, tmp_path, monkeypatch):
+    said = wheelleg("new", "myrobot", *robot_of(robot, request, tmp_path))
+    assert said.status == 0, said.err
+    monkeypatch.chdir(tmp_path / "myrobot")
+    tests = run("pytest", "-q", "-p", "no:cacheprovider")
+    assert tests.returncode == 0, tests.stdout
+    assert "4 passed" in tests.stdout
+    assert wheelleg("check", "task=myrobot").out == "no mistakes in the task 'myrobot'\n"
+    words = [word for word in TINY if "episode_length" not in word]
+    trained = wheelleg("train", "task=myrobot", *words, "agent.max_iterations=5", "recording.enabled=false")
+    assert trained.status == 0, trained.err
+    assert trained.out.startswith("trained 5 iterations")
+    (found,) = (tmp_path / "myrobot" / "runs" / "myrobot").iterdir()
+    assert (found / "model_4.pt").is_file()
+    played = wheelleg("play", "latest", "env.num_envs=4")
+    assert played.status == 0, played.err
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """A project of the stock robot, in whose folder the test stands."""
+    said = wheelleg("new", "myrobot")
+    assert said.status == 0, said.err
+    monkeypatch.chdir(tmp_path / "myrobot")
+    return tmp_path / "myrobot", said
+
+
+def test_it_says_what_was_made_and_what_comes_next(made):
+    root, said = made
+    assert said.out.startswith(f"made myrobot: {len([p for p in root.rglob('*') if p.is_file()])} files\n")
+    assert "legs: l01, r01, l02, r02" in said.out
+    assert "wheels: l03, r03" in said.out
+    commands = [line.removeprefix("next:").strip() for line in said.out.splitlines() if "wheelleg " in line]
+    for command in commands:
+        words = [word for word in command.split()[2:] if "=" in word]
+        assert wheelleg("compose", *words).status == 0, command
+
+
+def test_the_commands_of_its_readme_compose(made):
+    root, _ = made
+    commands = [line for line in (root / "README.md").read_text().splitlines() if line.startswith("wheelleg ")]
+    assert len(commands) >= 5
+    for command in commands:
+        words = [word for word in command.split("#")[0].split()[2:] if "=" in word]
+        assert wheelleg("compose", *words).status == 0, command
+
+
+def test_its_config_is_its_own(made):
+    composed = config("task=myrobot")
+    assert composed["env"]["robot"]["asset"] == "myrobot/wheelleg.usda"
+    assert composed["env"]["robot"]["profile"] == composed["task"]["name"] == "myrobot"
+    assert composed["env"]["rewards"]["myrobot_upright"]["_target_"] == "myrobot.terms.upright"
+    assert composed["env"]["actions"]["myrobot_wheels"]["joint_names"] == ["l03", "r03"]
+    assert config("task=stand")["env"]["robot"]["asset"] == "wheelleg/wheelleg.usda"
+
+
+def test_its_robot_is_read_from_its_own_assets(made, monkeypatch):
+    root, _ = made
+    (root / "assets" / "myrobot" / "wheelleg.usda").unlink()
+    said = wheelleg("check", "task=myrobot")
+    assert said.status == 2
+    assert str(root / "assets") in said.err
+
+
+def test_its_numbers_have_no_findings_but_the_robots_own(made):
+    """The stock robot's armatures and motors are what they are; everything else is the project's to choose."""
+    import json
+
+    said = wheelleg("check", "--physics", "--json", "task=myrobot")
+    found = {finding["key"].split(".")[1] for finding in json.loads(said.out)["findings"]}
+    assert found <= {"robot"}
+
+
+def test_none_of_its_files_hides_a_stock_one(made):
+    root, _ = made
+    names = {path.relative_to(root / "configs") for path in (root / "configs").rglob("*.yaml")}
+    assert not [name for name in names if (ROOT / "configs" / name).exists()]
+
+
+def test_it_passes_the_linters_of_this_repository(made):
+    root, _ = made
+    for words in (["check"], ["format", "--check"]):
+        done = run("ruff", *words, "--config", str(ROOT / "pyproject.toml"), "--no-cache", str(root))
+        assert done.returncode == 0, done.stdout
+
+
+def test_a_command_of_the_shell_works_in_it(made):
+    """In a fresh process, as a user has it: nothing is installed, and the folder is not on the path."""
+    said = run("wheelleg_exp.cli.main", "explain", "env.rewards.myrobot_upright.std", "task=myrobot")
+    assert said.returncode == 0, said.stderr
+    assert "tilt that leaves 1/e of the reward" in said.stdout
+    assert "configs/reward/myrobot_upright.yaml" in said.stdout
+
+
+def test_a_folder_may_be_named_with_its_place(tmp_path):
+    (tmp_path / "robots").mkdir()
+    said = wheelleg("new", "robots/myrobot")
+    assert said.status == 0, said.err
+    assert "cd robots/myrobot" in said.out
+    assert wheelleg("check", "--config-dir", "robots/myrobot", "task=myrobot").status == 0
+
+
+# --- nothing is overwritten, and nothing is half made ---
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "link"])
+def test_what_is_there_already_stays(kind, tmp_path):
+    place = tmp_path / "myrobot"
+    {"folder": place.mkdir, "file": place.touch, "link": lambda: place.symlink_to("nowhere")}[kind]()
+    said = wheelleg("new", "myrobot")
+    assert said.status == 2
+    assert "is there already" in said.err
+    assert inside(tmp_path) == ["myrobot"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["my-robot"], "did you mean 'my_robot'?"),
+        (["test"], "did you mean 'test_robot'?"),
+        (["nowhere/myrobot"], "there is no such folder"),
+        (["myrobot", "--robot", "two.urd"], "did you mean 'two.urdf'?"),
+        (["myrobot", "--robot", "bare.urdf"], "no joints"),
+        (["myrobot", "--robot", "broken.urdf"], "broken.urdf"),
+        (["myrobot", "--robot", "robots"], "there is no such file"),
+        ([], "NAME: is missing"),
+    ],
+)
+def test_a_mistake_is_told_and_leaves_nothing(words, said, tmp_path):
+    urdf(tmp_path)
+    (tmp_path / "robots").mkdir()
+    bare = '<robot name="b"><link name="body"><inertial><mass value="1"/>{}</inertial></link></robot>'
+    (tmp_path / "bare.urdf").write_text(bare.format('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'))
+    (tmp_path / "broken.urdf").write_text("<robot")
+    before = inside(tmp_path)
+    answer = wheelleg("new", *words)
+    assert answer.status == 2
+    assert said in answer.err
+    assert ".making." not in answer.err
+    assert inside(tmp_path) == before
+
+
+def test_an_interrupt_leaves_nothing(tmp_path, monkeypatch):
+    from wheelleg_exp.project import create
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(create, "_require_valid", interrupted)
+    assert wheelleg("new", "myrobot").status == 130
+    assert inside(tmp_path) == []
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path, monkeypatch):
+    from wheelleg_exp.project import create
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(create, "write", full)
+    said = wheelleg("new", "myrobot")
+    assert said.status == 3
+    assert "no space left on device" in said.err
+    assert inside(tmp_path) == []
+
+
+def test_a_tab_offers_folders_and_robot_files(tmp_path):
+    from wheelleg_exp.cli.completion import answer
+
+    urdf(tmp_path)
+    (tmp_path / "robots").mkdir()
+    assert answer("wheelleg new ro") == ["robots/"]
+    assert answer("wheelleg new myrobot --robot t") == ["two.urdf"]
+
+
+def test_it_does_not_stand_inside_the_program_itself(monkeypatch):
+    monkeypatch.chdir(ROOT / "docs")
+    said = wheelleg("new", "myrobot")
+    assert said.status == 2
+    assert "inside wheelleg_exp itself" in said.err
+    assert not (ROOT / "docs" / "myrobot").exists()
+
+
+def test_nothing_of_the_draft_stays_in_the_process(made):
+    assert not [name for name in sys.modules if name.split(".")[0] == "myrobot"]
+    assert not [project for project in projects._joined.values() if ".making." in str(project.root)]

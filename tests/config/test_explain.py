@@ -1,0 +1,279 @@
+"""``wheelleg explain``: one key with its value, its sources in order, its meaning, and what else could stand there."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.explanation import explain_key
+from wheelleg_exp.errors import ConfigError
+
+DOCUMENTED = '''
+"""Targets with documentation."""
+
+import enum
+from typing import Literal
+
+
+class Shade(enum.Enum):
+    LIGHT = "light"
+    DARK = "dark"
+
+
+def bend(env, angle: float, side: Literal["left", "right"] = "left", shade: Shade = Shade.DARK, cfg=None):
+    """How far a thing is bent, rad.
+
+    Args:
+        env: the environment.
+        angle: where bending begins,
+            rad/s.
+        side: which side bends.
+    """
+
+
+class Inner:
+    """Something inside a term.
+
+    Args:
+        reach: how far it reaches, m.
+    """
+
+    def __init__(self, reach: float, tight: bool = False):
+        pass
+
+
+def stretch(env):
+    """Not used by any file."""
+'''
+
+BEND = """\
+# Bent things.
+bend:
+  _target_: documented.bend
+  weight: 2.0
+  # rad, not degrees
+  angle: 0.5
+  cfg: {_target_: documented.Inner, reach: 0.1}   # m beyond the wall
+"""
+
+
+@pytest.fixture
+def documented(stock, edit, tmp_path, monkeypatch):
+    """A task whose reward ``bend`` has a documented target."""
+    from wheelleg_exp import terms
+
+    (tmp_path / "documented.py").write_text(DOCUMENTED, encoding="utf-8")
+    monkeypatch.setattr(terms, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "documented"))
+    edit("reward/bend.yaml", BEND)
+    edit("task/stand.yaml", "[alive, height]", "[alive, height, bend]")
+
+
+def test_a_leaf_has_value_type_and_every_source_in_order(composed):
+    explained = explain_key(composed("env.rewards.height.weight=3"), "env.rewards.height.weight")
+    assert (explained.kind, explained.value) == ("value", 3)
+    assert [(s.where, s.value) for s in explained.sources] == [
+        ("configs/reward/height.yaml:4", 1.0),
+        ("configs/task/stand.yaml:23", -50.0),
+        ("override env.rewards.height.weight=3", 3),
+    ]
+    assert explained.alternatives.type == "a number"
+
+
+def test_the_meaning_is_the_files_comment_then_the_parameters_line_then_the_terms(documented, composed):
+    explained = explain_key(composed(), "env.rewards.bend.angle")
+    assert [(note.text, note.about) for note in explained.meanings] == [
+        ("rad, not degrees", "key"),
+        ("where bending begins, rad/s.", "key"),
+        ("How far a thing is bent, rad.", "term"),
+    ]
+    assert explained.meanings[0].where == "configs/reward/bend.yaml:6"
+    assert explained.unit == "rad"
+
+
+def test_an_override_keeps_the_comment_of_the_file_that_it_hides(documented, composed):
+    explained = explain_key(composed("env.rewards.bend.angle=1"), "env.rewards.bend.angle")
+    assert explained.unit == "rad"
+
+
+def test_a_key_inside_a_nested_target_is_described_by_that_target(documented, composed):
+    reach = explain_key(composed(), "env.rewards.bend.cfg.reach")
+    assert [note.text for note in reach.meanings[:2]] == ["m beyond the wall", "how far it reaches, m."]
+    tight = explain_key(composed(), "env.rewards.bend.cfg.tight")
+    assert (tight.kind, tight.value, tight.alternatives.values) == ("not set", False, (True, False))
+
+
+def test_literals_enums_and_booleans_are_counted_up(documented, composed):
+    config = composed()
+    assert explain_key(config, "env.rewards.bend.side").alternatives.values == ("left", "right")
+    assert explain_key(config, "env.rewards.bend.shade").alternatives.values == ("light", "dark")
+    assert explain_key(config, "env.sim.solver").alternatives.values == ("newton", "cg")
+    assert explain_key(config, "env.observations.policy.enable_corruption").alternatives.values == (True, False)
+    assert explain_key(config, "env.events.push.mode").alternatives.values == (
+        "prestartup", "startup", "reset", "interval",
+    )  # fmt: skip
+
+
+def test_another_target_is_one_of_the_same_module(documented, composed):
+    values = explain_key(composed(), "env.rewards.bend._target_").alternatives.values
+    assert "documented.stretch" in values
+    assert "documented.Literal" not in values
+
+
+def test_bounds_are_told(composed):
+    assert explain_key(composed(), "env.sim.dt").alternatives.limits == ("more than 0.0",)
+    assert explain_key(composed(), "env.num_envs").alternatives.limits == ("at least 1",)
+
+
+def test_a_parameter_that_is_not_set_has_its_default(composed):
+    explained = explain_key(composed("+reward@env.rewards=smooth"), "env.rewards.smooth.order")
+    assert (explained.kind, explained.value, explained.has_value) == ("not set", 1, True)
+    scale = explain_key(composed(), "env.observations.policy.terms.speed.scale")
+    assert (scale.kind, scale.value) == ("not set", None)
+    assert "factor on the observation" in scale.meanings[0].text
+
+
+def test_a_section_has_no_comments_of_the_sections_inside_it(composed, edit):
+    edit("sim/mujoco.yaml", "# @package env.sim\n", "# @package env.sim\n# The solver.\n")
+    assert explain_key(composed(), "env.sim").meanings[0].text == "The solver."
+    assert "The solver." not in [note.text for note in explain_key(composed(), "env").meanings]
+
+
+def test_a_section_key_that_is_not_set_has_the_dataclass_default(composed):
+    explained = explain_key(composed(), "env.observations.critic.concatenate_terms")
+    assert (explained.kind, explained.value) == ("not set", True)
+
+
+def test_an_interpolation_shows_what_it_leads_to_and_from_where(composed):
+    explained = explain_key(composed("task=walk", "seed=${env.decimation}"), "env.num_envs")
+    assert (explained.value, explained.raw) == (2, "${seed}")
+    assert [(r.path, r.value, r.raw, r.where) for r in explained.references] == [
+        ("seed", 2, "${env.decimation}", "override seed=${env.decimation}"),
+        ("env.decimation", 2, None, "configs/task/stand.yaml:19"),
+    ]
+
+
+def test_a_relative_interpolation_is_followed(composed, edit):
+    edit("sim/mujoco.yaml", "dt: 0.01", "dt: 0.01\nhalf: ${.dt}\nenvs: ${..num_envs}")
+    config = composed()
+    assert [r.path for r in explain_key(config, "env.sim.half").references] == ["env.sim.dt"]
+    assert [r.path for r in explain_key(config, "env.sim.envs").references] == ["env.num_envs"]
+
+
+def test_a_term_that_a_task_removed_says_so_with_what_it_was(composed):
+    explained = explain_key(composed("task=walk"), "env.rewards.alive.weight")
+    assert explained.kind == "removed"
+    assert [(s.where, s.value) for s in explained.sources] == [
+        ("configs/reward/alive.yaml:3", 1.0),
+        ("configs/task/walk.yaml:12", None),
+    ]
+
+
+def test_what_an_override_deleted_says_so(composed):
+    explained = explain_key(composed("~env.events.push"), "env.events.push.mode")
+    assert explained.kind == "removed"
+    assert explained.sources[-1].where == "override ~env.events.push"
+    assert explained.sources[0].value == "interval"
+
+
+def test_a_term_that_a_replaced_list_dropped_names_who_replaced_it(composed):
+    explained = explain_key(composed("reward@env.rewards=[alive]", "~env.rewards.height"), "env.rewards.smooth")
+    assert (explained.kind, explained.option) == ("not selected", "smooth")
+    assert [choice.where for choice in explained.mount.choices] == [
+        "configs/task/stand.yaml:11",
+        "override reward@env.rewards=[alive]",
+    ]
+
+
+def test_a_group_names_its_options_and_where_it_stands(composed):
+    for key in ("robot", "reward@env.rewards", "reward"):
+        assert explain_key(composed(), key).kind == "group"
+    robot = explain_key(composed("robot=physical"), "robot").mount
+    assert (robot.package, robot.selected, robot.options) == ("env.robot", ("physical",), ("article", "physical"))
+    assert [choice.value for choice in robot.choices] == ["article", "physical"]
+
+
+def test_a_key_that_a_group_mounts_names_the_group(composed):
+    section = explain_key(composed(), "env.robot")
+    assert (section.kind, section.mount.name) == ("section", "robot")
+    rewards = explain_key(composed("task=walk"), "env.rewards")
+    assert rewards.mount.selected == ("alive", "height", "smooth")
+    assert [choice.where for choice in rewards.mount.choices] == [
+        "configs/task/stand.yaml:11",
+        "configs/task/walk.yaml:5",
+    ]
+    term = explain_key(composed(), "env.rewards.alive")
+    assert (term.kind, term.option) == ("term", "alive")
+    assert [note.text for note in term.meanings] == ["One while the robot is up."]
+
+
+def test_a_key_with_dots_stands_in_brackets(composed):
+    explained = explain_key(composed(), "env.robot.joint_pos[.*_hip]")
+    assert (explained.key, explained.value, explained.alternatives.type) == (
+        "env.robot.joint_pos[.*_hip]", 0.1, "a number",
+    )  # fmt: skip
+
+
+def test_an_element_of_a_list_has_the_lists_sources(composed):
+    explained = explain_key(composed("env.robot.order.1=z"), "env.robot.order.1")
+    assert (explained.value, [s.path for s in explained.sources]) == ("z", ["env.robot.order"] * 2)
+
+
+def test_a_key_that_nothing_reads_says_so(composed):
+    assert not explain_key(composed("+env.wind=3"), "env.wind").is_read
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [
+        ("env.rewards.height.wieght", "env.rewards.height.weight"),
+        ("env.rewards.hieght.weight", "env.rewards.height.weight"),
+        ("env.observations.policy.terms.speed.noize", "env.observations.policy.terms.speed.noise"),
+        ("env.events.push.mode.deep", None),
+        ("sede", "seed"),
+        ("robt", "robot"),
+        ("env.rewards.mine", None),
+        ("env.robot.joint_pos.wheell", "env.robot.joint_pos.wheel"),
+        ("env.robot.joint_pos[.*_hop]", "env.robot.joint_pos[.*_hip]"),
+        ("", None),
+        ("..", None),
+    ],
+)
+def test_a_misspelt_key_is_told_with_the_nearest(composed, wrong, right):
+    with pytest.raises(ConfigError) as raised:
+        explain_key(composed(), wrong)
+    assert raised.value.key == wrong
+    assert raised.value.nearest == right or right is None
+
+
+def test_the_command_prints_value_unit_meaning_and_sources(documented, capsys):
+    assert main(["explain", "env.rewards.bend.angle", "env.rewards.bend.angle=1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "env.rewards.bend.angle = 1"
+    assert lines[1].split() == ["unit", "rad"]
+    assert lines[-2].split() == ["configs/reward/bend.yaml:6", "0.5"]
+    assert lines[-1].split() == ["override", "env.rewards.bend.angle=1", "1"]
+
+
+def test_the_command_prints_json(documented, capsys):
+    assert main(["explain", "env.rewards.bend.side", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["kind"], found["default"], found["values"]) == ("not set", "left", ["left", "right"])
+
+
+@pytest.mark.parametrize(
+    ("words", "first"),
+    [
+        (["env.rewards.alive", "~env.rewards.alive"], "env.rewards.alive: removed by override ~env.rewards.alive"),
+        (["robot"], "robot: a group"),
+        (["env.rewards.smooth"], "env.rewards.smooth: a term that is not selected"),
+        (["env.actions.effort.gain"], "env.actions.effort.gain: not set; default 1.0"),
+        (["env.actions.effort"], "env.actions.effort: a term"),
+        (["env.robot.joint_pos"], "env.robot.joint_pos: a section"),
+        (["env.robot.order"], "env.robot.order = [a, b]"),
+    ],
+)
+def test_the_first_line_says_what_the_key_is(stock, capsys, words, first):
+    assert main(["explain", *words]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == first

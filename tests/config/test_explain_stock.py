@@ -1,0 +1,133 @@
+"""What there is to say about the keys of the stock tasks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.config import fixed, known, schema
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.docstrings import parameters_in, unit_in
+from wheelleg_exp.config.explanation import explain_key
+from wheelleg_exp.config.tree import dotted, leaves
+from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.terms import RESERVED
+
+TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_leaf_of_a_task_has_a_meaning_a_type_and_a_source(task):
+    composed = compose([f"task={task}"])
+    found = [explain_key(composed, dotted(keys)) for keys, value in leaves(composed.config) if value != {}]
+    assert [e.key for e in found if not any(note.about == "key" for note in e.meanings)] == []
+    assert [e.key for e in found if e.kind != "value" or not e.is_read or not e.sources] == []
+    assert {e.key: e.value for e in found} == {dotted(k): v for k, v in leaves(composed.config) if v != {}}
+
+
+UNITS = {
+    "env.sim.dt": "s",
+    "env.sim.gravity": "m/s²",
+    "env.robot.init_state.joint_pos[.*01$]": "rad",
+    "env.robot.actuators.legs.stiffness": "N·m/rad",
+    "env.robot.actuators.wheels.damping": "N·m·s/rad",
+    "env.robot.actuators.wheels.velocity_limit": "rad/s",
+    "env.scene.sensors.contact_forces.force_threshold": "N",
+    "env.commands.base_velocity.resampling_time_range": "s",
+    "env.commands.base_velocity.ranges.ang_vel_z": "rad/s",
+    "env.actions.leg_pos.scale": "rad per unit of action",
+    "env.observations.policy.terms.joint_vel_rel.scale": "per rad/s",
+    "env.rewards.base_height.target_height": "m",
+    "env.events.push_robot.interval_range_s": "s",
+    "env.terminations.base_contact.threshold": "N",
+    "agent.num_steps_per_env": "control steps",
+    "env.rewards.alive.weight": None,
+    "env.rewards.alive._target_": None,
+    "agent.algorithm.gamma": None,
+}
+
+
+@pytest.mark.parametrize("key", UNITS)
+def test_the_unit_of_a_stock_leaf(key):
+    assert explain_key(compose(["task=stand"]), key).unit == UNITS[key]
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("m", "m"),
+        ("s, 1/120", "s"),
+        ("k, 1/s.", "1/s"),
+        ("(rad/s)^2", "(rad/s)^2"),
+        ("velocity, m/s; clipped", "m/s"),
+        ("m/s, rad/s", "m/s, rad/s"),
+        ("longest episode, s: 300 control steps", "s"),
+        ("N environments", None),
+        ("1 unless it failed", None),
+        ("share of draws that stand still", None),
+        ("", None),
+    ],
+)
+def test_units_in_comments(text, unit):
+    assert unit_in(text) == unit
+
+
+def test_parameters_of_a_docstring_end_with_their_section():
+    text = "Head.\n\nArgs:\n    a: one,\n        and more.\n    b (int): two.\n\nReturns:\n    c: three.\n"
+    assert parameters_in(text) == {"a": "one, and more.", "b": "two."}
+
+
+def test_rsl_rls_own_parameters_have_their_defaults_words_and_lines():
+    composed = compose(["task=stand"])
+    rnd = explain_key(composed, "agent.algorithm.rnd_cfg")
+    assert (rnd.kind, rnd.value) == ("not set", None)
+    activation = explain_key(composed, "agent.actor.activation")
+    assert {"elu", "relu", "tanh"} <= set(activation.alternatives.values)
+    assert activation.alternatives.default == "elu"
+    assert any("ctivation function" in note.text for note in activation.meanings)
+    assert explain_key(composed, "agent.obs_groups.actor").alternatives.values == ("policy", "critic")
+
+
+def test_terms_by_name_are_counted_up():
+    composed = compose(["task=stand"])
+    assert explain_key(composed, "env.rewards.track_ang_vel_z.command_name").alternatives.values == ("base_velocity",)
+    entity = explain_key(composed, "env.rewards.wheel_air.sensor_cfg.name")
+    assert entity.alternatives.values == ("robot", "contact_forces")
+
+
+def test_what_is_inside_a_default_object_is_known():
+    composed = compose(["task=stand"])
+    name = explain_key(composed, "env.events.reset_base.asset_cfg.name")
+    assert (name.kind, name.value) == ("not set", "robot")
+    joints = explain_key(composed, "env.events.reset_base.asset_cfg.joint_names")
+    assert (joints.value, joints.meanings[0].text) == (None, "joint expressions; null is all.")
+
+
+def test_the_keys_of_a_play_are_explained():
+    explained = explain_key(compose(primary="play"), "play.settle_s")
+    assert (explained.value, explained.sources[0].where.endswith("configs/play.yaml:4")) == (1.0, True)
+
+
+def test_every_field_of_a_manager_and_every_fixed_key_has_a_meaning():
+    assert set(fixed.FIELDS) == {name for names in RESERVED.values() for name in names}
+    for path, options in {"": schema.Root, "env": schema.Env, "agent": schema.Agent, "task": schema.Task}.items():
+        for name in schema.keys_of(options):
+            assert fixed.meaning_of((*filter(None, path.split(".")), name)), (path, name)
+
+
+def test_the_defaults_of_the_managers_fields_are_what_the_managers_do():
+    from wheelleg_exp.managers import event_manager, observation_manager, termination_manager
+
+    modules = (event_manager, observation_manager, termination_manager)
+    code = "".join(Path(module.__file__).read_text(encoding="utf-8") for module in modules)
+    for name, (_, default) in fixed.FIELDS.items():
+        if f'fields.get("{name}", ' in code and default is not None:
+            assert f'fields.get("{name}", {default!r})' in code
+
+
+def test_a_key_that_nothing_reads_has_no_slot():
+    tree = compose(["task=stand"]).config
+    assert known.slot(tree, ("env", "rewards", "alive", "nothing")) is None
+    assert known.slot(tree, ("nothing",)) is None
+    assert known.slot(tree, ("env", "robot", "init_state", "joint_pos", "any")).annotation is float

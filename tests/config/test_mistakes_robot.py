@@ -1,0 +1,178 @@
+"""Names of joints, bodies, sensors and terms in the stock task, held against the stock robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.check_robot import check_robot, match_all
+from wheelleg_exp.config.robot_names import RobotNames, names_in_mjcf
+
+# Overrides that a single check tells together -> key, part of the message, and the nearest name where there is one.
+WRONG = {
+    "env.actions.wheel_vel.joint_names=[l03,r3]": ("env.actions.wheel_vel.joint_names", "'r3' matches nothing", "r03"),
+    "+env.actions.leg_pos.offset={l01:0.1,l99:0.2}": ("env.actions.leg_pos.offset.l99", "'l99' matches nothing", None),
+    "env.robot.actuators.legs.joint_names_expr=[nothing.*]": (
+        "env.robot.actuators.legs.joint_names_expr",
+        "'nothing.*' matches nothing",
+        None,
+    ),
+    "env.robot.actuators.wheels.damping={l3:1.0}": (
+        "env.robot.actuators.wheels.damping.l3",
+        "'l3' matches nothing",
+        "l03",
+    ),
+    "++env.robot.init_state.joint_vel={knee:0.1}": (
+        "env.robot.init_state.joint_vel.knee",
+        "'knee' matches nothing",
+        None,
+    ),
+    "env.rewards.leg_joint_deviation.asset_cfg.joint_names=[l01,l1]": (
+        "env.rewards.leg_joint_deviation.asset_cfg.joint_names",
+        "'l1' matches nothing",
+        "l01",
+    ),
+    "env.rewards.wheel_air.sensor_cfg.body_names=[l_wheel_lnk]": (
+        "env.rewards.wheel_air.sensor_cfg.body_names",
+        "'l_wheel_lnk' matches nothing",
+        "l_wheel_link",
+    ),
+    "env.terminations.base_contact.sensor_cfg.name=contact_force": (
+        "env.terminations.base_contact.sensor_cfg.name",
+        "the scene has no 'contact_force'",
+        "contact_forces",
+    ),
+    "env.events.add_base_mass.asset_cfg.body_names=[base]": (
+        "env.events.add_base_mass.asset_cfg.body_names",
+        "'base' matches nothing",
+        "base_link",
+    ),
+    "env.actions.leg_pos.preserve_order=false": (
+        "env.actions.leg_pos.joint_names",
+        "the term sees l01, r01, l02, r02",
+        None,
+    ),
+    "env.observations.policy.terms.velocity_commands.command_name=base_velcity": (
+        "env.observations.policy.terms.velocity_commands.command_name",
+        "there is no command 'base_velcity'",
+        "base_velocity",
+    ),
+    "+env.observations.policy.terms.last_action.action_name=leg_poss": (
+        "env.observations.policy.terms.last_action.action_name",
+        "there is no action 'leg_poss'",
+        "leg_pos",
+    ),
+    "env.curriculum.lin_vel_z_weight.term_name=lin_vel_zz": (
+        "env.curriculum.lin_vel_z_weight.term_name",
+        "there is no reward 'lin_vel_zz'",
+        "lin_vel_z",
+    ),
+    "+env.events.reset_base.pose_range.yw=[0,1]": (
+        "env.events.reset_base.pose_range.yw",
+        "unknown axis 'yw'",
+        "yaw",
+    ),
+}
+NAMES = RobotNames(["l1", "r1", "l2"], ["base", "left", "right"])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def told(_own_cache: None) -> dict[str, dict[str, object]]:
+    """What one check of all wrong overrides says, by override or key."""
+    import contextlib
+    import io
+
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        status = main(["check", "task=stand", "--json", *WRONG])
+    assert status == 2
+    mistakes = json.loads(said.getvalue())["mistakes"]
+    assert len(mistakes) == len(WRONG)
+    return {mistake["key"]: mistake for mistake in mistakes}
+
+
+@pytest.mark.parametrize("override", WRONG)
+def test_a_wrong_name_is_told_with_key_place_and_nearest_name(override, told):
+    key, message, nearest = WRONG[override]
+    assert message in str(told[key]["message"])
+    if "preserve_order" in override:
+        # What is wrong is the list, and the list stands in the file.
+        assert str(told[key]["file"]).endswith("configs/action/leg_pos.yaml")
+        assert told[key]["line"] == 4
+    else:
+        assert str(told[key]["override"]).replace(" ", "") == override
+    if nearest is not None:
+        assert told[key]["nearest"] == nearest
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("env.robot.joint_order=[l01,r01,l02,r02,l03]", "lacks r03"),
+        ("env.robot.joint_order=[l01,l01,r01,l02,r02,l03,r03]", "names l01 more than once"),
+        ("env.robot.joint_order=[l01,r01,l02,r02,l03,r3]", "no joint 'r3'"),
+        ("env.robot.actuators.wheels.joint_names_expr=['.*0[23]$']", "is driven by both"),
+        ("env.robot.asset=nowhere/robot.usda", "there is no file"),
+    ],
+)
+def test_the_robot_section_is_held_against_the_robot(override, words, capsys):
+    assert main(["check", "task=stand", override]) == 2
+    message = capsys.readouterr().err
+    assert override.split("=")[0] in message
+    assert words in message
+    assert f"override {override}" in message
+
+
+def test_every_robot_of_the_stock_configs_is_free_of_mistakes(capsys):
+    for robot in ("article", "explicit", "physical"):
+        assert main(["check", f"robot={robot}"]) == 0, capsys.readouterr().err
+
+
+def test_names_of_an_mjcf_are_breadth_first(tmp_path: Path):
+    file = tmp_path / "robot.xml"
+    file.write_text(
+        '<mujoco><worldbody><geom type="plane"/><body name="lamp"/><body name="root"><freejoint/>'
+        '<body name="l1"><joint name="jl1"/><body name="l2"><joint name="jl2"/></body></body>'
+        '<body name="r1"><joint name="jr1"/></body></body></worldbody></mujoco>'
+    )
+    names = names_in_mjcf(file)
+    assert names.bodies == ["root", "l1", "r1", "l2"]
+    assert names.joints == ["jl1", "jr1", "jl2"]
+
+
+def test_each_expression_of_a_list_is_told():
+    found, errors = match_all(["l1", "x.*", "y"], NAMES.joints, "key", "joint")
+    assert found == []
+    assert [error.message.split("'")[1] for error in errors] == ["x.*", "y"]
+
+
+@pytest.mark.parametrize(("names", "told"), [(["l1", "r1"], 0), (["r1", "l1"], 1), ([".*"], 0), (["l.*", "r1"], 1)])
+def test_a_list_is_out_of_order_only_where_the_robot_changes_it(names, told):
+    action = {"_target_": "wheelleg_exp.mdp.actions.JointPositionAction", "joint_names": names}
+    config = {"env": {"robot": {}, "scene": {}, "actions": {"legs": action}}}
+    assert len(check_robot(config, NAMES)) == told
+    action["preserve_order"] = True
+    assert check_robot(config, NAMES) == []
+
+
+def test_a_sensor_offers_only_the_bodies_that_it_senses():
+    entity = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "feet", "body_names": ["base"]}
+    term = {"_target_": "wheelleg_exp.mdp.rewards.no_contact_count", "weight": 1, "threshold": 1, "sensor_cfg": entity}
+    scene = {"sensors": {"feet": {"_target_": "x", "body_names": ["left", "right"]}}}
+    config = {"env": {"robot": {}, "scene": scene, "rewards": {"air": term}}}
+    (error,) = check_robot(config, NAMES)
+    assert error.key == "env.rewards.air.sensor_cfg.body_names"
+    assert "left, right" in str(error.expected)
+    entity["joint_names"] = ["l1"]
+    assert "has no joints" in check_robot(config, NAMES)[0].message

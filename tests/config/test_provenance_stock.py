@@ -1,0 +1,93 @@
+"""The replay of every stock task holds, leaf by leaf, what Hydra's own compose API makes of the same words."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from omegaconf import OmegaConf, open_dict
+
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.tree import leaves
+from wheelleg_exp.paths import configs_dir
+
+TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
+PRIMARIES = sorted(path.stem for path in configs_dir().glob("*.yaml"))
+
+# One of every kind of override that Hydra has, and how they meet.
+RECIPES = {
+    "leaves": [
+        "env.rewards.alive.weight=-30",
+        "env.rewards.alive.weight=-20",
+        "+env.actions.leg_pos.offset=0.5",
+        "++env.rewards.alive.extra={deep: {er: 1}}",
+        "hydra.verbose=true",
+    ],
+    "lists": ["env.robot.joint_order.1=z", "env.sim.gravity=[0,0,-1]", "recording.env_ids=[]"],
+    "keys with dots and interpolations": [
+        "++env.robot.init_state.joint_pos={left.04: 0.5}",
+        "env.decimation=${seed}",
+        "seed=${env.sim.nthread}",
+    ],
+    "new terms": [
+        "+env.rewards.mine={_target_: wheelleg_exp.mdp.rewards.is_alive, weight: 2}",
+        "+reward@env.rewards=[action_rate,joint_torques]",
+    ],
+    "other lists of terms": ["reward@env.rewards=[terminating,alive]", "action@env.actions=[wheel_vel,leg_pos]"],
+    "no terms": ["event@env.events=[]"],
+    "nulled terms": ["env.events.push_robot=null", "env.rewards.alive=null", "env.rewards.alive={weight: 3}"],
+    "deleted terms and leaves": ["~env.events.push_robot", "~env.rewards.alive.weight", "~env.decimation=2"],
+    "deleted and added": [
+        "~env.rewards.alive",
+        "+env.rewards.alive={_target_: wheelleg_exp.mdp.rewards.is_alive}",
+        *(f"~env.terminations.{name}" for name in ("time_out", "base_contact", "leg_contact", "non_finite_state")),
+    ],
+    "another option and a leaf of it": ["robot=physical", "env.robot.actuators.legs.armature=0.1"],
+    "options that extend others": ["robot=explicit", "sim=fine", "env.decimation=8"],
+    "a removed group": ["~run"],
+}
+
+
+def _of_hydra(primary: str, overrides: list[str]) -> dict:
+    with initialize_config_dir(str(configs_dir()), version_base="1.3"):
+        config = hydra_compose(primary, overrides, return_hydra_config=True)
+    with open_dict(config):
+        del config["hydra"]
+    return OmegaConf.to_container(config, resolve=False)
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+@pytest.mark.parametrize("task", TASKS)
+def test_every_leaf_of_a_task_is_hydras_in_value_and_order(task, recipe):
+    words = [f"task={task}", *RECIPES[recipe]]
+    wanted, replayed = _of_hydra("train", words), compose_raw(words).tree()
+    assert dict(leaves(replayed)) == dict(leaves(wanted))
+    assert _orders(replayed) == _orders(wanted)
+
+
+@pytest.mark.parametrize("primary", PRIMARIES)
+@pytest.mark.parametrize("words", [[], ["seed=9", "recording.env_ids=[1,2]", "+recording.extra=${seed}"]])
+def test_every_leaf_of_a_primary_is_hydras(primary, words):
+    assert compose_raw(words, primary).tree() == _of_hydra(primary, words)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_leaf_stands_at_its_line_with_its_value(task):
+    places = compose_raw([f"task={task}"])
+    assert configs_dir() / "reward" / "alive.yaml" in {source.file for source in places.values()}
+    for path, source in places.items():
+        line = source.file.read_text(encoding="utf-8").splitlines()[source.line - 1]
+        assert path.removesuffix("]").rsplit(".", 1)[-1] in line or f'"{path.rsplit("[", 1)[-1][:-1]}"' in line
+        if "{" not in line and line.split("#")[0].strip()[-1] != ":":
+            assert next(iter(yaml.safe_load(line.strip()).values())) == source.value
+
+
+def compose_raw(words, primary="train"):
+    """Return the provenance alone: some recipes make configs that miss values."""
+    return compose(words, primary=primary).provenance
+
+
+def _orders(node) -> list:
+    """Return the order of keys of every mapping."""
+    return [] if not isinstance(node, dict) else [list(node), *(_orders(child) for child in node.values())]

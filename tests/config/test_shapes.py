@@ -1,0 +1,104 @@
+"""``compose --shapes``: the layout that the built environment has, without simulating."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.shapes import shapes
+from wheelleg_exp.paths import configs_dir
+
+TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
+VARIANTS = {
+    "as it is": [],
+    "no history, and history that is not flattened": [
+        "env.observations.policy.history_length=0",
+        "env.observations.critic.flatten_history_dim=false",
+    ],
+    "terms that are not joined, and others": [
+        "env.observations.policy.concatenate_terms=false",
+        "observation@env.observations.critic.terms=[last_action,base_lin_vel]",
+        "+env.observations.critic.terms.angles={_target_: wheelleg_exp.mdp.observations.joint_pos_sin_cos}",
+        "action@env.actions=[wheel_rel_pos]",
+    ],
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("task", TASKS)
+def test_the_layout_is_that_of_the_built_environments_tensors(task, variant):
+    from wheelleg_exp.build import build_env
+
+    composed = compose([f"task={task}", "env.num_envs=3", *VARIANTS[variant]])
+    found = shapes(composed)
+    env = build_env(composed.config)
+    observations, _ = env.reset()
+    assert list(found.observations) == list(observations)
+    for name, group in found.observations.items():
+        value = observations[name]
+        if isinstance(value, dict):
+            assert group.shape is None
+            assert {term.name: (3, *term.shape) for term in group.terms} == {
+                n: tuple(t.shape) for n, t in value.items()
+            }
+        else:
+            assert group.shape is not None
+            assert (3, *group.shape) == tuple(value.shape)
+            assert [(t.start, t.stop) for t in group.terms] == [
+                (s.start, s.stop) for s in env.observation_manager.term_slices(name).values()
+            ]
+    assert found.actions.shape == (env.action_manager.total_action_dim,)
+    env.action_manager.process_action(env.action_manager.action.new_zeros(3, *found.actions.shape))
+
+
+def test_the_layout_of_the_main_task_by_hand_and_without_a_step(monkeypatch):
+    from wheelleg_exp.sim.simulation import Simulation
+
+    def step(self):
+        raise AssertionError("a physics step")
+
+    monkeypatch.setattr(Simulation, "step", step)
+    found = shapes(compose(["task=stand", "env.num_envs=1000000"]))
+    widths = {name: [(t.name, t.width, t.history) for t in g.terms] for name, g in found.observations.items()}
+    policy = [
+        ("base_ang_vel", 3, 5),
+        ("projected_gravity", 3, 5),
+        ("velocity_commands", 3, 5),
+        ("joint_pos_rel", 6, 5),
+        ("joint_vel_rel", 6, 5),
+        ("last_action", 6, 5),
+    ]
+    assert widths == {"policy": policy, "critic": [*policy, ("base_lin_vel", 3, 5), ("joint_effort", 6, 5)]}
+    assert {name: group.shape for name, group in found.observations.items()} == {"policy": (135,), "critic": (180,)}
+    assert [(t.name, t.width, t.joints) for t in found.actions.terms] == [
+        ("leg_pos", 4, ("l01", "l02", "r01", "r02")),
+        ("wheel_vel", 2, ("l03", "r03")),
+    ]
+
+
+def test_a_joint_that_is_not_there_is_told_with_its_key(capsys):
+    words = ["compose", "--shapes", "env.actions.leg_pos.joint_names=[l01,l09]"]
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "env.actions.leg_pos.joint_names" in told
+    assert "l09" in told
+
+
+def test_the_command_prints_tables_or_json(capsys):
+    assert main(["compose", "--shapes", "task=stand"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["observations.policy:", "135"] in lines
+    assert ["joint_pos_rel", "joint_pos_rel", "6", "5", "30", "45..74"] in lines
+    assert ["wheel_vel", "JointVelocityAction", "2", "4..5", "l03", "r03"] in lines
+    assert main(["compose", "--shapes", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["observations"]["critic"]["shape"] == [180]
+    assert found["actions"]["terms"]["leg_pos"]["width"] == 4
+
+
+def test_shapes_stand_alone(capsys):
+    assert main(["compose", "--shapes", "--provenance"]) == 2
+    assert "--shapes" in capsys.readouterr().err

@@ -1,0 +1,58 @@
+"""A wheel-legged robot as a URDF: a body, two legs with a hip each, a wheel at each leg's end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+BODY, LEG, RADIUS = 2.0, 0.2, 0.06  # kg; m from hip to axle; m
+LOW, HIGH = 0.2, 1.2  # rad, limits of the hips
+
+_LEGS = """
+  <link name="{side}_leg">
+    <inertial><origin xyz="0 0 -0.1"/><mass value="0.3"/>
+      <inertia ixx="0.001" iyy="0.001" izz="0.0002" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0 0 -0.1"/><geometry><box size="0.02 0.02 0.15"/></geometry></collision>
+  </link>
+  <joint name="{side}_hip" type="revolute">
+    <parent link="body"/><child link="{side}_leg"/><origin xyz="0 {y} 0"/><axis xyz="0 1 0"/>
+    <limit lower="{low}" upper="{high}" effort="8" velocity="20"/>
+  </joint>
+  <link name="{side}_wheel">
+    <inertial><mass value="0.2"/><inertia ixx="0.0002" iyy="0.0004" izz="0.0002" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="{radius}" length="0.02"/></geometry>
+    </collision>{inside}
+  </link>
+  <joint name="{side}_axle" type="continuous">
+    <parent link="{side}_leg"/><child link="{side}_wheel"/><origin xyz="0 0 -{leg}"/><axis xyz="0 1 0"/>
+  </joint>
+"""
+
+
+def urdf(folder: Path, inside: str = "", name: str = "two") -> Path:
+    """Write the robot; ``inside`` goes into the wheels' links."""
+    legs = "".join(
+        _LEGS.format(side=side, y=y, low=LOW, high=HIGH, radius=RADIUS, leg=LEG, inside=inside)
+        for side, y in (("l", 0.08), ("r", -0.08))
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.urdf"
+    path.write_text(
+        f'''<?xml version="1.0"?>
+<robot name="{name}">
+  <link name="body">
+    <inertial><mass value="{BODY}"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size="0.2 0.1 0.1"/></geometry></collision>
+  </link>{legs}</robot>
+'''
+    )
+    return path
+
+
+def tetrahedron(path: Path, size: float = 0.05) -> Path:
+    """Write a mesh as an OBJ."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    corners = "".join(
+        f"v {x * size} {y * size} {z * size}\n" for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
+    )
+    path.write_text(f"{corners}f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    return path

@@ -1,0 +1,124 @@
+"""Copying a robot's file: the copy converts to the same model, wherever the source keeps its parts."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+from asset.corpus import ABSENT, corpus_folder, expectations
+
+from project.robots import tetrahedron, urdf
+from wheelleg_exp.asset import convert
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.paths import assets_dir
+from wheelleg_exp.project.files import copy_robot
+
+
+def model(source: Path, folder: Path) -> dict[str, bytes]:
+    """Everything that a robot's conversion writes."""
+    convert(source, folder / "m" / "model.xml")
+    files = {path.name: path.read_bytes() for path in (folder / "m").rglob("*") if path.is_file()}
+    # The comment on top tells where layers lay.
+    return {**files, "model.xml": re.sub(rb"^<!--.*?-->", b"", files["model.xml"], flags=re.DOTALL)}
+
+
+def moved(copy: Path, to: Path) -> Path:
+    """The copy at a place from which nothing near the source can be found."""
+    to.mkdir(parents=True)
+    copy.parent.rename(to / "robot")
+    return to / "robot" / copy.name
+
+
+def visual(name: str) -> str:
+    return f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+
+
+def test_a_usd_keeps_its_layers_in_their_places(tmp_path):
+    source = assets_dir() / "wheelleg" / "wheelleg.usda"
+    copy = copy_robot(source, tmp_path / "copy")
+    there = {path.relative_to(source.parent): path.read_bytes() for path in source.parent.rglob("*.usd*")}
+    assert {p.relative_to(copy.parent): p.read_bytes() for p in copy.parent.rglob("*") if p.is_file()} == there
+
+
+def test_a_usd_that_reaches_out_of_its_folder_is_made_whole(tmp_path):
+    source = tmp_path / "robots" / "top" / "robot.usda"
+    source.parent.mkdir(parents=True)
+    base = copy_robot(assets_dir() / "wheelleg" / "wheelleg.usda", tmp_path / "robots" / "shared")
+    source.write_text(f"#usda 1.0\n(\n    subLayers = [@{os.path.relpath(base, source.parent)}@]\n)\n")
+    wanted = model(source, tmp_path / "a")
+    copy = copy_robot(source, tmp_path / "project" / "copy")
+    base.parent.rename(tmp_path / "gone")
+    assert model(moved(copy, tmp_path / "elsewhere"), tmp_path / "b") == wanted
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mesh.obj",
+        "meshes/deep/mesh.obj",
+        "package://two_description/meshes/mesh.obj",
+        "../shared/mesh.obj",
+        "file://{}",
+    ],
+)
+def test_a_urdf_finds_its_meshes_from_the_copy(name, tmp_path):
+    home = tmp_path / "two_description"
+    places = {
+        "mesh.obj": "mesh.obj",
+        "meshes/deep/mesh.obj": "meshes/deep/mesh.obj",
+        "../shared/mesh.obj": "../shared/mesh.obj",
+    }
+    mesh = tetrahedron(home / places.get(name, "meshes/mesh.obj"))
+    source = urdf(home, visual(name.format(mesh.resolve())))
+    wanted = model(source, tmp_path / "a")
+    assert any(file.endswith(".obj") for file in wanted)
+    copy = copy_robot(source, tmp_path / "project" / "copy")
+    home.rename(tmp_path / "gone")
+    mesh.unlink(missing_ok=True)
+    copy = moved(copy, tmp_path / "elsewhere" / "far" / "away" / "from" / "all" / "of" / "it")
+    assert set(model(copy, tmp_path / "b").values()) == set(wanted.values())
+
+
+def test_a_urdf_that_names_what_lies_beside_it_stays_the_same_to_the_byte(tmp_path):
+    tetrahedron(tmp_path / "home" / "mesh.obj")
+    source = urdf(tmp_path / "home", visual("mesh.obj"))
+    assert copy_robot(source, tmp_path / "copy").read_bytes() == source.read_bytes()
+
+
+def test_meshes_of_the_same_name_stay_two(tmp_path):
+    home = tmp_path / "home"
+    tetrahedron(tmp_path / "a" / "mesh.obj", 0.05)
+    tetrahedron(tmp_path / "b" / "mesh.obj", 0.01)
+    source = urdf(home, visual("../a/mesh.obj") + visual("../b/mesh.obj"))
+    copy = copy_robot(source, tmp_path / "copy")
+    names = {p.name for p in (copy.parent / "meshes").iterdir()}
+    assert names == {"mesh.obj", "mesh_2.obj"}
+    text = copy.read_text()
+    assert text.count('"meshes/mesh.obj"') == text.count('"meshes/mesh_2.obj"') == 2
+
+
+def test_a_mesh_that_is_missing_is_missing_in_the_copy_too(tmp_path):
+    source = urdf(tmp_path / "home", visual("nowhere.stl"))
+    assert copy_robot(source, tmp_path / "copy").read_bytes() == source.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["robot.stl", "robot.urdf.xacro"])
+def test_another_format_is_refused(name, tmp_path):
+    (tmp_path / name).write_text("no robot")
+    with pytest.raises(WheellegError):
+        copy_robot(tmp_path / name, tmp_path / "copy")
+
+
+def test_a_copy_of_each_of_the_corpus_is_the_same_robot(request, tmp_path):
+    folder = corpus_folder(request.config.getoption("--corpus"))
+    if folder is None:
+        pytest.skip(ABSENT)
+    named = {"upkie", "wf_tron2a_isaac", "wf_tron2a_urdf", "wf_tron1a_isaac"}
+    chosen = [item for item in expectations(folder) if Path(item["asset"]).parts[1] in named]
+    assert len(chosen) == len(named)
+    for number, item in enumerate(chosen):
+        wanted = model(folder / item["asset"], tmp_path / f"{number}a")
+        copy = moved(copy_robot(folder / item["asset"], tmp_path / "copy"), tmp_path / f"{number}far")
+        assert model(copy, tmp_path / f"{number}b") == wanted, item["asset"]

@@ -1,0 +1,42 @@
+"""Which names a project may have, and what is proposed instead of a bad one."""
+
+from __future__ import annotations
+
+import pytest
+
+from wheelleg_exp.project.names import NameTaken, require_name
+
+
+@pytest.mark.parametrize("name", ["myrobot", "my_robot", "Diablo2", "r2d2"])
+def test_good_names(name):
+    require_name(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "because", "nearest"),
+    [
+        ("my-robot", "no name of a Python package", "my_robot"),
+        ("my robot!", "no name of a Python package", "my_robot"),
+        ("2wheels", "no name of a Python package", "robot_2wheels"),
+        ("_robot", "no name of a Python package", "robot"),
+        ("robot_", "no name of a Python package", "robot"),
+        ("röbot", "no name of a Python package", "r_bot"),
+        ("", "no name of a Python package", "my_robot"),
+        ("..", "no name of a Python package", "my_robot"),
+        ("class", "no name of a Python package", "class_robot"),
+        ("test", "something else in a project", "test_robot"),
+        ("configs", "something else in a project", "configs_robot"),
+        ("stand", "a stock config, task/stand", "stand_robot"),
+        ("article", "a stock config, robot/article", "article_robot"),
+        ("torch", "there already", "torch_robot"),
+        ("wheelleg_exp", "there already", "wheelleg_exp_robot"),
+        ("json", "there already", "json_robot"),
+        ("null", "a value in YAML", "null_robot"),
+        ("yes", "a value in YAML", "yes_robot"),
+    ],
+)
+def test_bad_names_are_told_with_the_nearest_good_one(name, because, nearest):
+    with pytest.raises(NameTaken, match=because) as caught:
+        require_name(name)
+    assert caught.value.nearest == nearest
+    require_name(nearest)

@@ -1,0 +1,136 @@
+"""What a project's YAML says of a robot, held against the robot's own numbers."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+import yaml
+
+from project.robots import HIGH, LEG, LOW, RADIUS, urdf
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.errors import AssetError
+from wheelleg_exp.project.drives import leg_gains, wheel_gains
+from wheelleg_exp.project.robot_yaml import robot_yaml, spawn_height
+from wheelleg_exp.project.survey import survey
+from wheelleg_exp.project.task_yaml import config_files
+from wheelleg_exp.project.text import names, number
+
+
+def surveyed(source):
+    return survey(source, compose(["task=stand"]).config["env"], {})
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    return surveyed(urdf(tmp_path_factory.mktemp("two")))
+
+
+def test_wheels_are_the_unlimited_hinges_and_legs_the_others(two):
+    assert two.legs == ["l_hip", "r_hip"]
+    assert two.wheels == ["l_axle", "r_axle"]
+    assert two.wheel_bodies == ["l_wheel", "r_wheel"]
+    assert two.raised_bodies == ["body", "l_leg", "r_leg"]
+    assert two.radius == pytest.approx(RADIUS)
+
+
+def test_a_robot_without_wheels_gets_a_task_without_them(tmp_path):
+    """Ankles instead of axles: hinges with limits, however round what they turn."""
+    path = urdf(tmp_path)
+    ankle = 'type="revolute"><limit lower="-1" upper="1" effort="8" velocity="20"/>'
+    path.write_text(path.read_text().replace('type="continuous">', ankle))
+    found = surveyed(path)
+    assert found.wheels == found.wheel_bodies == []
+    assert found.legs == ["l_hip", "r_hip", "l_axle", "r_axle"]
+    assert found.raised_bodies == ["body", "l_leg", "r_leg"]  # what stands on the ground may touch it
+    files = config_files("mine", found)
+    assert not [text for text in files.values() if "wheel_air" in text or "mine_wheels" in text]
+
+
+def test_a_default_position_lies_inside_the_limits_when_0_does_not(two):
+    assert two.positions["l_axle"] == 0.0
+    for hip in ("l_hip", "r_hip"):
+        assert two.positions[hip] == pytest.approx(LOW + 0.25 * (HIGH - LOW))
+
+
+def test_the_lowest_collider_touches_the_ground(two):
+    touching = LEG * math.cos(two.positions["l_hip"]) + RADIUS
+    assert two.facts.standing_height == pytest.approx(touching, abs=1e-6)
+    assert 0.0 <= spawn_height(two) - touching < 1.0001e-4
+
+
+def test_limits_are_the_files_and_missing_gains_follow_from_inertias(two):
+    gains = leg_gains(two)
+    assert gains.effort == {"l_hip": 8.0, "r_hip": 8.0}
+    assert gains.velocity == {"l_hip": 20.0, "r_hip": 20.0}
+    assert gains.given == ["effort", "velocity"]
+    joint = two.facts.joints["l_hip"]
+    kp, kd = gains.stiffness["l_hip"], gains.damping["l_hip"]
+    assert kp >= 0.95 * abs(joint.hold) / 0.05  # the weight bends it by 0.05 rad, up to the rounding
+    assert kd / (2 * math.sqrt(kp * joint.effective)) == pytest.approx(0.7, rel=0.1)
+
+
+def test_wheels_follow_speeds_and_are_about_as_strong_as_their_traction(two):
+    gains = wheel_gains(two)
+    assert set(gains.stiffness.values()) == {0.0}
+    slip = two.facts.friction * two.facts.weight / 2 * RADIUS
+    assert gains.effort["l_axle"] == pytest.approx(1.5 * slip, rel=0.1)
+    assert gains.given == []
+
+
+def test_gains_of_drives_in_the_file_are_kept():
+    from wheelleg_exp.paths import assets_dir
+
+    stock = compose(["task=stand"]).config["env"]["robot"]
+    found = survey(
+        assets_dir() / stock["asset"], compose(["task=stand"]).config["env"], stock["init_state"]["joint_pos"]
+    )
+    text = yaml.safe_load(robot_yaml("mine", "mine/wheelleg.usda", found))
+    for group in ("legs", "wheels"):
+        for key in ("stiffness", "damping", "effort_limit", "velocity_limit"):
+            assert text["actuators"][group][key] == pytest.approx(stock["actuators"][group][key]), key
+    assert text["init_state"]["joint_pos"] == {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885}
+    assert text["init_state"]["pos"][2] == pytest.approx(0.070, abs=2e-4)  # docs/robot.md: stands 70 mm high
+
+
+def test_every_file_is_yaml_with_a_comment_on_top(two):
+    for file, text in {
+        **config_files("mine", two),
+        "robot/mine.yaml": robot_yaml("mine", "mine/two.urdf", two),
+    }.items():
+        assert text.startswith("#"), file
+        assert yaml.safe_load(text)
+        assert all(line == line.rstrip() for line in text.splitlines()), file
+
+
+@pytest.mark.parametrize(
+    ("without", "said"),
+    [
+        ("joint", "no joints"),
+        ("collision", "no shape of the robot collides"),
+    ],
+)
+def test_a_robot_that_cannot_stand_makes_no_project(without, said, tmp_path):
+    path = urdf(tmp_path)
+    text = re.sub(rf"<{without}\b.*?</{without}>", "", path.read_text(), flags=re.DOTALL)
+    if without == "joint":  # one link, since a robot has one root
+        text = text[: text.index('<link name="l_leg"')] + "</robot>"
+    path.write_text(text)
+    with pytest.raises(AssetError, match=said):
+        surveyed(path)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.25, "0.25"), (1.0, "1.0"), (-5100, "-5100.0"), (1e-5, "1.0e-05"), (2.5e-7, "2.5e-07"), (0, "0.0")],
+)
+def test_numbers_are_floats_to_yaml(value, text):
+    assert number(value) == text
+    assert yaml.safe_load(f"[{text}]") == [pytest.approx(value)]
+
+
+def test_odd_names_survive_yaml_and_match_themselves_alone():
+    odd = ["a.b", "on", "knee:L", "hip (left)", "x[1]", "-", "1", "plain_name"]
+    for name, read in zip(odd, yaml.safe_load(names(odd, 4)), strict=True):
+        assert [other for other in [*odd, "aXb"] if re.fullmatch(read, other)] == [name]

@@ -1,0 +1,91 @@
+"""``wheelleg check``: every mistake in a config, and with ``--physics`` what an expert would say of its numbers."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json, print_table
+from wheelleg_exp.config.compose import Composed
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.physics.findings import Finding
+    from wheelleg_exp.physics.report import PhysicsReport
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    add_overrides(parser)
+    parser.add_argument("--physics", action="store_true", help="look at the numbers as well; exit 1 with findings")
+    parser.add_argument("--list", action="store_true", help="list the rules of --physics, and check nothing")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the mistakes, or the findings; 0 without either, 1 with findings, 2 with mistakes."""
+    if args.list:
+        return _list(as_json=args.json)
+    from wheelleg_exp.config.collect import find_mistakes
+    from wheelleg_exp.config.problems import document, raise_all
+
+    composed, mistakes = find_mistakes(args.overrides, config_dirs=args.config_dirs)
+    if mistakes:
+        if not args.json:
+            raise_all(mistakes)
+        print_json({"mistakes": [document(error) for error in mistakes]})
+        return EXIT_INPUT
+    assert composed is not None
+    if args.physics:
+        return _physics(composed, as_json=args.json)
+    if args.json:
+        print_json({"mistakes": []})
+    else:
+        print(f"no mistakes in the task '{composed.config['task']['name']}'")
+    return EXIT_OK
+
+
+def _physics(composed: Composed, *, as_json: bool) -> int:
+    from wheelleg_exp.physics.report import examine
+
+    report = examine(composed)
+    if as_json:
+        print_json({"mistakes": [], **report.document()})
+    else:
+        _show(report)
+    return EXIT_FINDING if report.open else EXIT_OK
+
+
+def _show(report: PhysicsReport) -> None:
+    _section("Robot", ("robot", "", ""), report.facts_table())
+    columns = ("reward", "weight", "at a tolerance of", "per step", "per episode", "share")
+    _section("Rewards", columns, report.rewards_table())
+    _section("Findings", ("finding", "key", "place", "what", "hint"), [(*_cells(f), f.hint) for f in report.open])
+    silenced = [(*_cells(finding), report.reasons[finding.rule]) for finding in report.silenced]
+    _section("Silenced", ("silenced", "key", "place", "what", "because"), silenced)
+    for name in report.unused:
+        print(f"note: check.silence.{name} silences nothing here")
+    count = len(report.open)
+    print(f"{count} finding{'' if count == 1 else 's'}, {len(report.silenced)} silenced")
+
+
+def _section(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    if rows:
+        print_table(columns, rows, title=title)
+        print()
+
+
+def _cells(finding: Finding) -> tuple[str, str, str, str]:
+    return finding.rule, finding.key, finding.where or "", finding.message
+
+
+def _list(*, as_json: bool) -> int:
+    from wheelleg_exp.physics.rules import RULES
+
+    rows: list[dict[str, Any]] = [{"rule": name, "what": rule.summary} for name, rule in RULES.items()]
+    if as_json:
+        print_json(rows)
+    else:
+        print_table(("rule", "what it finds"), [list(row.values()) for row in rows])
+    return EXIT_OK

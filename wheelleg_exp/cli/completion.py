@@ -1,0 +1,189 @@
+"""``wheelleg completion SHELL``: a script that makes the shell complete commands, options, keys and values."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from importlib import import_module
+from pathlib import Path
+
+from wheelleg_exp.cli.common import Parser
+from wheelleg_exp.errors import EXIT_OK, WheellegError
+from wheelleg_exp.projects import with_current
+
+# The shell hands over the line up to the cursor; bash also the letters at which it breaks words.
+LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
+_QUERY = "query"
+
+BASH = f"""\
+# wheelleg: completion for bash. To have it in every shell:
+#   wheelleg completion bash > ~/.local/share/bash-completion/completions/wheelleg
+_wheelleg_complete() {{
+    local found
+    COMPREPLY=()
+    while IFS= read -r found; do
+        COMPREPLY+=("$found")
+    done < <({LINE}="${{COMP_LINE:0:COMP_POINT}}" {BREAKS}="$COMP_WORDBREAKS" "$1" completion {_QUERY} 2>/dev/null)
+}}
+complete -o nospace -F _wheelleg_complete wheelleg
+"""
+
+ZSH = f"""\
+#compdef wheelleg
+# wheelleg: completion for zsh. To have it in every shell: wheelleg completion zsh > "${{fpath[1]}}/_wheelleg"
+_wheelleg_complete() {{
+    local -a found
+    found=("${{(@f)$({LINE}="$LBUFFER" "${{words[1]}}" completion {_QUERY} 2>/dev/null)}}")
+    [[ -n "${{found[1]}}" ]] && compadd -S '' -- "${{found[@]}}"
+}}
+# As a file of fpath this text is the function itself; its first call must complete as well.
+if [[ "${{funcstack[1]}}" == _wheelleg ]]; then _wheelleg_complete; else compdef _wheelleg_complete wheelleg; fi
+"""
+
+FISH = f"""\
+# wheelleg: completion for fish. To have it in every shell:
+#   wheelleg completion fish > ~/.config/fish/completions/wheelleg.fish
+complete -c wheelleg -f -a '({LINE}=(commandline -cp | string collect) wheelleg completion {_QUERY} 2>/dev/null)'
+"""
+
+SCRIPTS = {"bash": BASH, "zsh": ZSH, "fish": FISH}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("shell", choices=[*SCRIPTS, _QUERY], metavar="{" + ",".join(SCRIPTS) + "}", help="the shell")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the shell's script, or answer one that asks."""
+    if args.shell != _QUERY:
+        print(SCRIPTS[args.shell], end="")
+        return EXIT_OK
+    for candidate in answer(os.environ.get(LINE, ""), os.environ.get(BREAKS)):
+        print(candidate)
+    return EXIT_OK
+
+
+def answer(line: str, breaks: str | None = None) -> list[str]:
+    """Return the candidates for the last word of a line.
+
+    Args:
+        line: the command line up to the cursor.
+        breaks: of bash, the letters at which it breaks words: it wants only what comes after the last of them,
+            and a space after a candidate that is complete.
+    """
+    words, word, quote = split(line)
+    try:
+        found = [c for c in candidates(words, word) if c.startswith(word)]
+    except WheellegError:
+        found = []
+    if breaks is None:
+        return found
+    start = 0 if quote else max((word.rfind(letter) + 1 for letter in breaks if not letter.isspace()), default=0)
+    return [c[start:] + ("" if c.endswith((".", "=", "/", ",", "[")) or quote else " ") for c in found]
+
+
+def split(line: str) -> tuple[list[str], str, str]:
+    """Return the words before the last one, the last one (empty after a space), and the quote it stands in."""
+    for quote in ("", "'", '"'):
+        try:
+            words = shlex.split(line + quote)
+        except ValueError:
+            continue
+        if not quote and (not line or line[-1].isspace()):
+            return words, "", ""
+        return words[:-1], words[-1] if words else "", quote
+    return [], "", ""
+
+
+def candidates(words: list[str], word: str) -> list[str]:
+    """Return what may stand in place of ``word`` after ``words``, the first of which is the program."""
+    from wheelleg_exp.cli.main import COMMANDS
+
+    rest = [w for w in words[1:] if w != "--debug"]
+    if not rest:
+        return ["--help", "--version", "--debug"] if word.startswith("-") else list(COMMANDS)
+    command = COMMANDS.get(rest[0])
+    if command is None:
+        return []
+    parser = Parser(prog=rest[0])
+    import_module(f"wheelleg_exp.cli.{command.module}").configure(parser)
+    return _arguments(parser, rest[1:], word)
+
+
+def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> list[str]:
+    options = {text: action for action in parser._actions for text in action.option_strings}
+    positionals = [action for action in parser._actions if not action.option_strings]
+    given: dict[str, list[str]] = {}
+    position, waiting = 0, None
+    for text in words:
+        if waiting is not None:
+            given.setdefault(waiting.dest, []).append(text)
+            waiting = None
+        elif text in options:
+            waiting = options[text] if options[text].nargs != 0 else None
+        elif not text.startswith("-") and position < len(positionals):
+            given.setdefault(positionals[position].dest, []).append(text)
+            position += positionals[position].nargs != "*"
+    if waiting is None and word.startswith("-"):
+        return list(options)
+    action = waiting or (positionals[position] if position < len(positionals) else None)
+    return [] if action is None else _of(action, word, given)
+
+
+def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list[str]:
+    """Return the candidates of one argument, by what its help calls it."""
+    name = str(action.metavar or action.dest)
+    before = given.get("overrides", [])
+    folders = with_current([Path(text) for text in given.get("config_dirs", [])])
+    primary = given.get("primary", ["train"])[-1]
+    if name.startswith("{"):
+        return name.strip("{}").split(",")
+    if action.choices is not None:
+        return [str(choice) for choice in action.choices]
+    if name in ("OVERRIDE", "KEY"):
+        from wheelleg_exp.config import candidates as config
+
+        return (config.overrides if name == "OVERRIDE" else config.keys)(word, before, folders, primary)
+    if name in ("RUN", "A", "B"):
+        root = Path(given.get("root", ["runs"])[-1])
+        return [*(_tasks(folders) if name != "RUN" else []), *_runs(root), *_files(word)]
+    if name == "GROUP":
+        from wheelleg_exp.config import catalog
+
+        return catalog.groups(folders)
+    if action.dest == "primary":
+        return _primaries()
+    return _files(word) if isinstance(action.type, type) and issubclass(action.type, Path) else []
+
+
+def _tasks(folders: list[Path]) -> list[str]:
+    from wheelleg_exp.config import catalog
+
+    return [entry.name for entry in catalog.tasks(folders)]
+
+
+def _runs(root: Path) -> list[str]:
+    from wheelleg_exp.run.directory import LATEST, run_folders
+
+    return [LATEST, *(folder.name for folder in run_folders(root))]
+
+
+def _primaries() -> list[str]:
+    from wheelleg_exp.paths import configs_dir
+
+    return sorted(path.stem for path in configs_dir().glob("*.yaml"))
+
+
+def _files(word: str) -> list[str]:
+    """Return files and folders whose path begins with ``word``."""
+    folder, _, start = word.rpartition("/")
+    place = Path(f"{folder}/" if folder or word.startswith("/") else ".").expanduser()
+    try:
+        found = sorted(place.iterdir())
+    except OSError:
+        return []
+    lead = word[: len(word) - len(start)]
+    shown = [path for path in found if path.name.startswith(start) and (start or not path.name.startswith("."))]
+    return [f"{lead}{path.name}{'/' if path.is_dir() else ''}" for path in shown]

@@ -1,0 +1,102 @@
+"""``wheelleg diff A B``: two runs, tasks or lists of overrides, compared by meaning."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.cli.common import add_config_dir, add_json, print_json, print_table
+from wheelleg_exp.cli.words import shown
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.config.difference import Change, Difference, Side
+
+_SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
+_WIDEST = 44  # letters of a value before it is cut
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("a", metavar="A", help=_SIDE)
+    parser.add_argument("b", metavar="B", help="the same")
+    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_config_dir(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the differences; exit status 0 for equal, 1 for different."""
+    from wheelleg_exp.config.difference import compare
+    from wheelleg_exp.jobs.sides import load_sides
+
+    a, b = load_sides(args.a, args.b, args.root, args.config_dirs)
+    difference = compare(a, b)
+    if args.json:
+        print_json(_document(a, b, difference))
+    else:
+        _print(a, b, difference)
+    return EXIT_FINDING if difference else EXIT_OK
+
+
+def _document(a: Side, b: Side, difference: Difference) -> dict[str, Any]:
+    return {
+        "a": a.label,
+        "b": b.label,
+        "equal": not difference,
+        "terms": [asdict(change) for change in difference.terms],
+        "parameters": [asdict(change) for change in difference.parameters],
+        "facts": [asdict(change) for change in difference.facts],
+        "facts_compared": [section for section in a.facts if section in b.facts],
+    }
+
+
+def _print(a: Side, b: Side, difference: Difference) -> None:
+    print(f"A: {a.label}\nB: {b.label}")
+    if not difference:
+        print("equal by meaning")
+        return
+    if difference.terms:
+        rows = [_row(change) for change in difference.terms]
+        _titled("terms", ("", "term", "A", "B", "A set by", "B set by", "note"), rows)
+    if difference.parameters:
+        rows = [_row(change)[:-1] for change in difference.parameters]
+        _titled("parameters", ("", "key", "A", "B", "A set by", "B set by"), rows)
+    for section in dict.fromkeys(change.section for change in difference.facts):
+        facts = [(f.name, _cut(f.a), _cut(f.b)) for f in difference.facts if f.section == section]
+        _titled(section, ("", "A", "B"), facts)
+
+
+def _titled(title: str, columns: tuple[str, ...], rows: list[Any]) -> None:
+    print(f"\n{title}")
+    print_table(columns, rows)
+
+
+def _row(change: Change) -> tuple[str, ...]:
+    first = "-" if change.kind == "added" else _brief(change.a)
+    second = "-" if change.kind == "removed" else _brief(change.b)
+    return (
+        change.kind,
+        change.path,
+        first,
+        second,
+        change.where_a or "-",
+        change.where_b or "-",
+        change.note,
+    )
+
+
+def _brief(value: Any) -> str:
+    """Return a value on one line; of a term its target's name and its weight or mode."""
+    if isinstance(value, Mapping) and "_target_" in value:
+        told = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
+        return " ".join([str(value["_target_"]).rsplit(".", 1)[-1], *told])
+    return _cut(value)
+
+
+def _cut(value: Any) -> str:
+    text = shown(value)
+    return text if len(text) <= _WIDEST else text[: _WIDEST - 1] + "…"

@@ -1,0 +1,179 @@
+"""``wheelleg explain KEY``: what a key holds, who set it, what it means, what else could stand there."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.cli.words import shown, source_document
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.explanation import Explanation, explain_key
+from wheelleg_exp.config.mounts import Mount
+from wheelleg_exp.config.provenance import Source
+from wheelleg_exp.errors import EXIT_OK
+
+_SHOWN = 24  # values or keys of a list before the rest is only counted
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("key", metavar="KEY", help="a key, set or not (env.sim.dt), or a group (robot)")
+    add_overrides(parser)
+    add_json(parser)
+    parser.add_argument("--primary", default="train", metavar="NAME", help="the primary config (default: train)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Explain the key."""
+    composed = compose(args.overrides, primary=args.primary, config_dirs=args.config_dirs)
+    explained = explain_key(composed, args.key)
+    if args.json:
+        print_json(document(explained))
+    else:
+        for line in text(explained):
+            print(line)
+    return EXIT_OK
+
+
+def text(explained: Explanation) -> Iterator[str]:
+    """Yield the lines for a terminal."""
+    yield _headline(explained)
+    if not explained.is_read:
+        yield "  warning     nothing reads this key"
+    if explained.unit:
+        yield f"  unit        {explained.unit}"
+    for note in explained.meanings:
+        label = "meaning" if note.about == "key" else "term"
+        yield f"  {label:<11} {note.text}  [{note.where}]"
+    yield from _allowed(explained)
+    yield from _references(explained)
+    yield from _sources(explained)
+    yield from _children(explained)
+    if explained.mount is not None:
+        yield from _mount(explained, explained.mount)
+
+
+def _headline(explained: Explanation) -> str:
+    if explained.kind == "removed":
+        return f"{explained.key}: removed by {explained.sources[-1].where}"
+    if explained.kind == "not selected":
+        return f"{explained.key}: a term that is not selected"
+    if explained.kind == "not set":
+        held = f"default {shown(explained.value)}" if explained.has_value else "it has no default"
+        return f"{explained.key}: not set; {held}"
+    if explained.kind == "group":
+        return f"{explained.key}: a group"
+    if explained.kind in ("term", "section") and isinstance(explained.value, Mapping):
+        return f"{explained.key}: a {explained.kind}"
+    return f"{explained.key} = {shown(explained.value)}"
+
+
+def _allowed(explained: Explanation) -> Iterator[str]:
+    other = explained.alternatives
+    if explained.kind in ("term", "section"):
+        if other.keys:
+            yield "  not set     " + _cut([f"{name}={shown(default)}" for name, default in other.keys])
+        return
+    if other.type and not (other.values and other.type.startswith("one of ")):
+        yield "  type        " + ", ".join([other.type, *other.limits])
+    if other.values:
+        yield "  values      " + _cut([shown(value) for value in other.values])
+    if other.has_default and explained.kind == "value":
+        yield f"  default     {shown(other.default)}"
+
+
+def _references(explained: Explanation) -> Iterator[str]:
+    if explained.raw is not None:
+        yield f"  written     {shown(explained.raw)}"
+    for reference in explained.references:
+        written = f", written {shown(reference.raw)}" if reference.raw is not None else ""
+        yield f"  refers to   {reference.path} = {shown(reference.value)}{written}  ({reference.where})"
+
+
+def _sources(explained: Explanation) -> Iterator[str]:
+    if not explained.sources:
+        return
+    yield "  set by, the last in force:" if explained.kind != "removed" else "  set by, then removed:"
+    width = max(len(source.where) for source in explained.sources)
+    for source in explained.sources:
+        other = f"  ({source.path})" if source.path != explained.key else ""
+        yield f"    {source.where:<{width}}  {_value_of(source, explained)}{other}"
+
+
+def _value_of(source: Source, explained: Explanation) -> str:
+    last = source is explained.sources[-1]
+    return "removed" if explained.kind == "removed" and last else shown(source.value)
+
+
+def _children(explained: Explanation) -> Iterator[str]:
+    for name, node in explained.children:
+        inner = node.get("_target_", "{...}") if isinstance(node, Mapping) else shown(node)
+        yield f"    {name}: {'removed' if node is None and explained.key.startswith('env.') else inner}"
+
+
+def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:
+    if explained.option is not None:
+        chosen = "brings it" if explained.option in mount.selected else "does not select it"
+        yield f"  group       {mount.name} {chosen}, as option '{explained.option}'"
+    else:
+        yield f"  group       {mount.name}, with {', '.join(mount.selected) or 'nothing'} selected"
+    for choice in mount.choices:
+        yield f"    {choice.where}  {shown(choice.value)}"
+    others = [option for option in mount.options if option not in mount.selected]
+    if others:
+        yield "  options     " + _cut(others) + " could be selected as well"
+    if others or mount.several:
+        yield "  write       " + "  or  ".join(_forms(mount, explained.option, others))
+
+
+def _forms(mount: Mount, option: str | None, others: list[str]) -> list[str]:
+    """Return overrides that would change the selection."""
+    other = option if option in others else (others[0] if others else "<option>")
+    if not mount.several:
+        return [f"{mount.name}={other}"]
+    forms = [f"+{mount.name}={other}"]
+    if option is not None and option in mount.selected:
+        forms = [f"~{mount.package}.{option}"]
+    kept = [name for name in mount.selected if name != option]
+    return [*forms, f"{mount.name}=[{','.join([*kept[:2], '...'])}]"]
+
+
+def _cut(values: list[str]) -> str:
+    more = f" and {len(values) - _SHOWN} more" if len(values) > _SHOWN else ""
+    return ", ".join(values[:_SHOWN]) + more
+
+
+def document(explained: Explanation) -> dict[str, Any]:
+    """Return the JSON document."""
+    other, mount = explained.alternatives, explained.mount
+    return {
+        "key": explained.key,
+        "kind": explained.kind,
+        "read": explained.is_read,
+        "value": explained.value,
+        "raw": explained.raw,
+        "unit": explained.unit,
+        "meaning": [{"text": note.text, "where": note.where, "about": note.about} for note in explained.meanings],
+        "sources": [source_document(source) for source in explained.sources],
+        "references": [vars(reference) for reference in explained.references],
+        "type": other.type or None,
+        "limits": list(other.limits),
+        "values": list(other.values),
+        "default": other.default if other.has_default else None,
+        "required": not other.has_default if other.type else None,
+        "not_set": dict(other.keys),
+        "group": None if mount is None else _mount_document(mount, explained.option),
+    }
+
+
+def _mount_document(mount: Mount, option: str | None) -> dict[str, Any]:
+    return {
+        "name": mount.name,
+        "package": mount.package,
+        "option": option,
+        "selected": list(mount.selected),
+        "options": list(mount.options),
+        "choices": [vars(choice) for choice in mount.choices],
+    }

@@ -1,0 +1,51 @@
+"""``wheelleg new NAME``: a project of the user's own, with a robot, a task, a term and a test."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.errors import EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.project.create import Created
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("place", metavar="NAME", type=Path, help="the project's name, or a new folder that ends in it")
+    parser.add_argument("--robot", metavar="FILE", type=Path, help="a USD or URDF robot; by default the stock one")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the project, and say what was made and what comes next.
+
+    Raises:
+        WheellegError: the name, the place or the robot's file is not good; nothing has been made.
+    """
+    from wheelleg_exp.jobs.stop import StopRequest
+
+    with StopRequest() as stop:  # the USD library swallows an interrupt of its import
+        from wheelleg_exp.project.create import create
+    stop.check()
+    _show(create(args.place, args.robot))
+    return EXIT_OK
+
+
+def _show(made: Created) -> None:
+    robot, facts = made.robot, made.robot.facts
+    shown = os.path.relpath(made.path)
+    print(f"made {shown}: {len(made.files)} files")
+    print(f"  robot: {facts.mass:.4g} kg, {1e3 * facts.standing_height:.4g} mm high in its default pose")
+    print(f"  legs: {', '.join(robot.legs) or 'none'}")
+    print(f"  wheels: {', '.join(robot.wheels) or 'none'}")
+    for note in robot.notes:
+        print(f"  note: {note}")
+    name = made.name
+    print(f"next: cd {shown}")
+    print(f"      wheelleg check --physics task={name}")
+    print(f"      wheelleg train task={name} env.num_envs=64 agent.max_iterations=5")
+    print(f"      python -m pytest              # {name} and its test")
+    print("      README.md tells more; nothing has to be installed")

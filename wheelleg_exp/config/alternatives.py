@@ -1,0 +1,139 @@
+"""What else could stand at a key: the type, the default, the bounds and, where they can be counted, the values."""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import re
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from wheelleg_exp.config import known, schema
+from wheelleg_exp.config.tree import Keys
+from wheelleg_exp.config.values import describe
+from wheelleg_exp.terms import TARGET
+
+_LIMITS = {"minimum": "at least {}", "above": "more than {}", "maximum": "at most {}"}
+# Parameters that name a term of a section.
+_TERM_NAMES = {"command_name": "commands", "action_name": "actions"}
+# Words of rsl_rl, and the function of its utils whose complaint lists them.
+_RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """What else could stand at a key.
+
+    Attributes:
+        type: the type in words; empty when anything fits.
+        limits: the bounds in words.
+        values: the values, where they can be counted.
+        has_default: whether the key may be left out.
+        default: what then holds.
+        keys: keys that may stand below it and are not set, with their defaults.
+    """
+
+    type: str = ""
+    limits: tuple[str, ...] = ()
+    values: tuple[Any, ...] = ()
+    has_default: bool = False
+    default: Any = None
+    keys: tuple[tuple[str, Any], ...] = ()
+
+
+def alternatives(tree: Mapping[str, Any], keys: Keys, slot: known.Slot | None) -> Alternatives:
+    """Return what else could stand at ``keys``."""
+    node = known.at(tree, keys)
+    below = known.slots(tree, keys) if isinstance(node, Mapping) else {}
+    absent = tuple(
+        (n, _plain(s.default)) for n, s in below.items() if n not in node and s.default is not known.REQUIRED
+    )
+    if slot is None:
+        return Alternatives(keys=absent)
+    return Alternatives(
+        "" if slot.annotation is Any else describe(slot.annotation),
+        tuple(_LIMITS[name].format(value) for name, value in slot.limits.items() if name in _LIMITS),
+        tuple(_values(tree, keys, slot)),
+        slot.default is not known.REQUIRED,
+        None if slot.default is known.REQUIRED else _plain(slot.default),
+        absent,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return a default as config would write it; an object, such as a default entity, as its text."""
+    if isinstance(value, enum.Enum):
+        return value.value
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    return value if value is None or isinstance(value, (bool, int, float, str, Mapping)) else str(value)
+
+
+def _values(tree: Mapping[str, Any], keys: Keys, slot: known.Slot) -> list[Any]:
+    name = keys[-1]
+    if name == TARGET:
+        return siblings(str(known.at(tree, keys)))
+    if name == "mode" and known.section_of(keys[:-1]) == "events":
+        return list(schema.EVENT_MODES)
+    if name in _TERM_NAMES:
+        return _names(tree, ("env", _TERM_NAMES[name]))
+    if keys[:2] == ("agent", "obs_groups"):
+        return _names(tree, ("env", "observations"))
+    if name == "name" and slot.reader.endswith(".SceneEntityCfg"):
+        return ["robot", *_names(tree, ("env", "scene", "sensors"))]
+    if keys[0] == "agent" and slot.reader.startswith("rsl_rl."):
+        return _words(name)
+    return literal_values(slot.annotation)
+
+
+def literal_values(annotation: Any) -> list[Any]:
+    """Return the values that an annotation counts up: literals, members of an enum, true and false."""
+    if annotation is bool:
+        return [True, False]
+    if inspect.isclass(annotation) and issubclass(annotation, enum.Enum):
+        return [member.value for member in annotation]
+    if typing.get_origin(annotation) is typing.Literal:
+        return list(typing.get_args(annotation))
+    if typing.get_origin(annotation) not in (typing.Union, types.UnionType):
+        return []
+    found = [value for option in typing.get_args(annotation) for value in literal_values(option)]
+    return [*found, None] if found and type(None) in typing.get_args(annotation) else found
+
+
+def siblings(target: str) -> list[str]:
+    """Return the public functions and classes that stand in the target's module, the target among them."""
+    module_name = target.rpartition(".")[0]
+    try:
+        module = import_module(module_name)
+    except (ImportError, ValueError):
+        return []
+    return [
+        f"{module_name}.{name}"
+        for name, found in vars(module).items()
+        if not name.startswith("_") and callable(found) and getattr(found, "__module__", None) == module.__name__
+    ]
+
+
+def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
+    node = known.at(tree, keys)
+    return [str(name) for name, value in node.items() if value is not None] if isinstance(node, Mapping) else []
+
+
+def _words(name: str) -> list[Any]:
+    """Return the words that rsl_rl knows under a key, as far as it says so."""
+    if name == "schedule":
+        return ["fixed", "adaptive"]
+    if name not in _RESOLVERS:
+        return []
+    import rsl_rl.utils
+
+    resolver: Callable[[str], Any] = getattr(rsl_rl.utils, _RESOLVERS[name])
+    try:
+        resolver("?")
+    except ValueError as error:
+        return re.findall(r"'([^']+)'", str(error).split("Valid")[-1])
+    return []

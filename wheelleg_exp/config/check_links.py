@@ -1,0 +1,101 @@
+"""Checking what names other parts of the config: commands, action terms, rewards, observation groups, folders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.check_terms import term_nodes
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+# Parameters that name a term of another section, by the section of the term that has them ("" is any).
+_NAMES = {("", "command_name"): "commands", ("", "action_name"): "actions", ("curriculum", "term_name"): "rewards"}
+_PLANAR = ("x", "y", "z", "roll", "pitch", "yaw")
+_RANGES_BY_AXIS = ("pose_range", "velocity_range", "com_range")
+
+
+def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the mistakes of parameters that name terms of other sections, and of ranges."""
+    errors = []
+    for section, path, node in term_nodes(config):
+        if not isinstance(node, Mapping):
+            continue
+        for name, value in node.items():
+            kind = _NAMES.get((section, name)) or _NAMES.get(("", name))
+            if kind is not None and isinstance(value, str):
+                errors += _unknown_term(config, kind, f"{path}.{name}", value)
+            if section == "events" and str(name).endswith("_range"):
+                errors += _range(f"{path}.{name}", str(name), value)
+    return errors
+
+
+def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> list[ConfigError]:
+    known = list(config["env"].get(kind) or {})
+    if name in known:
+        return []
+    what = kind.removesuffix("s")
+    expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
+    return [ConfigError(f"there is no {what} '{name}'", key=key, expected=expected, nearest=nearest_name(name, known))]
+
+
+def _range(key: str, name: str, value: Any) -> list[ConfigError]:
+    """Hold a range, or ranges by axis, against [low, high]."""
+    if isinstance(value, Mapping):
+        errors = [error for axis, pair in value.items() for error in _range(f"{key}.{axis}", "", pair)]
+        unknown = [str(axis) for axis in value if name in _RANGES_BY_AXIS and axis not in _PLANAR]
+        return errors + [
+            ConfigError(
+                f"unknown axis '{axis}'",
+                key=f"{key}.{axis}",
+                expected="one of " + ", ".join(_PLANAR),
+                nearest=nearest_name(axis, _PLANAR),
+            )
+            for axis in unknown
+        ]
+    if not isinstance(value, (list, tuple)):
+        return []
+    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
+    if len(value) == 2 and numbers and value[0] <= value[1]:
+        return []
+    return [ConfigError(f"is {list(value)}", key=key, expected="[low, high]")]
+
+
+def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the observation groups that no network gets, and those without a term."""
+    env, agent = config.get("env"), config.get("agent")
+    groups = env.get("observations") if isinstance(env, Mapping) else None
+    sets = agent.get("obs_groups") if isinstance(agent, Mapping) else None
+    if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
+        return []
+    used = {name for members in sets.values() if isinstance(members, list) for name in members}
+    if not used <= set(groups) or not all(sets.values()):
+        return []  # a misspelled group is told where it stands
+    unused = [
+        ConfigError(
+            f"no network gets the observation group '{name}'",
+            key=f"agent.obs_groups.{name}" if name in sets else "agent.obs_groups",
+            expected="every group in some network's list, or no such group",
+            nearest=nearest_name(str(name), [str(n) for n in used if n not in groups]),
+        )
+        for name in groups
+        if name not in used
+    ]
+    return unused + [
+        ConfigError("the group has no terms", key=f"env.observations.{name}.terms", expected="at least one term")
+        for name, group in groups.items()
+        if isinstance(group, Mapping) and group.get("terms") == {}
+    ]
+
+
+def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the mistake of a run root that cannot become a folder."""
+    run = config.get("run")
+    root = run.get("root") if isinstance(run, Mapping) else None
+    if not isinstance(root, str):
+        return []
+    path = Path(root)
+    wrong = next((place for place in (path, *path.parents) if place.exists() and not place.is_dir()), None)
+    if wrong is None:
+        return []
+    return [ConfigError(f"'{wrong}' is a file", key="run.root", expected="a folder, or a path where one can be made")]

@@ -1,0 +1,203 @@
+"""Checking what the defaults lists brought: package lines, the names of terms in files, mounts, and order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.compose import Composed
+from wheelleg_exp.config.diagnose_groups import place_of_option, where_of
+from wheelleg_exp.config.headers import missing_headers
+from wheelleg_exp.config.loader import hydra_globals
+from wheelleg_exp.config.sections import NOTHING_READS
+from wheelleg_exp.config.tree import line_table, show_file
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.terms import RESERVED, TARGET
+
+
+@dataclass(frozen=True)
+class MountedFile:
+    """One file at its place in the tree.
+
+    Attributes:
+        config_path: the file as Hydra names it, ``reward/alive``.
+        package: the key that its content stands under; empty is the top.
+        file: the file.
+        content: its keys.
+        parent: the config whose defaults list names it.
+    """
+
+    config_path: str
+    package: str
+    file: Path
+    content: dict[Any, Any]
+    parent: str
+
+    @property
+    def group(self) -> str:
+        """The group, ``reward``."""
+        return self.config_path.rpartition("/")[0]
+
+    @property
+    def name(self) -> str:
+        """The option, ``alive``."""
+        return self.config_path.rpartition("/")[2]
+
+
+def mounted_files(composed: Composed) -> list[MountedFile]:
+    """Return every file of the composition, in the order in which they are merged."""
+    with hydra_globals():
+        defaults = composed.loader.defaults(composed.primary, composed.parsed).defaults
+    loaded = composed.loader.repository_used.loaded
+    found = []
+    for default in defaults:
+        path = str(default.config_path)
+        if path in loaded and not path.startswith("hydra/"):
+            file, content = loaded[path].file, loaded[path].content
+            found.append(MountedFile(path, default.package or "", file, content, default.parent or ""))
+    return found
+
+
+def mount_place(composed: Composed, mounted: MountedFile) -> str:
+    """Return the override, or the file and line, that brought a file to its package."""
+    for override in reversed(composed.parsed):
+        value = override.value()
+        names = value if isinstance(value, list) else [value]
+        fits = override.package in (None, mounted.package)
+        if override.key_or_group == mounted.group and fits and mounted.name in [str(name) for name in names]:
+            return where_of(override)
+    repository = composed.loader.repository_used
+    return place_of_option(repository, mounted.parent, mounted.config_path) or show_file(mounted.file, 1)
+
+
+def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find files whose package line is missing, so that their content stands in the wrong place."""
+    misplaced = {file.config_path for file in files if file.package == file.group.replace("/", ".")}
+    found = missing_headers(composed.loader.repository_used, ())
+    return [error for error in found if error.key in misplaced]
+
+
+def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find files of terms that do not carry the term under the file's own name."""
+    return [_term_file_error(file) for file in files if _is_term_list(file.package) and file.name not in file.content]
+
+
+def _is_term_list(package: str) -> bool:
+    keys = package.split(".")
+    if keys[0] != "env" or len(keys) < 2 or keys[1] not in RESERVED:
+        return False
+    return len(keys) == 4 and keys[3] == "terms" if keys[1] == "observations" else len(keys) == 2
+
+
+def _term_file_error(file: MountedFile) -> ConfigError:
+    lines = line_table(file.file)
+    names = [str(key) for key in file.content]
+    first = min((lines.get((name,), 1) for name in names), default=1)
+    if TARGET in file.content or not names:
+        message = f"this file holds no term '{file.name}'; its settings stand at the top"
+    else:
+        message = f"this file holds the term '{names[0]}', not '{file.name}'"
+    expected = f"'{file.name}:' at the top, and the term's settings below it"
+    return ConfigError(
+        message,
+        key=f"{file.package}.{file.name}",
+        where=show_file(file.file, first),
+        expected=expected,
+        nearest=file.name if nearest_name(file.name, names) else None,
+    )
+
+
+def stray_sections(files: Sequence[MountedFile]) -> set[str]:
+    """Return the lists of terms in which a file without its term's name has left a target: nothing in them counts."""
+    return {file.package for file in files if _is_term_list(file.package) and TARGET in file.content}
+
+
+def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Let keys that nothing reads, and that exist only because files were mounted there, blame the mount.
+
+    Settings for the terms that the mount has led astray are no mistakes of their own.
+    """
+    astray: set[str] = set()
+    for error in errors:
+        brought = _brought(error, composed, files)
+        if brought:
+            error.where = mount_place(composed, brought[0])
+            error.message = f"{NOTHING_READS} what '{brought[0].group}' brings here"
+            packages = {file.package for file in files if file.group == brought[0].group} - {brought[0].package}
+            usual = sorted(packages) or [_section_of(brought[0].group)]
+            error.nearest = f"{brought[0].group}@{usual[0]}" if usual[0] else error.nearest
+            astray |= {file.name for file in brought}
+    return [e for e in errors if not ("not selected" in e.message and str(e.key).rpartition(".")[2] in astray)]
+
+
+def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
+    """Return the files that alone make a key which nothing reads."""
+    if not error.key or NOTHING_READS not in error.message:
+        return []
+    brought = [file for file in files if _is_at_or_below(file.package, error.key)]
+    own = {file.file for file in brought}
+    return brought if all(source.file in own for source in composed.provenance.below(error.key)) else []
+
+
+def emptied_by(composed: Composed, key: str) -> str | None:
+    """Return the override that left nothing at ``key``: an empty list of options, or a group that is deleted."""
+    for override in composed.parsed:
+        empty = override.value() == [] and override.package == key
+        group = override.is_delete() and composed.loader.repository_used.group_exists(override.key_or_group)
+        if empty or (group and not composed.provenance.below(key)):
+            return where_of(override)
+    return None
+
+
+def _section_of(group: str) -> str:
+    names = [name for name in RESERVED if name.startswith(group.split("/")[0])]
+    return f"env.{names[0]}" if names else ""
+
+
+def _is_at_or_below(path: str, key: str) -> bool:
+    return path == key or path.startswith(f"{key}.")
+
+
+def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find term lists whose order is not the order of the composed terms.
+
+    It happens when a setting of a term stands before the term itself is mounted: the key is made there.
+    """
+    by_package: dict[str, list[MountedFile]] = {}
+    for file in files:
+        if _is_term_list(file.package):
+            by_package.setdefault(file.package, []).append(file)
+    errors = []
+    for package, members in by_package.items():
+        wanted = list(dict.fromkeys(file.name for file in members if file.name in file.content))
+        present = [name for name in _keys_at(composed.config, package) if name in wanted]
+        kept = [name for name in wanted if name in present]
+        if present != kept:
+            errors.append(_order_error(composed, package, members, kept, present))
+    return errors
+
+
+def _order_error(
+    composed: Composed, package: str, members: Sequence[MountedFile], wanted: list[str], present: list[str]
+) -> ConfigError:
+    early = next(name for name, other in zip(present, wanted, strict=True) if name != other)
+    member = next(file for file in members if file.name == early)
+    sources = composed.provenance.below(f"{package}.{early}")
+    first = sources[0].shadowed[0] if sources and sources[0].shadowed else sources[0]
+    setters = [s for source in sources for s in (source, *source.shadowed) if s.file != member.file]
+    by = (setters[0] if setters else first).where
+    return ConfigError(
+        f"the order of the list is not kept: it is {', '.join(present)}, because '{early}' is set before it is listed",
+        key=package,
+        where=by,
+        expected=f"{', '.join(wanted)}, as the lists say: put _self_ last, or set '{early}' after it is listed",
+    )
+
+
+def _keys_at(config: Mapping[str, Any], package: str) -> list[str]:
+    node: Any = config
+    for key in package.split("."):
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return list(node) if isinstance(node, Mapping) else []

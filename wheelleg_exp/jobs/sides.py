@@ -1,0 +1,215 @@
+"""What ``wheelleg diff`` compares: a run, a task, or a list of overrides, made comparable."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from wheelleg_exp.config import catalog
+from wheelleg_exp.config.amend import amend
+from wheelleg_exp.config.compose import Composed, compose
+from wheelleg_exp.config.difference import Side
+from wheelleg_exp.config.mounts import Mount
+from wheelleg_exp.config.tree import dotted, line_table, split_path
+from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
+from wheelleg_exp.paths import configs_dir, find_asset
+from wheelleg_exp.run import environment
+from wheelleg_exp.run.directory import LATEST, RunDirectory
+from wheelleg_exp.run.files import read_json, read_yaml
+from wheelleg_exp.run.inventory import MANIFEST_NAME
+from wheelleg_exp.run.params import PARTS, load_params
+from wheelleg_exp.run.source import RECORD_NAME, snapshot_source
+
+# What decides the numbers of a run; where the run goes, and which findings are silenced, does not.
+SECTIONS = ("seed", "task", "env", "agent", "recording")
+_CODE = ("commit", "tree", "dirty", "patch_sha256")
+
+
+def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
+    """Return both sides of a comparison.
+
+    Where one side is a run and the other is not, the other has the facts of this machine and checkout.
+
+    Args:
+        a: a run (path, id, ``latest``), a task, or overrides; overrides may follow a run or a task.
+        b: the same.
+        root: the folder of all runs.
+        config_dirs: the user's config folders.
+
+    Raises:
+        WheellegError: a side is none of these, or does not compose.
+    """
+    sides = [_load(text, root, config_dirs) for text in (a, b)]
+    if sum(bool(side.facts) for side in sides) == 1:
+        sides = [side if side.facts else replace(side, facts=_facts_here(side, config_dirs)) for side in sides]
+    return sides[0], sides[1]
+
+
+def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> Side:
+    words = split_words(text)
+    if not words:
+        return _composed(text or "(no overrides)", compose([], config_dirs=config_dirs))
+    first, rest = words[0], words[1:]
+    if (Path(first) / MANIFEST_NAME).is_file():
+        return _run(RunDirectory.open(first, root), rest)
+    if "=" in first or first.startswith(("~", "+")):
+        return _composed(text, compose(words, config_dirs=config_dirs))
+    tasks = [entry.name for entry in catalog.tasks(config_dirs)]
+    if first in tasks:
+        return _composed(text, compose([f"task={first}", *rest], config_dirs=config_dirs))
+    return _run(_open(first, root, tasks), rest)
+
+
+def split_words(text: str) -> list[str]:
+    """Return the words of a line: parted by spaces, but not inside quotes and brackets, which Hydra reads itself.
+
+    Raises:
+        WheellegError: a quote or a bracket is not closed.
+    """
+    words, quote, depth = [""], "", 0
+    for letter in text:
+        if letter.isspace() and not quote and not depth:
+            words.append("")
+            continue
+        words[-1] += letter
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+        else:
+            depth += (letter in "([{") - (letter in ")]}")
+    if quote or depth > 0:
+        raise WheellegError("cannot be split into words", key=text, expected="closed quotes and brackets")
+    return [word for word in words if word]
+
+
+def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
+    try:
+        return RunDirectory.open(name, root)
+    except RunDirectoryError as error:
+        raise RunDirectoryError(
+            f"neither a task nor a run: {error.message}",
+            key=name,
+            expected=f"a task ({', '.join(tasks)}), overrides (key=value), a run's path or id, or '{LATEST}'",
+            nearest=nearest_name(name, tasks) or error.nearest,
+        ) from error
+
+
+def _composed(label: str, composed: Composed) -> Side:
+    tree = {section: composed.config[section] for section in SECTIONS if section in composed.config}
+    return Side(label, tree, partial(_who, composed, composed.mounts))
+
+
+def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
+    """Return who set a key, or removed it, or selected the terms among which it is not."""
+    places, keys = composed.provenance, split_path(path)
+    lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
+    if path in lists:
+        return lists[path]
+    gone = [source for key, source in places.deleted.items() if split_path(key)[: len(keys)] == keys]
+    found = places.below(path) or gone
+    return found[0].where if found else lists.get(dotted(keys[:-1]))
+
+
+def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
+    env, agent = load_params(run)
+    kept = _kept(run)
+    tree = amend({**kept, "env": env, "agent": agent}, overrides)
+    typed = [*_kept_overrides(run), *overrides]
+
+    def where(path: str) -> str | None:
+        last = next((text for text in reversed(typed) if _sets(text, path)), None)
+        return f"override {last}" if last is not None else _line(run, path)
+
+    label = f"{run.path.parent.name}/{run.id}"
+    return Side(" ".join([label, *overrides]), {key: tree[key] for key in SECTIONS if key in tree}, where, _facts(run))
+
+
+def _kept(run: RunDirectory) -> dict[str, Any]:
+    """Return what ``params`` does not hold, from Hydra's own file where the run kept it."""
+    manifest = run.manifest()
+    kept: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
+    if manifest.data.get("seeds"):
+        kept["seed"] = manifest.data["seeds"][0]
+    file = run.hydra / "config.yaml"
+    if not file.is_file():
+        return kept
+    try:
+        whole = OmegaConf.to_container(OmegaConf.create(read_yaml(file)), resolve=True)
+    except OmegaConfBaseException:
+        return kept  # parameters that no longer resolve are still in params
+    return {**kept, **{str(k): v for k, v in whole.items() if k in SECTIONS}} if isinstance(whole, dict) else kept
+
+
+def _kept_overrides(run: RunDirectory) -> list[str]:
+    file = run.hydra / "overrides.yaml"
+    found = read_yaml(file) if file.is_file() else []
+    return [str(text) for text in found] if isinstance(found, list) else []
+
+
+def _sets(override: str, path: str) -> bool:
+    """Return whether an override writes a key or the whole that it belongs to."""
+    keys = split_path(override.lstrip("+~").split("=", 1)[0])
+    return bool(keys) and split_path(path)[: len(keys)] == keys
+
+
+def _line(run: RunDirectory, path: str) -> str | None:
+    part, *inside = split_path(path)
+    if part not in PARTS:
+        return ".hydra/config.yaml"
+    line = line_table(run.params / f"{part}.yaml").get(tuple(inside))
+    return None if line is None else f"params/{part}.yaml:{line}"
+
+
+def _facts(run: RunDirectory) -> dict[str, dict[str, Any]]:
+    data = run.manifest().data
+    record, identity = run.source / RECORD_NAME, run.asset / "asset.json"
+    return {
+        "code": _code(read_json(record) if record.is_file() else data.get("source") or {}),
+        "versions": dict(data.get("versions") or {}),
+        "hardware": dict(data.get("hardware") or {}),
+        "threads": dict(data.get("threads") or {}),
+        "variables": dict(data.get("environment_variables") or {}),
+        "asset": _asset(read_json(identity) if identity.is_file() else {}),
+    }
+
+
+def _code(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what identifies the source; further repositories of the user's carry their numbers."""
+    found = {key: record[key] for key in _CODE if key in record}
+    for number, other in enumerate(record.get("others") or (), start=2):
+        found |= {f"{key} ({number})": other.get(key) for key in _CODE}
+    return found
+
+
+def _asset(identity: Mapping[str, Any]) -> dict[str, Any]:
+    return {**dict(identity.get("sources") or {}), "compiled model": identity.get("model_sha256")}
+
+
+def _facts_here(side: Side, config_dirs: Sequence[Path]) -> dict[str, dict[str, Any]]:
+    """Return the facts of this machine and checkout, as far as they are known without building anything."""
+    with tempfile.TemporaryDirectory() as folder:
+        record = snapshot_source([configs_dir().parent, *config_dirs], Path(folder))
+    return {
+        "code": _code(record),
+        "versions": dict(environment.versions()),
+        "hardware": environment.hardware(),
+        "asset": _layers(side, config_dirs),
+    }
+
+
+def _layers(side: Side, config_dirs: Sequence[Path]) -> dict[str, str]:
+    from wheelleg_exp.asset.cache import source_digest
+
+    roots = [place for folder in config_dirs for place in (folder.parent / "assets", folder.parent)]
+    try:
+        return source_digest(find_asset(side.tree["env"]["robot"]["asset"], roots))
+    except WheellegError:
+        return {}

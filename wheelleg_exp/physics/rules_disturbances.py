@@ -1,0 +1,77 @@
+"""Pushes and wrenches against what the robot can take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from wheelleg_exp.physics.case import Case, largest
+from wheelleg_exp.physics.facts import Balance
+from wheelleg_exp.physics.findings import Finding, rule
+from wheelleg_exp.physics.rules_drives import wheel_friction
+
+_WEAK = 0.2  # share of the largest push that still tells policies apart
+_LEAN = math.radians(10.0)
+_PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
+
+
+def largest_push(case: Case, balance: Balance) -> float:
+    """Return the speed that the wheels can still catch, m/s: a/w.
+
+    a is what friction or the drive lets the wheels accelerate with, w = sqrt(m g h / I): the capture point lies
+    v/w ahead, and the wheels must get there with less than a/w². Source: Pratt et al., "Capture point", 2006.
+    """
+    facts = case.facts
+    drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
+    spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
+    return min(wheel_friction(case) * facts.gravity, spin * facts.wheel_radius) / balance.pendulum
+
+
+@rule
+def push_size(case: Case) -> Iterator[Finding]:
+    """A push that the robot cannot take, or that every policy takes.
+
+    The largest push that wheels can catch is a/w: their acceleration, limited by friction or by the drive, over the
+    rate of the pendulum. Beyond it every policy falls; below a fifth of it no policy is told from another.
+    Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
+    """
+    balance = case.facts.balance
+    if balance is None:
+        return
+    limit = largest_push(case, balance)
+    for term in case.terms("events", *_PUSHES):
+        ranges = term.node["velocity_range"]
+        push = math.hypot(largest(ranges.get("x")), largest(ranges.get("y")))
+        if push > limit or 0.0 < push < _WEAK * limit:
+            verdict = "more than it can take" if push > limit else f"{100 * push / limit:.0f} % of it: it tests nothing"
+            yield Finding(
+                f"{term.path}.velocity_range",
+                f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}",
+                f"between {_WEAK * limit:.2g} and {limit:.2g} m/s",
+                {"push": push, "limit": limit, "ratio": push / limit},
+            )
+
+
+@rule
+def wrench_size(case: Case) -> Iterator[Finding]:
+    """A lasting force or torque that leans the robot over.
+
+    A force F at the body leans a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
+    episode. Source: statics of the inverted pendulum.
+    """
+    balance = case.facts.balance
+    if balance is None:
+        return
+    for term in case.terms("events", "events.set_permanent_body_wrench"):
+        force, torque = largest(term.node["force_range"]), largest(term.node["torque_range"])
+        by_force = math.atan(force / case.facts.weight)
+        share = torque / (balance.mass * case.facts.gravity * balance.height)
+        by_torque = math.asin(min(1.0, share))
+        if by_force + by_torque > _LEAN:
+            yield Finding(
+                term.path,
+                f"{force:g} N leans the robot by {math.degrees(by_force):.2g}° and {torque:g} N·m by "
+                f"{math.degrees(by_torque):.2g}°, for the whole episode",
+                f"forces below {case.facts.weight * math.tan(_LEAN / 2):.2g} N",
+                {"force_lean_rad": by_force, "torque_lean_rad": by_torque},
+            )

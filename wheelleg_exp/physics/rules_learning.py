@@ -1,0 +1,57 @@
+"""The figures of PPO against the episode and the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from wheelleg_exp.physics.case import Case
+from wheelleg_exp.physics.findings import Finding, rule
+from wheelleg_exp.physics.rules_rewards import horizon_steps
+
+_FALLS = 5.0  # time constants of the fall that the discount should reach
+
+
+@rule
+def ppo_batch(case: Case) -> Iterator[Finding]:
+    """A batch that does not divide into its mini-batches.
+
+    rsl_rl cuts the batch of num_envs · num_steps_per_env samples into mini-batches of a whole size and drops the
+    rest. Source: rsl_rl, ``storage/rollout_storage.py``.
+    """
+    batch = int(case.env["num_envs"]) * int(case.agent["num_steps_per_env"])
+    parts = int(case.agent["algorithm"].get("num_mini_batches", 1))
+    if batch % parts:
+        yield Finding(
+            "agent.algorithm.num_mini_batches",
+            f"{batch} samples in {parts} mini-batches of {batch // parts} leave {batch % parts} unused",
+            "a number of environments or steps that the mini-batches divide",
+            {"batch": batch, "mini_batches": parts, "unused": batch % parts},
+        )
+
+
+@rule
+def discount_horizon(case: Case) -> Iterator[Finding]:
+    """A discount that looks further than an episode, or less far than a fall.
+
+    1/(1 - gamma) steps ahead a reward counts 1/e. Beyond the episode's end the agent learns of what never comes;
+    short of some five time constants of the fall it does not see what its actions lead to. Source: the discounted
+    return.
+    """
+    steps = horizon_steps(case)
+    seconds = steps * case.step_dt
+    if steps > case.episode_steps:
+        yield Finding(
+            "agent.algorithm.gamma",
+            f"the discount looks {seconds:.3g} s ahead, and an episode lasts {case.episode_s:g} s",
+            f"gamma of at most {1 - 1 / case.episode_steps:.4g}",
+            {"horizon_s": seconds if math.isfinite(seconds) else -1.0, "episode_s": case.episode_s},
+        )
+    balance = case.facts.balance
+    if balance is not None and seconds < _FALLS / balance.pole:
+        yield Finding(
+            "agent.algorithm.gamma",
+            f"the discount looks {seconds:.3g} s ahead, {seconds * balance.pole:.2g} time constants of the fall",
+            f"gamma of at least {1 - case.step_dt * balance.pole / _FALLS:.3g}",
+            {"horizon_s": seconds, "time_constant_s": 1 / balance.pole},
+        )

@@ -1,0 +1,267 @@
+"""Reads a robot's file and measures what a project has to know: joints by what they do, drives, and how it stands."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.asset import Conversion, RobotDescription, convert
+from wheelleg_exp.asset.description import Dof
+from wheelleg_exp.errors import AssetError
+from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.physics.facts import RobotFacts, measure
+from wheelleg_exp.physics.shapes import lowest_point
+from wheelleg_exp.project.text import expression
+from wheelleg_exp.sim.names import values_by_name
+from wheelleg_exp.sim.robot import Robot
+
+_INSIDE = 0.25  # share of a joint's range between a default position and the limit that it was moved away from
+_HORIZONTAL = 0.5  # largest vertical part of a wheel's axis
+_GROUND = 0.05  # of the standing height: a body this near to the ground stands on it
+_SMALLEST = 1e-3  # m, radius of a wheel
+_LEVEL = 0.99  # cosine of the tilt up to which a root link counts as upright
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A robot, read and measured at its default pose.
+
+    Attributes:
+        dofs: the degrees of freedom by name, in the robot's order: breadth first.
+        legs: the joints that hold the pose.
+        wheels: the joints that wheels turn on.
+        passive: joints that nothing drives.
+        positions: default positions, rad (m), by joint.
+        rotation: of the root link, (w, x, y, z).
+        facts: masses, inertias and heights at the default pose.
+        radius: of the wheels, m; 0 without.
+        size: the larger of the heights of root link and centre of mass over the ground, m.
+        up: the root link's axis that points up, (0, 0, 1) for most.
+        root: the root link.
+        root_mass: kg.
+        wheel_bodies: the links that wheels touch the ground with.
+        raised_bodies: links with colliders that are not on the ground.
+        notes: what a user should know of the file.
+    """
+
+    dofs: dict[str, Dof]
+    legs: list[str]
+    wheels: list[str]
+    passive: list[str]
+    positions: dict[str, float]
+    rotation: tuple[float, float, float, float]
+    facts: RobotFacts
+    radius: float
+    size: float
+    up: tuple[float, float, float]
+    root: str
+    root_mass: float
+    wheel_bodies: list[str]
+    raised_bodies: list[str]
+    notes: list[str]
+
+    @property
+    def level(self) -> bool:
+        """Whether the root link's z axis points up, as most terms take it to."""
+        return self.up[2] >= _LEVEL
+
+
+def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float]) -> Survey:
+    """Convert a robot, find out what its joints do, choose a default pose, and measure it there.
+
+    Args:
+        source: the robot's file.
+        env: sections ``sim`` and ``scene`` to build it with.
+        pose: default positions by joint expression, in place of the file's.
+
+    Raises:
+        AssetError: the file cannot be read, or holds no robot that could stand: one with joints and colliders.
+    """
+    with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
+        conversion = convert(source, Path(folder) / "model.xml", base="floating")
+        _require_robot(conversion.description, source)
+        names = [dof.name for dof in conversion.description.dofs]
+        given = values_by_name(pose, names, None, key="env.robot.init_state.joint_pos", what="joint")
+        read = {dof.name: _default(dof) for dof in conversion.description.dofs}
+        chosen = read | {name: value for name, value in zip(names, given, strict=True) if value is not None}
+        scene = SceneManager({**env, "robot": _provisional(conversion.description, chosen)}, conversion.output, 1).scene
+        _require_floating(scene.robot, source)
+        return _measured(conversion, scene.robot, scene.spec.compile(), chosen)
+
+
+def _require_robot(robot: RobotDescription, source: Path) -> None:
+    expected = "a robot with joints to drive and colliders to stand on"
+    if not robot.dofs:
+        raise AssetError("the robot has no joints", where=str(source), expected=expected)
+    balls = [dof.name for dof in robot.dofs if dof.kind == "ball"]
+    if balls:
+        message = f"joint '{balls[0]}' is a ball joint, which no actuator drives"
+        raise AssetError(message, where=str(source), expected="hinges and slides")
+    if not robot.colliders:
+        raise AssetError("no shape of the robot collides, so it would fall through the ground", where=str(source))
+
+
+def _require_floating(robot: Robot, source: Path) -> None:
+    if not robot.floating:
+        message = (
+            f"the base hangs on joints to the world ({robot.joint_names[0]}, ...), so the robot cannot stand or fall"
+        )
+        raise AssetError(message, where=str(source), expected="a base that may move freely")
+
+
+def _default(dof: Dof) -> float:
+    """Return a position inside the limits: the saved one, else the drive's target, else as the file draws it."""
+    target = dof.drive.target_position if dof.drive is not None and dof.drive.stiffness > 0 else 0.0
+    value = next((v for v in (dof.position, target, dof.ref) if v), 0.0)
+    if dof.range is None:
+        return value
+    low, high = dof.range
+    margin = _INSIDE * (high - low)
+    return _short(value, low, high) if low <= value <= high else min(max(value, low + margin), high - margin)
+
+
+def _short(value: float, low: float, high: float) -> float:
+    """Return a number with few digits where that does not carry it over a limit."""
+    rounded = float(f"{value:.4g}")
+    return rounded if low <= rounded <= high else value
+
+
+def _provisional(robot: RobotDescription, positions: Mapping[str, float]) -> dict[str, Any]:
+    state = {
+        "pos": [0.0, 0.0, 0.0],
+        "rot": list(next(robot.children(None)).pose.rotation),
+        "joint_pos": {expression(name): value for name, value in positions.items()},
+        "joint_vel": {},
+    }
+    return {
+        "profile": "survey",
+        "asset": robot.name,
+        "base": "auto",
+        "init_state": state,
+        "joint_order": None,
+        "soft_joint_pos_limit_factor": 1.0,
+        "friction_source": "static",
+        "actuators": {},
+    }
+
+
+def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, positions: Mapping[str, float]) -> Survey:
+    description = conversion.description
+    dofs = {dof.name: dof for dof in description.dofs}
+    dofs = {name: dofs[name] for name in robot.joint_names}
+    data = _at(model, robot, positions)
+    wheels = _wheels(model, data, dofs)
+    facts = measure(model, robot)
+    legs, passive = _driven(description, dofs, wheels)
+    solid = {name: _solid_below(model, data, name) for name in wheels}
+    touching = [model.body(body).name for bodies in solid.values() for body in bodies]
+    raised = _raised(model, data, robot.body_names, facts.standing_height)
+    root = robot.body_names[0]
+    w, x, y, z = (float(f"{part:.6g}") for part in robot.default_root_quat.tolist())
+    up_x, up_y, up_z = (round(float(part), 4) + 0.0 for part in data.body(root).xmat[6:9])
+    mass_height = float(data.body(root).subtree_com[2] - data.body(root).xpos[2]) + facts.standing_height
+    return Survey(
+        dofs=dofs,
+        legs=legs,
+        wheels=[name for name in wheels if name not in passive],
+        passive=passive,
+        positions={name: positions[name] for name in dofs},
+        rotation=(w, x, y, z),
+        facts=facts,
+        radius=_radius(model, data, solid),
+        size=max(facts.standing_height, mass_height),
+        up=(up_x, up_y, up_z),
+        root=root,
+        root_mass=float(model.body_mass[model.body(root).id]),
+        wheel_bodies=[name for name in robot.body_names if name in touching],
+        raised_bodies=[name for name in raised if name not in touching],
+        notes=_notes(conversion, up_z >= _LEVEL, wheels, legs, passive),
+    )
+
+
+def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> mujoco.MjData:
+    """Return the robot with its root over the origin and its joints at the default positions."""
+    data = mujoco.MjData(model)
+    data.qpos[3:7] = robot.default_root_quat.numpy()
+    for name in robot.joint_names:
+        data.qpos[model.joint(name).qposadr[0]] = positions[name]
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def _solid_below(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> list[int]:
+    """Return the bodies with colliders that a joint turns."""
+    bodies = _below(model, int(model.jnt_bodyid[model.joint(joint).id]))
+    return [body for body in bodies if math.isfinite(lowest_point(model, data, [body]))]
+
+
+def _radius(model: mujoco.MjModel, data: mujoco.MjData, wheels: Mapping[str, Sequence[int]]) -> float:
+    centres = {name: float(data.xanchor[model.joint(name).id][2]) for name in wheels}
+    return max((centres[name] - lowest_point(model, data, bodies) for name, bodies in wheels.items()), default=0.0)
+
+
+def _wheels(model: mujoco.MjModel, data: mujoco.MjData, dofs: Mapping[str, Dof]) -> list[str]:
+    """Return the joints that wheels turn on: unlimited hinges, level, last on their limb, with colliders."""
+    found = []
+    for name, dof in dofs.items():
+        joint = model.joint(name).id
+        body = int(model.jnt_bodyid[joint])
+        last = int(np.sum(model.body_jntnum[_below(model, body)])) == 1
+        level = abs(data.xaxis[joint][2]) < _HORIZONTAL
+        rolls = _radius(model, data, {name: _solid_below(model, data, name)}) > _SMALLEST
+        if dof.kind == "hinge" and dof.range is None and last and level and rolls:
+            found.append(name)
+    return found
+
+
+def _below(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return a body and those that hang on it."""
+    found = [body]
+    for other in range(body + 1, model.nbody):
+        if int(model.body_parentid[other]) in found:
+            found.append(other)
+    return found
+
+
+def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the legs, and the joints that nothing drives: followers, and those that the file leaves without a drive.
+
+    A file without drives says nothing of what is driven; neither does one that drives no leg, or no wheel, of these.
+    """
+    followers = {coupling.joint for coupling in robot.couplings}
+    passive: list[str] = []
+    for group in ([name for name in dofs if name not in wheels], wheels):
+        free = [name for name in group if name not in followers]
+        driven = [name for name in free if dofs[name].drive is not None]
+        passive += [name for name in group if name not in (driven or free)]
+    return [name for name in dofs if name not in wheels and name not in passive], passive
+
+
+def _raised(model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str], height: float) -> list[str]:
+    lows = {name: lowest_point(model, data, [model.body(name).id]) for name in names}
+    ground = min(lows.values())
+    return [name for name, low in lows.items() if math.isfinite(low) and low > ground + _GROUND * height]
+
+
+def _notes(
+    conversion: Conversion, upright: bool, wheels: Sequence[str], legs: Sequence[str], passive: Sequence[str]
+) -> list[str]:
+    notes = list(conversion.report.warnings)
+    if not upright:
+        notes.append(
+            "the root link's z axis does not point up in the file, so the task leaves out terms that take it to"
+        )
+    if not wheels:
+        notes.append("no joint is a wheel's (unlimited, about a level axis, with a collider), so the task has none")
+    if not legs:
+        notes.append("no joint is a leg's, so the task drives wheels alone")
+    if passive:
+        notes.append("nothing drives " + ", ".join(passive))
+    return notes

@@ -1,0 +1,237 @@
+"""Writes a project's task and the terms that carry this robot's names."""
+
+from __future__ import annotations
+
+import math
+
+from wheelleg_exp.project.drives import leg_gains, wheel_gains
+from wheelleg_exp.project.survey import Survey
+from wheelleg_exp.project.text import names, number
+
+_ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
+_CONTACT = 0.02  # of the weight: more than this is a contact
+_FORCE = 0.02  # of the weight, pushing on the base
+_TORQUE = 0.01  # of the weight at the standing height, turning the base
+_LOAD = (-0.05, 0.1)  # of the root's mass
+_ERROR = 0.2  # of the standing height: an error that costs 1/s
+_COST = 0.1  # per second, of a motion at a tenth of the speeds that go with the robot's height
+_STD = 0.5  # m/s, largest
+_LEG_SCALE = (0.05, 0.25)  # rad per unit of action, smallest and largest
+_WHEEL_EFFORT = 0.25  # of the largest torque, at standstill per unit of action
+
+
+def config_files(name: str, robot: Survey) -> dict[str, str]:
+    """Return the texts of the task and its own terms, by path below ``configs/``."""
+    files = {f"task/{name}.yaml": task_yaml(name, robot), f"reward/{name}_upright.yaml": _upright(name, robot)}
+    if robot.legs:
+        files[f"action/{name}_legs.yaml"] = _leg_action(name, robot)
+        files[f"observation/{name}_leg_pos.yaml"] = _leg_positions(name, robot)
+    if robot.wheels:
+        files[f"action/{name}_wheels.yaml"] = _wheel_action(name, robot)
+    if robot.raised_bodies:
+        files[f"termination/{name}_contact.yaml"] = _contact(name, robot)
+    return files
+
+
+def task_yaml(name: str, robot: Survey) -> str:
+    """Return ``task/<name>.yaml``: to stand, and stay in place."""
+    legs, wheels = bool(robot.legs), bool(robot.wheels)
+    actions = _chosen((f"{name}_legs", legs), (f"{name}_wheels", wheels))
+    seen = _chosen(
+        "base_ang_vel, projected_gravity, velocity_commands", (f"{name}_leg_pos", legs), "joint_vel_rel, last_action"
+    )
+    rewards = _chosen(
+        f"alive, terminating, {name}_upright, base_height",
+        ("lin_vel_z, ang_vel_xy, track_lin_vel_xy, track_ang_vel_z", robot.level),
+        ("leg_joint_deviation", legs),
+        "action_rate",
+        ("wheel_air", wheels),
+    )
+    ends = _chosen(
+        "time_out", (f"{name}_contact", bool(robot.raised_bodies)), ("bad_orientation", robot.level), "non_finite_state"
+    )
+    return f"""# @package _global_
+# {name} learns to stand on flat ground. `wheelleg train task={name}`
+defaults:
+  - /robot: {name}
+  - /scene: flat
+  - /sim: parity
+  - /command@env.commands: [base_velocity]
+  - /action@env.actions: [{actions}]
+  - /observation@env.observations.policy.terms:
+      [{seen}]
+  - /observation@env.observations.critic.terms:
+      [{seen}, base_lin_vel, joint_effort]
+  - /event@env.events: [physics_material, add_base_mass, base_external_force_torque, reset_base, reset_robot_joints]
+  - /reward@env.rewards:
+      [{rewards}]
+  - /termination@env.terminations: [{ends}]
+  - _self_
+
+task:
+  name: {name}    # names the folder below run.root
+
+env:
+  num_envs: 512            # environments simulated side by side
+  episode_length_s: 5.0    # 250 control steps
+  decimation: 4            # physics steps per control step: 50 Hz control
+  sim:
+    dt: 0.005              # s
+  commands:
+    base_velocity:         # standing: the command is always zero
+      ranges: {{lin_vel_x: [0.0, 0.0], lin_vel_y: [0.0, 0.0], ang_vel_z: [0.0, 0.0]}}
+  observations:
+    policy:
+      concatenate_terms: true
+      enable_corruption: false   # noise of the terms is off
+      history_length: 1          # the present state is enough: nothing is noisy or delayed
+      flatten_history_dim: true
+    critic: {{concatenate_terms: true, enable_corruption: false, history_length: 1, flatten_history_dim: true}}
+{_events(robot)}{_rewards(robot)}{_ends(robot)}  scene:
+    sensors:
+      contact_forces: {{force_threshold: {_threshold(robot)}}}   # N
+
+check:
+  silence:   # findings of `wheelleg check --physics` that this task accepts, each with its reason
+    zero_width_range: joints begin at their defaults, nothing bounces, and the command of standing is zero
+"""
+
+
+def _chosen(*parts: str | tuple[str, bool]) -> str:
+    return ", ".join(part if isinstance(part, str) else part[0] for part in parts if isinstance(part, str) or part[1])
+
+
+def _threshold(robot: Survey) -> str:
+    return number(_CONTACT * robot.facts.weight, 2)
+
+
+def _events(robot: Survey) -> str:
+    weight = robot.facts.weight
+    low, high = (number(share * robot.root_mass, 2) for share in _LOAD)
+    force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
+    root = names([robot.root], 8)
+    return f"""  events:                  # the stock disturbances, sized for {robot.facts.mass:.3g} kg
+    add_base_mass:
+      mass_distribution_params: [{low}, {high}]    # kg
+      asset_cfg: {{body_names: {root}}}
+    base_external_force_torque:
+      force_range: [-{force}, {force}]          # N
+      torque_range: [-{torque}, {torque}]       # N·m
+      asset_cfg: {{body_names: {root}}}
+    physics_material: {{restitution_range: [0.0, 0.0]}}    # MuJoCo has none
+    reset_robot_joints: {{velocity_range: [1.0, 1.0]}}     # a factor on defaults of 0
+"""
+
+
+def _rewards(robot: Survey) -> str:
+    size = robot.size
+    text = f"""  rewards:                 # per second, sized for a robot that is {size:.3g} m high
+    base_height:
+      weight: {number(-1.0 / (_ERROR * size) ** 2, 2)}    # an error of a fifth of the height costs 1/s
+      target_height: {number(robot.facts.standing_height)}    # m, of the default pose
+    action_rate: {{weight: {number(-0.4 / max(1, len(robot.legs) + len(robot.wheels)), 2)}}}
+"""
+    if robot.level:
+        text += _motion(robot)
+    if robot.legs:
+        text += f"""    leg_joint_deviation:
+      weight: -0.5
+      asset_cfg: {{joint_names: {names(robot.legs, 8, 31)}}}
+"""
+    if robot.wheels:
+        text += f"""    wheel_air:
+      threshold: {_threshold(robot)}    # N
+      sensor_cfg: {{body_names: {names(robot.wheel_bodies, 8, 31)}}}
+"""
+    return text
+
+
+def _motion(robot: Survey) -> str:
+    """Return the rewards of motions in the root link's axes."""
+    gravity, size = robot.facts.gravity, robot.size
+    return f"""    lin_vel_z: {{weight: {number(-_COST / (0.01 * gravity * size), 2)}}}
+    ang_vel_xy: {{weight: {number(-_COST * size / (0.01 * gravity), 2)}}}
+    track_lin_vel_xy: {{weight: 2.0, std: {number(_tolerance(robot), 2)}}}   # m/s
+    track_ang_vel_z: {{weight: 1.0, std: 0.5}}   # rad/s
+"""
+
+
+def _ends(robot: Survey) -> str:
+    limit = "  terminations:\n    bad_orientation: {limit_angle: 0.8}   # rad, of tilt from upright\n"
+    return limit if robot.level else ""
+
+
+def _leg_action(name: str, robot: Survey) -> str:
+    return f"""# Legs: position targets around the default pose.
+{name}_legs:
+  _target_: wheelleg_exp.mdp.actions.JointPositionAction
+  joint_names: {names(robot.legs, 4, 15)}
+  scale: {number(_leg_scale(robot), 2)}    # rad per unit of action
+  use_default_offset: true
+"""
+
+
+def _tolerance(robot: Survey) -> float:
+    """Return a speed that standing should not drift at, m/s: that of one unit of wheel action."""
+    return min(_STD, _wheel_scale(robot) * robot.radius) if robot.wheels else _STD
+
+
+def _wheel_scale(robot: Survey) -> float:
+    """Return the speed that one unit of action asks for, rad/s: a quarter of the torque, at standstill."""
+    gains = wheel_gains(robot)
+    return min(
+        min(max(_WHEEL_EFFORT * gains.effort[wheel] / gains.damping[wheel], 0.1 * gains.velocity[wheel]), top)
+        for wheel, top in gains.velocity.items()
+    )
+
+
+def _leg_scale(robot: Survey) -> float:
+    """Return what one unit of action turns the legs by, rad: within torques and limits where those leave enough."""
+    gains, reach = leg_gains(robot), []
+    for name in robot.legs:
+        low, high = robot.dofs[name].range or (-math.inf, math.inf)
+        reach += [robot.positions[name] - low, high - robot.positions[name], gains.effort[name] / gains.stiffness[name]]
+    smallest, largest = _LEG_SCALE
+    return min(largest, max(smallest, math.floor(100 * min(reach)) / 100 if min(reach) < largest else largest))
+
+
+def _wheel_action(name: str, robot: Survey) -> str:
+    return f"""# Wheels: velocity targets.
+{name}_wheels:
+  _target_: wheelleg_exp.mdp.actions.JointVelocityAction
+  joint_names: {names(robot.wheels, 4, 15)}
+  scale: {number(_wheel_scale(robot), 2)}    # rad/s per unit of action
+"""
+
+
+def _leg_positions(name: str, robot: Survey) -> str:
+    return f"""# Leg joints from their defaults, rad; a wheel's angle means nothing to a balancer and is unbounded.
+{name}_leg_pos:
+  _target_: wheelleg_exp.mdp.observations.joint_pos_rel
+  asset_cfg:
+    {_ENTITY}
+    name: robot
+    joint_names: {names(robot.legs, 6, 17)}
+"""
+
+
+def _contact(name: str, robot: Survey) -> str:
+    return f"""# A link that does not stand on the ground touches something.
+{name}_contact:
+  _target_: wheelleg_exp.mdp.terminations.illegal_contact
+  threshold: {_threshold(robot)}    # N, of a weight of {robot.facts.weight:.3g} N
+  sensor_cfg:
+    {_ENTITY}
+    name: contact_forces
+    body_names: {names(robot.raised_bodies, 6, 16)}
+"""
+
+
+def _upright(name: str, robot: Survey) -> str:
+    return f"""# Standing upright: a term of this project's own, in {name}/terms.py.
+{name}_upright:
+  _target_: {name}.terms.upright
+  weight: 2.0
+  std: 0.2    # rad, tilt that leaves 1/e of the reward
+  up: [{", ".join(number(part) for part in robot.up)}]    # the root link's axis that should point up
+"""
