@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Mapping
 from types import TracebackType
 
 from rich.console import Console
@@ -12,10 +13,10 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from wheelleg_exp.rl.trainer import Iteration
 
-_PLAIN_EVERY_S = 10.0
+PLAIN_EVERY_S = 10.0
 
 
-class _QuietConsole(Console):
+class QuietConsole(Console):
     """A console whose reader may go away: it falls silent instead of ending the program."""
 
     def on_broken_pipe(self) -> None:
@@ -32,7 +33,7 @@ class ConsoleDisplay:
     """
 
     def __init__(self, quiet: bool = False) -> None:
-        self._console = _QuietConsole(file=sys.stderr)
+        self._console = QuietConsole(file=sys.stderr)
         self._live = self._console.is_terminal
         self._quiet = quiet
         self._last_plain = time.monotonic()
@@ -71,7 +72,7 @@ class ConsoleDisplay:
 
     def iteration(self, iteration: Iteration, total: int) -> None:
         """Show how far training is."""
-        self._advance("training", iteration.index + 1, total, _figures(iteration))
+        self._advance("training", iteration.index + 1, total, figures(iteration.scalars))
 
     def steps(self, done: int, total: int) -> None:
         """Show how far a rollout is."""
@@ -84,13 +85,13 @@ class ConsoleDisplay:
             self._progress.update(self._task, completed=done, total=total, figures=figures)
             return
         now = time.monotonic()
-        if done == total or now - self._last_plain >= _PLAIN_EVERY_S:
+        if done == total or now - self._last_plain >= PLAIN_EVERY_S:
             self._last_plain = now
             self.note(f"{what} {done}/{total}  {figures}".rstrip())
 
 
-def _figures(iteration: Iteration) -> str:
-    scalars = iteration.scalars
+def figures(scalars: Mapping[str, float]) -> str:
+    """Return a training iteration's figures as part of a line."""
     parts = []
     for key, label, form in (
         ("Train/mean_reward", "reward", "{:.2f}"),

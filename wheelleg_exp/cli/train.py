@@ -16,6 +16,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
     add_json(parser)
+    parser.add_argument(
+        "-m",
+        "--multirun",
+        action="store_true",
+        help="train every combination of several values: seed=1,2,3 env.rewards.alive.weight=choice(1,2) "
+        "[hydra/launcher=joblib hydra.launcher.n_jobs=2]",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,25 +31,32 @@ def run(args: argparse.Namespace) -> int:
 
     # From the first moment on: an interrupt inside the import of a C++ library may be lost or become another error.
     with StopRequest() as stop:
+        if args.multirun:
+            from wheelleg_exp.cli.sweep import train_all
+
+            return train_all(args, stop)
         return _train(args, stop)
 
 
 def _train(args: argparse.Namespace, stop: StopRequest) -> int:
-    from wheelleg_exp.config.check import require_valid
-    from wheelleg_exp.config.compose import compose
+    from wheelleg_exp.config.collect import compose_valid
+    from wheelleg_exp.config.sweep import require_no_sweep
 
-    composed = compose(args.overrides, config_dirs=args.config_dirs)
-    require_valid(composed)
+    require_no_sweep(args.overrides)
+    composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
     from wheelleg_exp.cli.display import ConsoleDisplay
     from wheelleg_exp.cli.report import shown, tool
     from wheelleg_exp.jobs import training
+    from wheelleg_exp.physics.report import examine
 
     with ConsoleDisplay() as display:
         stop.check()
         ready = training.prepare(composed, args.command, display)
         directory = ready.directory
         display.note(f"run directory: {shown(directory.path)}")
+        for finding in examine(composed).open:
+            display.note(f"warning: {finding.line()}")
         try:
             results = training.run(ready, display, stop)
         except KeyboardInterrupt:

@@ -1,0 +1,205 @@
+"""``wheelleg train -m``: what it says, and what it refuses before anything has begun."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from jobs.small import SMALL, cache_of, wheelleg
+from jobs.sweeps import STAND_IN, swept_once
+
+from wheelleg_exp.jobs import sweep as runner_module
+
+
+@pytest.fixture(autouse=True)
+def _own_folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    return swept_once(tmp_path_factory)
+
+
+# What is wrong is said before the first job begins, and nothing is written.
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["seed=1,2"], ["seed: several values for one run (override seed=1,2)", "-m (--multirun) trains each"]),
+        (["seed=range(1,3)"], ["seed: several values for one run", "-m (--multirun)"]),
+        (["hydra/launcher=joblib"], ["hydra/launcher: this is a setting of a sweep", "-m (--multirun)"]),
+        (["hydra.launcher.n_jobs=2"], ["hydra.launcher.n_jobs: this is a setting of a sweep", "-m (--multirun)"]),
+        (["-m", "seed=1,x", "env.decimation=0"], ["2 mistakes", "override seed=x", "override env.decimation=0"]),
+        (["--multirun", "hydra.sweep.dir=x"], ["hydra.sweep.dir: nothing reads this", "run.root"]),
+        (["-m", "hydra/launcher=ray"], ["'ray' is not supported", "one of basic, joblib"]),
+    ],
+    ids=lambda value: " ".join(value) if "=" in value[-1] and " " not in value[-1] else "",
+)
+def test_mistakes_end_with_status_2_and_leave_nothing(tmp_path, words, told):
+    said = wheelleg("train", *words)
+    assert (said.status, said.out) == (2, "")
+    assert [part for part in told if part not in said.err] == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_tells_the_option():
+    said = wheelleg("train", "--help")
+    assert "-m, --multirun" in said.out
+    assert "hydra/launcher=joblib" in said.out
+
+
+# Jobs that only pretend: the override run.name says what each does.
+
+PRETENDING = STAND_IN.replace('(what,) = request["overrides"]', 'what = request["overrides"][0].split("=")[1]')
+
+
+@pytest.fixture
+def pretend(monkeypatch):
+    """Jobs do not train; the table, the statuses and the index are the same."""
+    monkeypatch.setattr(runner_module, "_BOOT", PRETENDING)
+
+
+@pytest.mark.usefixtures("pretend")
+def test_a_failed_job_is_status_3_after_all_others(tmp_path):
+    said = wheelleg("train", "-m", "run.name=fail,finish1,die,killed,finish2", "seed=3")
+    assert said.status == 3
+    rows = [line.split() for line in said.out.splitlines()[1:6]]
+    assert [row[:3] for row in rows] == [
+        ["1", "run.name=fail", "failed"],
+        ["2", "run.name=finish1", "finished"],
+        ["3", "run.name=die", "failed"],
+        ["4", "run.name=killed", "failed"],
+        ["5", "run.name=finish2", "finished"],
+    ]
+    assert rows[1][-1] == "runs/stand/finish1"
+    assert "2 of 5 jobs finished: runs/sweeps/" in said.out
+    assert "again: " in said.out
+    assert "wheelleg train run.name=fail seed=3" in said.out
+    assert "job 1 run.name=fail failed: gone to NaN" in said.err
+
+
+@pytest.mark.usefixtures("pretend")
+def test_json_is_one_document_whatever_becomes_of_the_jobs(tmp_path):
+    said = wheelleg("train", "-m", "--json", "run.name=finish1,fail")
+    assert said.status == 3
+    document = json.loads(said.out)
+    assert document["status"] == "failed"
+    assert [job["status"] for job in document["jobs"]] == ["finished", "failed"]
+    assert document["jobs"][0]["run"] == str(tmp_path / "runs" / "stand" / "finish1")
+    (index,) = (tmp_path / "runs" / "sweeps").iterdir()
+    assert document["sweep"] == str(index)
+    assert document["command"] == ["wheelleg", "train", "-m", "--json", "run.name=finish1,fail"]
+
+
+@pytest.mark.usefixtures("pretend")
+def test_the_basic_launcher_runs_one_job_at_a_time_whatever_the_machine(tmp_path):
+    said = wheelleg("train", "-m", "run.name=finish1,finish2,finish3")
+    assert said.status == 0
+    begun = [line.split()[1] + line.split()[-1] for line in said.err.splitlines() if line.startswith("job ")]
+    assert begun == ["1started", "1finished", "2started", "2finished", "3started", "3finished"]
+    (index,) = (tmp_path / "runs" / "sweeps").iterdir()
+    assert json.loads((index / "sweep.json").read_text())["launcher"] == {"name": "basic", "at_once": 1}
+
+
+@pytest.mark.usefixtures("pretend")
+def test_jobs_that_crowd_the_machine_are_warned_of(tmp_path, monkeypatch):
+    import joblib
+
+    monkeypatch.setattr(joblib, "cpu_count", lambda: 4)
+    words = ["train", "-m", "run.name=finish1,finish2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    said = wheelleg(*words, "agent.torch_threads=3", "env.sim.nthread=1")
+    assert "warning: 2 jobs of 3 threads each share 4 cores; agent.torch_threads=2 env.sim.nthread=2" in said.err
+    said = wheelleg(*words, "agent.torch_threads=2", "env.sim.nthread=2")
+    assert "warning" not in said.err
+
+
+@pytest.mark.usefixtures("pretend")
+def test_a_line_that_every_job_says_is_said_once():
+    said = wheelleg("train", "-m", "run.name=talk,talk")
+    assert said.err.count("something") == 1
+    assert said.status == 0
+
+
+@pytest.mark.usefixtures("pretend")
+def test_in_a_terminal_every_running_job_has_a_line(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "200")
+    said = wheelleg("train", "-m", "run.name=finish1,fail,finish3")
+    assert said.status == 3
+    assert "checking" in said.err
+    assert "job 1 run.name=finish1" in said.err
+    assert "job 2 run.name=fail failed: gone to NaN" in said.err
+    assert "\x1b" not in said.out
+
+
+@pytest.mark.usefixtures("pretend")
+def test_a_sweep_that_is_started_twice_in_a_second_has_two_folders(tmp_path):
+    for _ in range(2):
+        assert wheelleg("train", "-m", "run.name=finish1").status == 0
+    assert len(list((tmp_path / "runs" / "sweeps").iterdir())) == 2
+
+
+@pytest.mark.usefixtures("pretend")
+def test_the_users_root_holds_the_index(tmp_path):
+    assert wheelleg("train", "-m", "run.name=finish1", "run.root=elsewhere").status == 0
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["elsewhere"]
+    assert list((tmp_path / "elsewhere" / "sweeps").glob("*/sweep.json"))
+
+
+def test_jobs_find_the_environment_that_a_run_alone_finds():
+    """Counting cores with joblib leaves nothing behind in it."""
+    code = (
+        "import os, sys, types; before = dict(os.environ); from wheelleg_exp.cli import sweep;"
+        "print(sweep._at_once(types.SimpleNamespace(jobs=[0] * 1000, n_jobs=-1)) >= 1, dict(os.environ) == before)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "True"]
+
+
+# A real one.
+
+
+@pytest.mark.train
+def test_the_last_lines_tell_the_jobs_and_what_comes_next(swept):
+    lines = swept.said.out.splitlines()
+    assert lines[0].split() == ["job", "overrides", "status", "return", "run"]
+    for line, job in zip(lines[1:3], swept.index.jobs, strict=True):
+        run = swept.index.run_of(job)
+        figure = f"{job['results']['Train/mean_reward']:.3f}"
+        expected = [str(job["number"]), *job["swept"], "finished", figure, f"runs/stand/{run.name}"]
+        assert line.split() == expected
+    assert lines[4].startswith("2 of 2 jobs finished: runs/sweeps/")
+    assert any("tensorboard --logdir runs/stand" in line for line in lines)
+    assert any("diff runs/stand/" in line for line in lines)
+    assert any("play runs/stand/" in line for line in lines)
+    assert "again:" not in swept.said.out
+
+
+@pytest.mark.train
+def test_warnings_of_the_physics_check_are_told_once_for_all_jobs(swept):
+    assert swept.said.err.count("check.silence.episode_end silences it") == 1
+
+
+@pytest.mark.train
+def test_multirun_yaml_names_the_sweep_and_its_folder(swept):
+    multirun = yaml.safe_load((swept.folder / "multirun.yaml").read_text())
+    assert multirun["hydra"]["mode"] == "MULTIRUN"
+    assert multirun["hydra"]["launcher"]["n_jobs"] == 2
+    assert multirun["hydra"]["sweep"]["dir"] == str(swept.folder)
+    assert multirun["hydra"]["overrides"]["task"] == ["seed=0,1", *SMALL, "run.name=small"]
+
+
+@pytest.mark.train
+def test_the_list_of_runs_shows_the_jobs_and_not_the_sweep(swept):
+    said = wheelleg("list", "runs", "--root", swept.root, "--json")
+    listed = {row["path"]: row for row in json.loads(said.out)}
+    for job in swept.index.jobs:
+        assert listed[str(swept.index.run_of(job))]["status"] == "finished"
+    assert {row["task"] for row in listed.values()} == {"stand"}

@@ -1,0 +1,303 @@
+"""Sweeps: the jobs are Hydra's own, each is checked, and every mistake is told once."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+from hydra._internal.callbacks import Callbacks
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.utils import create_config_search_path
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.types import HydraContext, RunMode
+
+from wheelleg_exp.config import sweep
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.loader import hydra_globals
+from wheelleg_exp.config.problems import parts
+from wheelleg_exp.config.sweep import compose_sweep, digest_of, require_no_sweep
+from wheelleg_exp.errors import ConfigError
+
+JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+
+
+class _Recorder:
+    """A launcher that writes down what Hydra would launch."""
+
+    def __init__(self) -> None:
+        self.jobs: list[list[str]] = []
+
+    def launch(self, job_overrides, initial_job_idx):
+        self.jobs += [list(job) for job in job_overrides]
+        return []
+
+
+def _jobs_of_hydra(stock: Path, texts: list[str]) -> list[list[str]]:
+    """Let Hydra's own sweeper sweep, with its own loader."""
+    with hydra_globals():
+        from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+
+        loader = ConfigLoaderImpl(create_config_search_path(str(stock)))
+        words = [*texts, f"hydra.sweep.dir={stock.parent / 'multirun'}", "hydra.mode=MULTIRUN"]
+        config = loader.load_configuration("train", words, RunMode.MULTIRUN, from_shell=False)
+        sweeper = BasicSweeper(max_batch_size=None, params=config.hydra.sweeper.params)
+        sweeper.config, sweeper.launcher = config, _Recorder()
+        sweeper.validate_batch_is_legal = lambda batch: None
+        sweeper.hydra_context = HydraContext(config_loader=loader, callbacks=Callbacks())
+        sweeper.sweep(list(config.hydra.overrides.task))
+        return sweeper.launcher.jobs
+
+
+def _meaning(overrides) -> list[tuple]:
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return [(o.type, o.key_or_group, o.package, repr(o.value())) for o in parsed]
+
+
+@pytest.fixture
+def unchecked(monkeypatch):
+    """Expand only: checking the jobs takes its time, and is looked at below."""
+    empty = SimpleNamespace(config={}, hydra_files=lambda: {"config.yaml": ""})
+    monkeypatch.setattr(sweep, "find_mistakes", lambda overrides, **_: (empty, []))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ["seed=1,2,3"],
+        ["seed=1,2", "env.rewards.alive.weight=1.0,2.5"],
+        ["seed=choice(1,2)", "task=stand,walk"],
+        ["task=glob(*)"],
+        ["task=glob([st*,w*],exclude=w*)", "seed=4,5"],
+        ["seed=range(1,4)"],
+        ["env.rewards.alive.weight=range(0.5,1.0,0.25)"],
+        ["seed=sort(3,1,2)", "agent.max_iterations=sort(range(1,4),reverse=true)"],
+        ["reward@env.rewards=[alive,height],[height,alive]"],
+        ["run.name=null,a,b_c", "~env.events.push"],
+        ["+env.rewards.more={_target_:shelf_terms.alive,weight:1.0},{_target_:shelf_terms.alive,weight:2.0}"],
+        ["++seed=5,6", "env.rewards.height.target_height=1e-2,.5"],
+        ["env.scene.spacing=float(1,2)", "seed=int('1','2')"],
+        ["seed=7"],
+        ["seed=1,1"],
+        ["run.name=a", "seed=1,2", "run.name=b"],
+    ],
+    ids=lambda texts: " ".join(texts),
+)
+def test_jobs_are_those_of_hydra_in_its_order(stock, texts):
+    found = compose_sweep(texts)
+    assert [_meaning(job.overrides) for job in found.jobs] == [_meaning(job) for job in _jobs_of_hydra(stock, texts)]
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_jobs_given_by_the_config_files_are_hydras_too(stock, edit):
+    text = "seed: 1\n"
+    edit("train.yaml", text, text + "hydra: {sweeper: {params: {seed: '1,2', run.name: 'a,b'}}}\n")
+    texts = ["run.name=c,d"]
+    assert [job.overrides for job in compose_sweep(texts).jobs] == [
+        ("seed=1", "run.name=c"),
+        ("seed=1", "run.name=d"),
+        ("seed=2", "run.name=c"),
+        ("seed=2", "run.name=d"),
+    ]
+    assert [list(job.overrides) for job in compose_sweep(texts).jobs] == _jobs_of_hydra(stock, texts)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_shuffled_values_are_all_there(stock):
+    found = compose_sweep(["seed=shuffle(range(1,6))"])
+    assert sorted(job.overrides for job in found.jobs) == [(f"seed={seed}",) for seed in range(1, 6)]
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_what_is_not_swept_stays_as_typed(stock):
+    """A run of a sweep lists the overrides that one would type to train it alone."""
+    found = compose_sweep(["~env.events.push", "run.name='a b'", "seed=1,2", "env.scene.spacing=1e0"])
+    assert found.jobs[1].overrides == ("~env.events.push", "run.name='a b'", "seed=2", "env.scene.spacing=1e0")
+    assert [job.swept for job in found.jobs] == [("seed=1",), ("seed=2",)]
+
+
+def test_a_job_is_composed_as_if_it_were_alone(stock):
+    found = compose_sweep([*JOBLIB, "task=stand,walk", "env.rewards.height.weight=-1.0,-2.0"])
+    for job in found.jobs:
+        alone = compose(job.overrides)
+        assert job.config == alone.config
+        assert job.digest == digest_of(alone)
+    assert len({job.digest for job in found.jobs}) == 4
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_settings_of_the_launcher_are_not_the_jobs(stock):
+    found = compose_sweep(["seed=1,2", *JOBLIB])
+    assert (found.launcher, found.n_jobs) == ("joblib", 2)
+    assert [job.overrides for job in found.jobs] == [("seed=1",), ("seed=2",)]
+    alone = compose_sweep(["seed=1,2"])
+    assert (alone.launcher, alone.n_jobs) == ("basic", 1)
+
+
+def test_a_search_path_of_hydras_goes_to_every_job(stock, user):
+    path = f"hydra.searchpath=['file://{user}']"
+    found = compose_sweep([path, "task=hop,stand"])
+    assert [job.overrides for job in found.jobs] == [(path, "task=hop"), (path, "task=stand")]
+
+
+def test_the_users_folders_are_searched(stock, user):
+    found = compose_sweep(["task=glob(*)"], config_dirs=[user])
+    assert [job.config["task"]["name"] for job in found.jobs] == ["hop", "stand", "walk"]
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_progress_counts_the_checked_jobs(stock):
+    seen = []
+    compose_sweep(["seed=1,2,3"], progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+_APP = """
+import hydra, json
+from hydra.core.hydra_config import HydraConfig
+
+@hydra.main(version_base="1.3", config_path=None)
+def main(config):
+    print(json.dumps(list(HydraConfig.get().overrides.task)))
+
+main()
+"""
+
+
+def test_the_whole_sweep_is_what_a_hydra_program_makes_of_the_same_words(stock, tmp_path):
+    texts = ["task=walk", "seed=range(1,3)", "env.rewards.height.weight=-1.0,-2.0", "~env.events.push", *JOBLIB[:1]]
+    app = tmp_path / "app.py"
+    app.write_text(_APP)
+    words = ["-m", "--config-dir", stock, "--config-name", "train", *texts, "hydra.launcher.n_jobs=1"]
+    done = subprocess.run(
+        [sys.executable, app, *words, "hydra.sweep.dir=theirs"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    ours = compose_sweep([*texts, "hydra.launcher.n_jobs=1"])
+    jobs = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(jobs) == 4
+    assert [_meaning(job.overrides) for job in ours.jobs] == list(map(_meaning, jobs))
+    theirs = yaml.safe_load((tmp_path / "theirs" / "multirun.yaml").read_text())
+    mine = yaml.safe_load(_text(ours.multirun))
+    _forget_the_program(theirs)
+    _forget_the_program(mine)
+    assert mine == theirs
+
+
+def _text(config) -> str:
+    from omegaconf import OmegaConf
+
+    return OmegaConf.to_yaml(config)
+
+
+def _forget_the_program(config: dict) -> None:
+    """Drop what names the program that composed: its own name, its search path, its sweep folder."""
+    hydra = config["hydra"]
+    hydra["runtime"].pop("config_sources")
+    hydra["job"].pop("name")
+    hydra.pop("sweep")
+    hydra["overrides"]["hydra"] = [text for text in hydra["overrides"]["hydra"] if "hydra.sweep.dir" not in text]
+
+
+def test_a_key_that_only_the_swept_tasks_have_is_no_mistake(stock):
+    """Hydra would compose the default task with it first, and stop."""
+    found = compose_sweep(["task=walk", "env.rewards.smooth.weight=-1.0,-2.0", "seed=3"])
+    assert len(found.jobs) == 2
+    found = compose_sweep(["task=walk,walk", "env.rewards.smooth.weight=-1.0", *JOBLIB])
+    assert [job.config["env"]["rewards"]["smooth"]["weight"] for job in found.jobs] == [-1.0, -1.0]
+    assert found.n_jobs == 2
+    assert found.multirun.hydra.overrides.task == ["task=walk,walk", "env.rewards.smooth.weight=-1.0"]
+
+
+def _mistakes(*texts: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        compose_sweep(texts)
+    return [str(error) for error in parts(caught.value)]
+
+
+def test_mistakes_of_all_jobs_are_told_and_each_once(stock):
+    told = _mistakes("seed=1,a,b", "env.decimation=0", "env.num_envs=1,2")
+    assert sorted(told) == [
+        "env.decimation: 0 is out of range (override env.decimation=0); expected at least 1",
+        "seed: 'a' is not of the right type (override seed=a); expected a whole number",
+        "seed: 'b' is not of the right type (override seed=b); expected a whole number",
+    ]
+
+
+def test_a_mistake_that_only_some_jobs_have_says_with_which_values(stock):
+    told = _mistakes("task=walk,stand", "seed=1,2", "env.rewards.smooth.weight=-1.0")
+    (one,) = told
+    assert one.startswith("env.rewards.smooth")
+    assert "[with task=stand seed=1 and 1 more]" in one
+
+
+def test_a_mistake_in_a_file_of_all_jobs_is_told_without_a_job(stock, edit):
+    edit("task/stand.yaml", "decimation: 2", "decimation: 0")
+    (told,) = _mistakes("seed=1,2,3")
+    assert "configs/task/stand.yaml:19" in told
+    assert "with seed" not in told
+
+
+def test_mistakes_of_every_kind_are_told_together(stock):
+    told = _mistakes("seed=interval(0,1)", "hydra.sweep.dir=x", "env.decimation=0", "oh", "run.name=a,b", "agent.x=1")
+    assert [text.split(":")[0] for text in told] == ["oh", "seed", "hydra.sweep.dir", "agent.x", "env.decimation"]
+
+
+@pytest.mark.parametrize(
+    ("words", "parts_of_the_message"),
+    [
+        (["hydra.sweep.dir=x"], ["hydra.sweep.dir: nothing reads this", "override hydra.sweep.dir=x", "run.root"]),
+        (["hydra.sweep.subdir=x"], ["hydra.sweep.subdir: nothing reads this", "run.root"]),
+        (["hydra.sweeper.max_batch_size=2"], ["hydra.sweeper.max_batch_size: nothing reads", "hydra.sweeper.params"]),
+        (["hydra/sweeper=optuna"], ["hydra/sweeper: 'optuna' is not supported", "expected one of basic"]),
+        (["hydra/launcher=joblb"], ["hydra/launcher: 'joblb'", "one of basic, joblib", "did you mean 'joblib'"]),
+        (["hydra/launcher=submitit_slurm"], ["'submitit_slurm' is not supported", "one of basic, joblib"]),
+        (["hydra/launcher=basic,joblib"], ["hydra/launcher: Hydra's own settings cannot be swept"]),
+        (["hydra.launcher.n_jobs=2"], ["hydra.launcher.n_jobs: the basic launcher", "hydra/launcher=joblib beside"]),
+        ([*JOBLIB[:1], "hydra.launcher.n_jobs=0"], ["hydra.launcher.n_jobs: no job would ever run"]),
+        ([*JOBLIB[:1], "hydra.launcher.n_jobs=x"], ["hydra.launcher.n_jobs", "'x'"]),
+        ([*JOBLIB[:1], "hydra.launcher.n_job=2"], ["hydra.launcher.n_job: nothing reads this", "n_jobs, how many"]),
+        ([*JOBLIB[:1], "hydra.launcher.timeout=2"], ["hydra.launcher.timeout: nothing reads this"]),
+        (["hydra.mode=RUN"], ["hydra.mode: nothing reads this", "-m alone"]),
+        (["seed=interval(0,1)"], ["seed: an interval has no single values", "choice(0.1,0.5)"]),
+        (["task=glob(x*)"], ["task: there is no value in this", "matches one of stand, walk"]),
+        (["seed=glob(*)"], ["seed: there is no value in this"]),
+        (["seed=range(3,3)"], ["seed: there is no value in this"]),
+        (["seed=1,2", "seed=3"], ["seed: this key is given several times", "override seed=1,2"]),
+        (["++env.x={a:1}", "++env.x={b:1}"], ["env.x: this key is given several times"]),
+        (["task=stand", "task=walk"], ["task: this key is given several times"]),
+        (["seed=[1"], ["seed=[1: not an override"]),
+    ],
+    ids=lambda words: " ".join(words) if all("=" in w for w in words) else "",
+)
+@pytest.mark.usefixtures("unchecked")
+def test_what_a_sweep_cannot_do_is_told_with_what_to_write(stock, words, parts_of_the_message):
+    told = _mistakes(*words)
+    assert [part for part in parts_of_the_message if part not in told[0]] == []
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_launcher_that_a_file_chooses_is_looked_at_as_well(stock, edit, monkeypatch):
+    edit("train.yaml", "- _self_", "- override hydra/launcher: joblib\n  - _self_")
+    assert compose_sweep(["seed=1,2"]).launcher == "joblib"
+    monkeypatch.setattr(sweep, "LAUNCHERS", ("basic",))
+    assert _mistakes("seed=1,2") == ["hydra/launcher: 'joblib' is not supported; expected one of basic"]
+
+
+@pytest.mark.parametrize("text", ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "+hydra.sweep.dir=x"])
+def test_settings_of_a_sweep_without_m_are_refused(text):
+    with pytest.raises(ConfigError, match=r"setting of a sweep.*-m \(--multirun\)"):
+        require_no_sweep(["seed=1", text])
+
+
+def test_several_values_without_m_name_it(stock):
+    with pytest.raises(ConfigError, match=r"seed: several values for one run.*-m \(--multirun\) trains each"):
+        compose(["seed=1,2"])

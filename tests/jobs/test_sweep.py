@@ -1,0 +1,360 @@
+"""Running a sweep: what its index says at every moment, and that its runs are those one would train alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
+from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
+from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.jobs import sweep as runner_module
+from wheelleg_exp.jobs import sweep_job
+from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.jobs.sweep_job import Request
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.listing import list_runs
+
+GROWING = (".lock", ".manifest.lock", "manifest.json", "iterations.jsonl", "recording.rrd")  # they hold times
+
+
+@pytest.fixture
+def stop():
+    with StopRequest() as request:
+        yield request
+
+
+def _index() -> dict:
+    (path,) = Path("runs/sweeps").glob("*/sweep.json")
+    return json.loads(path.read_text())
+
+
+def _statuses() -> list[str]:
+    return [job["status"] for job in _index()["jobs"]]
+
+
+# What becomes of the jobs.
+
+
+def test_all_jobs_finish(stop):
+    seen = Seen()
+    assert stand_in(["finish1", "finish2", "finish3"], stop, seen=seen).run() == "finished"
+    index = _index()
+    assert (index["status"], _statuses()) == ("finished", ["finished"] * 3)
+    assert all(job["started"] < job["ended"] for job in index["jobs"])
+    assert index["started"] <= index["jobs"][0]["started"]
+    assert index["jobs"][-1]["ended"] <= index["ended"]
+    assert ("iteration", 2, 1, 1) in seen.told
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 3])
+def test_as_many_jobs_run_at_once_as_are_asked_for(stop, at_once):
+    seen = Seen()
+    stand_in([f"finish{i}" for i in range(4)], stop, at_once, seen).run()
+    assert seen.most_at_once() == at_once
+
+
+def test_jobs_begin_in_order(stop):
+    seen = Seen()
+    stand_in([f"finish{i}" for i in range(4)], stop, 2, seen).run()
+    assert [told[1] for told in seen.told if told[0] == "started"] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("at_once", [1, 4])
+def test_jobs_that_fail_or_die_stop_no_other(stop, at_once):
+    assert stand_in(["fail", "die", "killed", "finish"], stop, at_once).run() == "failed"
+    assert _index()["status"] == "failed"
+    assert _statuses() == ["failed", "failed", "failed", "finished"]
+    told = [job["error"] and job["error"]["message"] for job in _index()["jobs"]]
+    assert told == [
+        "gone to NaN",
+        "its process ended with status 7 and did not say why: the last words",
+        "its process was ended by SIGKILL (out of memory?)",
+        None,
+    ]
+
+
+def test_a_program_that_cannot_start_ends_the_sweep(stop):
+    runner = stand_in(["finish"], stop)
+    runner._program = ("/there/is/no/such/program",)
+    with pytest.raises(OSError, match="program"):
+        runner.run()
+    assert _index()["status"] == "failed"
+
+
+def test_much_talk_blocks_nobody(stop):
+    seen = Seen()
+    assert stand_in(["talk", "talk"], stop, 2, seen).run() == "finished"
+    notes = [told[2] for told in seen.told if told[0] == "note" and told[1] == 1]
+    assert (notes.count("something"), notes.count("x" * 100)) == (20000, 2000)
+
+
+# The index.
+
+
+def test_the_index_tells_what_runs_at_every_moment(stop):
+    moments = []
+    seen = Seen(on_start=lambda job: moments.append(_statuses()))
+    stand_in(["finish1", "fail", "finish3"], stop, seen=seen).run()
+    assert moments == [
+        ["running", "waiting", "waiting"],
+        ["finished", "running", "waiting"],
+        ["finished", "failed", "running"],
+    ]
+
+
+def test_the_index_names_the_run_while_the_job_runs(stop):
+    runs = []
+    seen = Seen(on_iteration=lambda job: runs.append(_index()["jobs"][job["number"] - 1]["run"]))
+    stand_in(["finish1", "finish2"], stop, seen=seen).run()
+    assert runs == ["../../stand/finish1", "../../stand/finish2"]
+
+
+def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch):
+    runner = stand_in(["wait", "finish"], stop, 2)
+    broken = SimulationFailure("the disk is full")
+
+    def refuse(*_, **__):
+        raise broken
+
+    monkeypatch.setattr(runner._index, "job_ended", refuse)
+    with pytest.raises(SimulationFailure, match="disk is full"):
+        runner.run()
+    assert runner._running == []
+
+
+# Stopping.
+
+
+def test_a_stop_ends_every_job_and_starts_no_other(stop):
+    seen = Seen(on_start=lambda job: job["number"] == 2 and os.kill(os.getpid(), signal.SIGINT))
+    assert stand_in(["wait", "wait", "finish"], stop, 2, seen).run() == "interrupted"
+    assert _index()["status"] == "interrupted"
+    assert _statuses() == ["interrupted", "interrupted", "waiting"]
+
+
+def test_a_second_stop_interrupts_the_jobs_at_once(stop, monkeypatch):
+    runner = stand_in(["deaf", "finish"], stop)
+    heard = runner._hear_event
+
+    def hear(job, line):
+        heard(job, line)
+        if not stop.requested:
+            _interrupt_twice(job)
+
+    monkeypatch.setattr(runner, "_hear_event", hear)
+    start = time.monotonic()
+    assert runner.run() == "interrupted"
+    assert time.monotonic() - start < 10.0
+    assert _statuses() == ["interrupted", "waiting"]
+
+
+def _interrupt_twice(_job):
+    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
+    monkeypatch.setattr(runner_module, "_PATIENCE_S", 0.5)
+
+    runner = stand_in(["stubborn"], stop, seen=Seen(on_iteration=_interrupt_twice))
+    assert runner.run() == "interrupted"
+    assert "SIGKILL" in _index()["jobs"][0]["error"]["message"]
+    assert runner._running == []
+
+
+def test_a_third_stop_waits_for_nobody(stop):
+    """It leaves no process behind all the same."""
+    seen = Seen(on_iteration=_interrupt_twice)
+    runner = stand_in(["stubborn"], stop, seen=seen)
+    processes = []
+    end = runner._end
+
+    def interrupted_end(act, patience_s):
+        processes.extend(job.process for job in runner._running)
+        end(act, 0.0)
+        if patience_s:
+            raise KeyboardInterrupt
+
+    runner._end = interrupted_end
+    assert runner.run() == "interrupted"
+    assert _statuses() == ["interrupted"]
+    assert {process.returncode for process in processes} == {-signal.SIGKILL}
+
+
+def test_jobs_stop_when_the_sweep_itself_is_killed():
+    """Its end of the pipe goes with it."""
+    request = Request(["wait"], [], [], "").line()
+    job = subprocess.Popen([sys.executable, "-c", STAND_IN], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert job.stdin
+    job.stdin.write(request)
+    job.stdin.flush()
+    out, _ = job.communicate(timeout=20)
+    assert json.loads(out.splitlines()[-1])["status"] == "interrupted"
+
+
+# The program that trains one job.
+
+
+def _request(*overrides: str, digest: str = "") -> Request:
+    return Request(list(overrides), [], ["wheelleg", "train", *overrides], digest)
+
+
+def _ended(request: Request, stop: StopRequest) -> tuple[int, dict]:
+    reader, writer = os.pipe()
+    status = sweep_job._ended(sweep_job.Events(writer), request, stop)
+    os.close(writer)
+    with os.fdopen(reader) as lines:
+        return status, json.loads(lines.read().splitlines()[-1])
+
+
+def test_a_job_whose_files_have_changed_since_the_check_does_not_train(stop):
+    status, told = _ended(_request(*SMALL, digest="another"), stop)
+    assert (status, told["status"]) == (2, "failed")
+    assert "have changed since the sweep was checked" in told["error"]["message"]
+    assert not Path("runs").exists()
+
+
+def test_a_job_with_a_mistake_says_it(stop):
+    status, told = _ended(_request("env.num_envs=0"), stop)
+    assert status == 2
+    assert told["error"]["message"].startswith("env.num_envs: 0 is out of range")
+    assert told["error"]["type"] == ConfigError.__name__
+
+
+def test_a_job_that_is_stopped_before_it_has_begun_leaves_no_run(stop):
+    from wheelleg_exp.config.compose import compose
+    from wheelleg_exp.config.sweep import digest_of
+
+    stop.requested = True
+    status, told = _ended(_request(*SMALL, digest=digest_of(compose(SMALL))), stop)
+    assert (status, told["status"]) == (130, "interrupted")
+    assert not Path("runs").exists()
+
+
+# Real trainings.
+
+
+@pytest.fixture(scope="session")
+def swept(tmp_path_factory):
+    return swept_once(tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def alone(swept, tmp_path_factory):
+    """The sweep's second run again, by the command that its manifest names."""
+    run = swept.index.run_of(swept.index.jobs[1])
+    command = json.loads((run / "manifest.json").read_text())["command"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(swept.folder.parent.parent.parent)
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        said = wheelleg(*command[1:])
+    assert said.status == 0, said.err
+    (path,) = [path for path in run.parent.iterdir() if path.name.endswith("_1_small") and path != run]
+    return path
+
+
+def _files(run: Path) -> dict[str, Path]:
+    """Return the files that hold no times, and not the source: others may work in the checkout meanwhile."""
+    files = {path.relative_to(run).as_posix(): path for path in run.rglob("*") if path.is_file()}
+    return {
+        name: path
+        for name, path in files.items()
+        if name not in GROWING and ".tfevents." not in name and not name.startswith("source/")
+    }
+
+
+def _iterations(run: Path) -> list[dict]:
+    lines = [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
+    for line in lines:
+        line["scalars"] = {key: value for key, value in line["scalars"].items() if not key.startswith("Perf/")}
+    return lines
+
+
+@pytest.mark.train
+def test_runs_trained_at_the_same_time_are_byte_for_byte_those_trained_alone(swept, alone):
+    of_sweep = swept.index.run_of(swept.index.jobs[1])
+    ours, theirs = _files(of_sweep), _files(alone)
+    assert set(ours) == set(theirs)
+    assert {"model_2.pt", "exported/policy.onnx", "params/env.yaml", ".hydra/hydra.yaml"} <= set(ours)
+    different = [name for name in ours if ours[name].read_bytes() != theirs[name].read_bytes()]
+    # TorchScript writes a module's constants in the order of a set, which no two processes share.
+    assert [name for name in different if name != "exported/policy.pt"] == []
+    assert len(_iterations(alone)) == ITERATIONS
+    assert _iterations(of_sweep) == _iterations(alone)
+
+
+@pytest.mark.train
+def test_every_job_computes_what_its_seed_says(swept, tmp_path_factory):
+    zero, one = (swept.index.run_of(job) for job in swept.index.jobs)
+    trained = trained_once(tmp_path_factory).run.path  # of seed 0
+    model = f"model_{ITERATIONS - 1}.pt"
+    assert (zero / model).read_bytes() == (trained / model).read_bytes()
+    assert (zero / model).read_bytes() != (one / model).read_bytes()
+
+
+@pytest.mark.train
+def test_a_manifest_says_of_a_job_what_it_says_of_a_run(swept, alone):
+    ours, theirs = (
+        json.loads((run / "manifest.json").read_text()) for run in (swept.index.run_of(swept.index.jobs[1]), alone)
+    )
+    assert ours.keys() == theirs.keys()
+    same = ("task", "status", "error", "command", "working_directory", "seeds", "versions", "threads", "hardware")
+    assert [key for key in same if ours[key] != theirs[key]] == []
+    assert ours["environment_variables"] == theirs["environment_variables"]
+    assert ours["threads"]["torch"] == 1
+
+
+@pytest.mark.train
+def test_the_index_holds_the_figures_of_the_runs(swept):
+    for job in swept.index.jobs:
+        manifest = RunDirectory.open(swept.index.run_of(job), swept.root).manifest()
+        assert job["results"] == manifest.results
+        assert job["results"]["iterations"] == ITERATIONS
+        assert (job["status"], job["error"]) == ("finished", None)
+
+
+@pytest.mark.train
+def test_both_jobs_ran_at_the_same_time(swept):
+    one, other = swept.index.jobs
+    assert max(one["started"], other["started"]) < min(one["ended"], other["ended"])
+
+
+@pytest.mark.train
+def test_the_runs_are_ordinary_ones_and_the_sweep_is_none(swept):
+    runs = {swept.index.run_of(job) for job in swept.index.jobs}
+    listed = {run.path.resolve() for run in list_runs(swept.root)}
+    assert runs <= listed
+    assert {path.parent.name for path in listed} == {"stand"}
+    assert RunDirectory.open("latest", swept.root).path in listed
+
+
+@pytest.mark.train
+def test_an_interrupt_stops_the_sweep_and_keeps_what_was_trained(tmp_path, tmp_path_factory):
+    """Ctrl-C in the middle: the run that trains stops at a whole iteration, the next is never begun."""
+    words = ["train", "-m", "seed=1,2", *SMALL, "agent.max_iterations=100000", "agent.save_interval=100000"]
+    script = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    program = [sys.executable, "-c", script, *words]
+    job = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
+    for _ in range(600):
+        time.sleep(0.1)
+        if job.poll() is not None or [
+            path for path in tmp_path.glob("runs/stand/*/iterations.jsonl") if path.read_text().count("\n") > 2
+        ]:
+            break
+    os.killpg(job.pid, signal.SIGINT)  # as a terminal does
+    out, err = job.communicate(timeout=60)
+    assert job.returncode == 130, err.decode()
+    assert (_index()["status"], _statuses()) == ("interrupted", ["interrupted", "waiting"])
+    (run,) = (tmp_path / "runs" / "stand").iterdir()
+    directory = RunDirectory.open(run, tmp_path / "runs")
+    assert directory.manifest().status == "interrupted"
+    assert directory.latest_checkpoint().name == f"model_{len(_iterations(run)) - 1}.pt"
+    assert b"0 of 2 jobs finished" in out

@@ -1,0 +1,96 @@
+"""The index of a sweep: whole at every moment, in a folder of its own, and read back."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+
+import pytest
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.files import write_json
+from wheelleg_exp.run.listing import list_runs
+from wheelleg_exp.run.sweep import SweepIndex
+from wheelleg_exp.run.timestamps import folder_text
+
+NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+
+def make(root, jobs=(("seed=1", "a=2"), ("seed=2", "a=2"))) -> SweepIndex:
+    pairs = [(overrides, overrides[:1]) for overrides in jobs]
+    return SweepIndex.create(root, command=["wheelleg", "train"], launcher={"name": "basic"}, jobs=pairs, now=NOW)
+
+
+def test_a_new_sweep_has_a_folder_of_its_own_below_sweeps(tmp_path):
+    first, second = make(tmp_path), make(tmp_path)
+    assert first.folder == tmp_path / "sweeps" / folder_text(NOW)
+    assert second.folder.name == first.folder.name + "-2"
+
+
+def test_before_the_first_job_all_wait(tmp_path):
+    data = json.loads(make(tmp_path).path.read_text())
+    assert (data["format"], data["status"], data["ended"]) == (1, "running", None)
+    assert data["command"] == ["wheelleg", "train"]
+    assert [(job["number"], job["status"], job["overrides"], job["swept"]) for job in data["jobs"]] == [
+        (1, "waiting", ["seed=1", "a=2"], ["seed=1"]),
+        (2, "waiting", ["seed=2", "a=2"], ["seed=2"]),
+    ]
+
+
+def test_what_is_recorded_is_read_back(tmp_path, make_run):
+    index = make(tmp_path / "runs")
+    run = make_run("stand", 1)
+    index.job_started(1)
+    index.job_has_run(1, run.path)
+    index.job_ended(1, "finished", {"iterations": 3})
+    again = SweepIndex.load(index.folder)
+    assert again.data == index.data
+    assert again.jobs[0]["run"] == f"../../stand/{run.id}"
+    assert again.run_of(again.jobs[0]) == run.path
+    assert again.run_of(again.jobs[1]) is None
+
+
+def test_runs_are_found_after_the_whole_root_has_moved(tmp_path, make_run):
+    index = make(tmp_path / "runs")
+    index.job_has_run(1, make_run("stand", 1).path)
+    (tmp_path / "runs").rename(tmp_path / "moved")
+    again = SweepIndex.load(tmp_path / "moved" / "sweeps" / index.folder.name)
+    run = again.run_of(again.jobs[0])
+    assert RunDirectory.open(run, tmp_path / "moved").path == run
+
+
+def test_a_job_that_nobody_saw_end_is_interrupted(tmp_path):
+    index = make(tmp_path)
+    index.job_started(1)
+    index.finish("interrupted")
+    assert [job["status"] for job in SweepIndex.load(index.folder).jobs] == ["interrupted", "waiting"]
+    assert index.data["ended"] is not None
+
+
+def test_a_sweep_is_no_run(tmp_path, make_run):
+    run = make_run("stand", 1)
+    index = make(tmp_path / "runs")
+    write_json(index.folder / "manifest.json", {})  # not even when it looks like one
+    assert [listed.path for listed in list_runs(tmp_path / "runs")] == [run.path]
+    assert RunDirectory.open("latest", tmp_path / "runs").path == run.path
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{", "broken JSON"),
+        ("[]", "not a sweep's index"),
+        ('{"format": 1}', "not a sweep's index"),
+        ('{"format": 2, "jobs": []}', "sweep format 2 is not known here"),
+    ],
+)
+def test_an_index_that_is_none_is_refused(tmp_path, text, told):
+    (tmp_path / "sweep.json").write_text(text)
+    with pytest.raises(RunDirectoryError, match=told):
+        SweepIndex.load(tmp_path)
+
+
+def test_no_index_is_told(tmp_path):
+    with pytest.raises(RunDirectoryError, match="cannot read"):
+        SweepIndex.load(tmp_path)
