@@ -1,0 +1,114 @@
+"""The recipes of the docs, run as they stand: their files are written, and their commands find no mistake."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.compose import compose
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8")
+FILE = re.compile(r"`([\w./]+\.(?:yaml|py|toml))`[^`]*?:\n```(?:yaml|python|toml)\n(.*?)```", re.DOTALL)
+SHELL = re.compile(r"```bash\n(.*?)```", re.DOTALL)
+COMMANDS = [line for block in SHELL.findall(TEXT) for line in block.splitlines() if line.startswith("wheelleg ")]
+SIMULATING = {"train", "zero-agent", "random-agent"}  # of these the config is checked, and no more
+OWN_OPTIONS = {"--steps": 2, "-m": 1}
+STAND = compose(["task=stand"]).config["env"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder in which a reader would have written the recipes' files."""
+    for name, text in FILE.findall(TEXT):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    (tmp_path / "my_package" / "__init__.py").touch()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def checkable(line: str) -> list[str] | None:
+    """The words of a command, as a check where it would simulate; None where it needs a run or makes files."""
+    words = shlex.split(line.split("  #")[0])[1:]
+    if words[0] not in SIMULATING:
+        return words if words[0] in ("compose", "check", "diff") and "--physics" not in words else None
+    kept: list[str] = ["check"]
+    rest = iter(words[1:])
+    for word in rest:
+        if word in OWN_OPTIONS:
+            for _ in range(OWN_OPTIONS[word] - 1):
+                next(rest)
+        elif word.count(",") and re.fullmatch(r"[\w.]+=[-\w.,]+", word):
+            kept.append(word.split(",")[0])  # the first of a sweep's values
+        else:
+            kept.append(word)
+    return kept
+
+
+def test_the_page_has_recipes():
+    assert len(COMMANDS) > 20
+    assert len(FILE.findall(TEXT)) >= 9
+
+
+@pytest.mark.parametrize("line", [line for line in COMMANDS if checkable(line)])
+def test_a_command_finds_no_mistake(folder, capsys, line):
+    words = checkable(line)
+    assert words is not None
+    status = main(words)
+    assert status == (1 if words[0] == "diff" else 0), capsys.readouterr().err
+
+
+def env(folder: Path, *overrides: str) -> dict[str, Any]:
+    node: dict[str, Any] = compose(overrides, config_dirs=[folder / "my_configs"]).config["env"]
+    return node
+
+
+def test_a_term_is_added(folder):
+    rewards = env(folder, "+reward@env.rewards=action_rate")["rewards"]
+    assert list(rewards) == [*STAND["rewards"], "action_rate"]
+    own = env(folder, "+env.rewards.effort={_target_: wheelleg_exp.mdp.rewards.joint_torques_l2, weight: -0.001}")
+    assert list(own["rewards"]) == [*STAND["rewards"], "effort"]
+    smooth = env(folder, "task=smooth")["rewards"]
+    assert list(smooth) == [*STAND["rewards"], "action_rate"]
+    assert smooth["action_rate"]["weight"] == -0.02
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["~env.events.push_robot", "env.events.push_robot=null", "task=unpushed"],
+    ids=["dropped", "nulled", "task"],
+)
+def test_a_term_is_dropped(folder, override):
+    assert list(env(folder, override)["events"]) == [name for name in STAND["events"] if name != "push_robot"]
+
+
+@pytest.mark.parametrize("override", ["action@env.actions=[leg_pos,wheel_rel_pos]", "task=stepping"])
+def test_a_term_is_replaced(folder, override):
+    assert list(env(folder, override)["actions"]) == ["leg_pos", "wheel_rel_pos"]
+
+
+def test_terms_are_reordered(folder):
+    (command,) = [line for line in COMMANDS if "terms=[last_action" in line]
+    front = ["last_action", *(name for name in STAND["observations"]["policy"]["terms"] if name != "last_action")]
+    for override in (shlex.split(command)[-1], "task=reordered"):
+        found = env(folder, override)["observations"]["policy"]["terms"]
+        assert list(found) == front
+        assert yaml.safe_dump(found) == yaml.safe_dump(STAND["observations"]["policy"]["terms"])
+
+
+def test_a_stock_file_is_replaced_on_purpose(folder):
+    composed = compose([], config_dirs=[folder / "my_replacements"])
+    assert composed.config["env"]["rewards"]["alive"]["weight"] == 7.0
+
+
+def test_a_task_changes_its_agent(folder):
+    composed = compose(["task=patient"], config_dirs=[folder / "my_configs"]).config
+    assert composed["agent"]["max_iterations"] == 300
+    assert composed["recording"]["enabled"] is False

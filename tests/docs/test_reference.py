@@ -1,0 +1,50 @@
+"""The pages that are made from the stock files: they are what the files say now, and leave no key without a meaning."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from wheelleg_exp.config import catalog
+from wheelleg_exp.paths import configs_dir
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, str]:
+    return _script().pages()
+
+
+def _script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["reference.md", "terms.md", "rules.md"])
+def test_a_page_is_what_the_files_say(made, name):
+    kept = (DOCS / name).read_text(encoding="utf-8")
+    assert kept == made[name], "run: python docs/make_reference.py"
+
+
+def test_every_stock_file_is_reachable(made):
+    for file in configs_dir().rglob("*.yaml"):
+        assert f"(../configs/{file.relative_to(configs_dir()).as_posix()})" in made["reference.md"]
+
+
+def test_every_key_of_every_file_has_a_meaning(made):
+    rows = [line for line in made["reference.md"].splitlines() if line.startswith("| `")]
+    assert len(rows) > 150
+    assert [row for row in rows if row.rsplit("|", 2)[1].strip() == ""] == []
+
+
+def test_every_term_with_a_stock_file_is_in_the_library(made):
+    for entry in catalog.terms():
+        assert f"`{entry.name}`" in made["terms.md"]
