@@ -10,8 +10,10 @@ from wheelleg_exp.cli.common import add_json, add_overrides, print_json
 from wheelleg_exp.cli.words import shown, source_document
 from wheelleg_exp.config.compose import compose
 from wheelleg_exp.config.explanation import Explanation, explain_key
+from wheelleg_exp.config.known import section_of
 from wheelleg_exp.config.mounts import Mount
 from wheelleg_exp.config.provenance import Source
+from wheelleg_exp.config.tree import split_path
 from wheelleg_exp.errors import EXIT_OK
 
 _SHOWN = 24  # values or keys of a list before the rest is only counted
@@ -110,7 +112,8 @@ def _value_of(source: Source, explained: Explanation) -> str:
 def _children(explained: Explanation) -> Iterator[str]:
     for name, node in explained.children:
         inner = node.get("_target_", "{...}") if isinstance(node, Mapping) else shown(node)
-        yield f"    {name}: {'removed' if node is None and explained.key.startswith('env.') else inner}"
+        gone = node is None and section_of((*split_path(explained.key), name)) is not None
+        yield f"    {name}: {'removed' if gone else inner}"
 
 
 def _mount(explained: Explanation, mount: Mount) -> Iterator[str]:

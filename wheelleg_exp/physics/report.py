@@ -101,7 +101,7 @@ def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
         ("track", f"{1e3 * facts.track:.4g}", "mm"),
         ("standing height", f"{1e3 * facts.standing_height:.4g}", "mm"),
         ("start above the ground", f"{1e3 * facts.clearance:.3g}", "mm"),
-        ("friction", f"{facts.friction:.3g}", ""),
+        ("friction before it is drawn", f"{facts.friction:.3g}", ""),
         ("slips at", f"{facts.friction * facts.wheel_load * facts.wheel_radius:.3g}", "N·m"),
         ("top speed", f"{facts.top_speed:.3g}", "m/s"),
     ]

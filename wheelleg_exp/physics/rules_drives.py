@@ -90,7 +90,7 @@ def effort_against_traction(case: Case) -> Iterator[Finding]:
             yield Finding(
                 f"env.robot.actuators.{group}.effort_limit",
                 f"{drive.effort:g} N·m on '{name}' is {drive.effort / slip:.0f} times the {slip:.3g} N·m at which its "
-                f"wheel slips (friction {friction:.2f} · load {facts.wheel_load:.3g} N · radius "
+                f"wheel slips (largest friction {friction:.2f} · load {facts.wheel_load:.3g} N · radius "
                 f"{1e3 * facts.wheel_radius:.3g} mm)",
                 f"the stall torque of a motor that fits, near {2 * slip:.2g} N·m",
                 {"effort": drive.effort, "slip": slip, "ratio": drive.effort / slip, "friction": friction},
