@@ -19,6 +19,7 @@ from wheelleg_exp.jobs import sweep as runner_module
 from wheelleg_exp.jobs import sweep_job
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.sweep_job import Request
+from wheelleg_exp.recording.digest import entity_digests
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.listing import list_runs
 
@@ -289,6 +290,9 @@ def test_runs_trained_at_the_same_time_are_byte_for_byte_those_trained_alone(swe
     assert [name for name in different if name != "exported/policy.pt"] == []
     assert len(_iterations(alone)) == ITERATIONS
     assert _iterations(of_sweep) == _iterations(alone)
+    recorded = [entity_digests(run / "recording.rrd") for run in (of_sweep, alone)]
+    assert recorded[0].keys() == recorded[1].keys()
+    assert [key for key in recorded[0] if recorded[0][key] != recorded[1][key] and "Perf/" not in key] == []
 
 
 @pytest.mark.train
