@@ -93,6 +93,18 @@ OVERRIDES = {
     "added twice": (["+seed=3"], ["seed: there is a value already", "override +seed=3", "expected seed=3"]),
     "malformed": (["seed"], ["seed: not an override", "override seed", "key=value"]),
     "malformed value": (["seed=[1"], ["seed=[1: not an override", "override seed=[1", "key=value"]),
+    "a regular expression without quotes": (
+        ["env.robot.actuators=[.*0[23]$]"],
+        ["env.robot.actuators=[.*0[23]$]: not an override", "in quotes", "env.robot.actuators=['...']"],
+    ),
+    "a mapping with an unknown key": (
+        ["env.sim={solvr: cg}"],
+        ["env.sim.solvr: there is no such key", "override env.sim={solvr: cg}", "did you mean 'solver'"],
+    ),
+    "infinite": (
+        ["env.robot.length=inf"],
+        ["env.robot.length: inf", "override env.robot.length=inf", "a finite number"],
+    ),
     "sweep": (["seed=1,2"], ["seed: several values for one run", "override seed=1,2", "seed=[1,2]"]),
     "deleted and not there": (
         ["~env.events.psh"],
@@ -335,11 +347,20 @@ OVERRIDES = {
         ["env.num_envs=${env.num_envs}"],
         ["env.num_envs: Recursive interpolation", "override"],
     ),
+    "an option taken out of a list": (
+        ["~reward@env.rewards=alive"],
+        ["reward@env.rewards: an option of a list cannot be taken out", "override ~reward", "~env.rewards.alive"],
+    ),
     "a deleted group": (["~task"], ["task: this value is missing", "override ~task"]),
 }
 
 # file, its text (or old and new text), words, what the message must hold
 FILES = {
+    "a body that its own parent overwrites": (
+        ("task/mine.yaml", "# @package _global_\n# Mine.\ndefaults: [_self_, stand]\nenv: {num_envs: 77}\n"),
+        ["task=mine"],
+        ["env.num_envs: 77 is lost", "configs/task/mine.yaml:4", "_self_ at the end"],
+    ),
     "broken YAML": (
         ("robot/article.yaml", "order: [a, b]", "order: [a, b"),
         [],

@@ -176,3 +176,38 @@ def test_a_sensor_offers_only_the_bodies_that_it_senses():
     assert "left, right" in str(error.expected)
     entity["joint_names"] = ["l1"]
     assert "has no joints" in check_robot(config, NAMES)[0].message
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("env.robot.init_state.rot=[1,0,0]", "expected 4 finite numbers"),
+        ("env.robot.init_state.rot=[0,0,0,0]", "not all zero"),
+        ("env.robot.init_state.pos=[0,0]", "expected 3 finite numbers"),
+        ("env.events.push_robot.interval_range_s=[10,5]", "expected [low, high]"),
+        ("env.rewards.alive._target_=wheelleg_exp.mdp.terminations.time_out", "is a term of terminations"),
+    ],
+)
+def test_what_no_robot_can_start_from_and_no_manager_can_use(capsys, override, told):
+    assert main(["check", override]) == 2
+    message = capsys.readouterr().err
+    assert told in message
+    assert f"override {override}" in message
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("env.robot.actuators.legs=null", "no actuator drives l01, r01, l02, r02"),
+        ("run.name=a/b", "run.name: 'a/b'"),
+        ("recording.env_ids=[600]", "from 0 to 511"),
+        ("recording.env_ids=[1,1]", "each once"),
+        ("agent.obs_groups.actor=[policy,policy]", "names a group twice"),
+        ("check.silence.spawn_height=", "has no reason"),
+    ],
+)
+def test_what_training_would_refuse_or_pass_over(capsys, override, told):
+    assert main(["check", override]) == 2
+    message = capsys.readouterr().err
+    assert told in message
+    assert f"override {override}" in message or "configs/action/leg_pos.yaml" in message

@@ -161,10 +161,11 @@ def push(x, y=0.0, facts=FACTS):
 
 def test_a_push_is_held_against_the_capture_point():
     # wheels: 0.4 N·m / 0.02 kg·m² · 0.1 m = 2 m/s², less than 0.8 · 10; over sqrt(10)/s: 0.6325 m/s
-    (finding,) = found("push_size", push(0.7))
+    (finding,) = found("push_size", push(0.8))
     assert finding.figures["limit"] == pytest.approx(2.0 / math.sqrt(10.0))
     assert "more than it can take" in finding.message
-    assert found("push_size", push(0.3, 0.4)) == []  # 0.5
+    assert found("push_size", push(0.7)) == []  # 1.1 times the figure, which is on the safe side
+    assert found("push_size", push(0.3, 4.0)) == []  # sideways the track holds it
 
 
 def test_a_push_below_a_fifth_of_the_limit_tests_nothing():
@@ -176,7 +177,7 @@ def test_a_push_below_a_fifth_of_the_limit_tests_nothing():
 def test_traction_limits_the_push_that_a_strong_drive_could_catch():
     strong = replace(with_joint("left", drive={"effort": 9.0}))
     strong = replace(strong, joints={**strong.joints, "right": strong.joints["left"]})
-    (finding,) = found("push_size", push(3.0, facts=strong))
+    (finding,) = found("push_size", push(4.0, facts=strong))
     assert finding.figures["limit"] == pytest.approx(8.0 / math.sqrt(10.0))  # friction 0.8
 
 

@@ -8,11 +8,12 @@ from typing import Any, Literal
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.check_agent import check_agent
-from wheelleg_exp.config.check_links import check_folders, check_groups_in_use, check_links
+from wheelleg_exp.config.check_links import check_folders, check_groups_in_use, check_links, check_recorded
 from wheelleg_exp.config.check_mounts import (
     blame_mounts,
     check_headers,
     check_order,
+    check_overwritten,
     check_term_files,
     emptied_by,
     mounted_files,
@@ -43,8 +44,13 @@ def check(composed: Composed) -> list[ConfigError]:
         return misplaced
     errors = check_term_files(files)
     hidden = {str(error.key) for error in errors} | stray_sections(files)
-    found = check_tree(composed.config, schema.Root) + check_order(composed, files)
-    found += check_groups_in_use(composed.config) + check_folders(composed.config) + _check_robot(composed)
+    found = check_tree(composed.config, schema.Root) + (check_order(composed, files) or check_overwritten(composed))
+    found += (
+        check_groups_in_use(composed.config)
+        + check_folders(composed.config)
+        + check_recorded(composed.config)
+        + _check_robot(composed)
+    )
     errors += [error for error in found if not follows_from(error, hidden)]
     return _placed(blame_mounts(_first_causes(errors), composed, files), composed)
 
@@ -161,6 +167,10 @@ def _check_silences(config: Mapping[str, Any]) -> list[ConfigError]:
         )
         for name in (silences if isinstance(silences, Mapping) else ())
         if name not in schema.PHYSICS_RULES
+    ] + [
+        ConfigError("a silence has no reason", key=f"check.silence.{name}", expected="why the finding is accepted")
+        for name, reason in (silences.items() if isinstance(silences, Mapping) else ())
+        if isinstance(reason, str) and not reason.strip()
     ]
 
 

@@ -59,6 +59,11 @@ def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
         for name, members in named
         if members == []
     ]
+    empty += [
+        ConfigError("names a group twice", key=f"agent.obs_groups.{name}", expected="each group once")
+        for name, members in named
+        if isinstance(members, list) and len({str(m) for m in members}) < len(members)
+    ]
     unread = [
         ConfigError(
             "no network reads this set",

@@ -25,7 +25,7 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
             kind = _NAMES.get((section, name)) or _NAMES.get(("", name))
             if kind is not None and isinstance(value, str):
                 errors += _unknown_term(config, kind, f"{path}.{name}", value)
-            if section == "events" and str(name).endswith("_range"):
+            if section == "events" and str(name).endswith(("_range", "_range_s")):
                 errors += _range(f"{path}.{name}", str(name), value)
     return errors
 
@@ -86,6 +86,19 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
         for name, group in groups.items()
         if isinstance(group, Mapping) and group.get("terms") == {}
     ]
+
+
+def check_recorded(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the mistake of environments that are to be recorded and are not there."""
+    recording, env = config.get("recording"), config.get("env")
+    ids = recording.get("env_ids") if isinstance(recording, Mapping) else None
+    count = env.get("num_envs") if isinstance(env, Mapping) else None
+    if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
+        return []
+    if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
+        return []
+    expected = f"at least one environment, each once, from 0 to {count - 1}"
+    return [ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)]
 
 
 def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:

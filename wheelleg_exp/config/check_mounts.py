@@ -12,7 +12,7 @@ from wheelleg_exp.config.diagnose_groups import place_of_option, where_of
 from wheelleg_exp.config.headers import missing_headers
 from wheelleg_exp.config.loader import hydra_globals
 from wheelleg_exp.config.sections import NOTHING_READS
-from wheelleg_exp.config.tree import line_table, show_file
+from wheelleg_exp.config.tree import line_table, self_before_others, show_file
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.terms import RESERVED, TARGET
 
@@ -158,6 +158,26 @@ def _section_of(group: str) -> str:
 
 def _is_at_or_below(path: str, key: str) -> bool:
     return path == key or path.startswith(f"{key}.")
+
+
+def check_overwritten(composed: Composed) -> list[ConfigError]:
+    """Find values of a file that are lost to the files that it builds on, because ``_self_`` stands before them.
+
+    The primary config is meant to be overwritten, and so are values that stay the same.
+    """
+    loaded = composed.loader.repository_used.loaded
+    early = {item.file for name, item in loaded.items() if name != composed.primary and self_before_others(item.file)}
+    return [
+        ConfigError(
+            f"{hidden.value!r} is lost: {source.where} overwrites it, because _self_ stands before it in the defaults",
+            key=hidden.path,
+            where=hidden.where,
+            expected="_self_ at the end of the defaults list",
+        )
+        for source in composed.provenance.values()
+        for hidden in source.shadowed
+        if source.file is not None and hidden.file in early and hidden.value != source.value
+    ]
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:

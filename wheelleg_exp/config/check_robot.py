@@ -48,6 +48,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
         bodies[name] = found
         errors += wrong
+    errors += _undriven(config, joints)
     members = Members({ROBOT: joints}, bodies)
     for section, path, node in term_nodes(config):
         if isinstance(node, Mapping):
@@ -122,6 +123,27 @@ def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
                     )
                 )
             owner.setdefault(joint, name)
+    return errors
+
+
+def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
+    """Find actions on joints that no actuator drives: they would move nothing."""
+    groups = config["env"]["robot"].get("actuators")
+    if not isinstance(groups, Mapping):
+        return []  # told elsewhere
+    nodes = [n for n in groups.values() if isinstance(n, Mapping)]
+    matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
+    if any(wrong for _, wrong in matched):
+        return []  # an expression that is wrong itself is told; what it was meant to drive is not known
+    driven = {joint for found, _ in matched for joint in found}
+    errors = []
+    for section, path, node in term_nodes(config):
+        named = node.get("joint_names") if section == "actions" and isinstance(node, Mapping) else None
+        idle = [j for j in match_all(named, joints, "", "joint")[0] if j not in driven] if named else []
+        if idle:
+            message = f"no actuator drives {', '.join(idle)}, so the action moves nothing there"
+            expected = "joints of env.robot.actuators: " + (", ".join(j for j in joints if j in driven) or "none")
+            errors.append(ConfigError(message, key=f"{path}.joint_names", expected=expected))
     return errors
 
 

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from wheelleg_exp.config import schema
+from wheelleg_exp.config.library import LIBRARY, MODULES
 from wheelleg_exp.config.values import describe, fits
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.terms import (
@@ -59,7 +60,27 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         target = import_target(term.target, path)
     except ConfigError as error:
         return [*errors, error]
+    errors += _section_errors(section, term)
     return errors + _parameter_errors(section, term, target) + _type_errors(term, target)
+
+
+def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
+    """Find a stock term of another section: its value would be taken for something that it is not."""
+    module, _, name = term.target.removeprefix(f"{LIBRARY}.").partition(".")
+    belongs = MODULES.get(module) if term.target.startswith(f"{LIBRARY}.") else None
+    if belongs is None or belongs == section:
+        return []
+    home = next(key for key, value in MODULES.items() if value == section)
+    names = [n for n in vars(import_module(f"{LIBRARY}.{home}")) if not n.startswith("_")]
+    nearest = nearest_name(name, names)
+    return [
+        ConfigError(
+            f"'{term.target}' is a term of {belongs}",
+            key=f"{term.path}.{TARGET}",
+            expected=f"a term of {LIBRARY}.{home}, or of a package of yours",
+            nearest=f"{LIBRARY}.{home}.{nearest}" if nearest else None,
+        )
+    ]
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:

@@ -69,6 +69,9 @@ def _unreadable(text: str) -> ConfigError | None:
         reason = "there is no key"
     element = re.match(r"([^=\[]*)\[(\d+)\]=(.*)", text)
     expected = f"{element[1]}.{element[2]}={element[3]}" if element else _FORMS
+    key, equals, value = text.partition("=")
+    if equals and re.search(r"[*?^$\\|(]", value) and not re.search(r"[\"']", value):
+        expected = f"""text with such signs in quotes, twice on the command line: "{key}=['...']\""""
     return ConfigError(f"not an override: {reason}", key=text, where=f"override {text}", expected=expected)
 
 
@@ -139,6 +142,9 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         )
     if existing and override.is_delete():
         return ConfigError(flat(problem), key=key, where=where_of(override), expected=f"~{key} without a value")
+    strange = re.search(r"Key '(.+?)' is not in struct", str(problem.__cause__ or problem))
+    if existing and strange:
+        return _unknown_part(shown, override, strange.group(1))
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where_of(override))
     top = nearest_name(key, [*shown, *groups])
@@ -149,6 +155,19 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         expected=_expected_at(shown, key, groups),
         nearest=top or nearest_path(key, [dotted(path) for path in node_paths(shown)]),
     )
+
+
+def _unknown_part(tree: dict[str, object], override: Override, name: str) -> ConfigError:
+    """Explain a mapping that would bring a key which is not there."""
+    key = override.key_or_group
+    node: object = tree
+    for part in split_path(key):
+        node = node[part] if isinstance(node, dict) and part in node else {}
+    names = [str(known) for known in node] if isinstance(node, dict) else []
+    full = dotted([*split_path(key), name])
+    expected = f"one of {', '.join(names)}; +{full}=value adds one, ++{key}={{...}} merges"
+    return ConfigError("there is no such key", key=full, where=where_of(override), expected=expected,
+                       nearest=nearest_name(name, names))  # fmt: skip
 
 
 def _plain(cfg: DictConfig) -> dict[str, object]:

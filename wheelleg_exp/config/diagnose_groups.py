@@ -173,6 +173,10 @@ def defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Overri
     where = where_of(culprit) if culprit else _place_in_defaults(loader.repository_used, text, key or "")
     if key is None:
         return ConfigError(flat(problem), where=where)
+    if culprit is not None and culprit.is_delete() and key in mounted:
+        option, kept = str(culprit.value() or "<term>"), f"{key}=[...]"
+        expected = f"the list that is left, {kept}, or the term by its key: ~{key.split('@')[-1]}.{option}"
+        return ConfigError("an option of a list cannot be taken out by itself", key=key, where=where, expected=expected)
     mounted_group = [m for m in mounted if m.split("@")[0] == key.split("@")[0]]
     return ConfigError(
         "this group is mounted nowhere under this name",

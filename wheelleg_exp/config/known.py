@@ -42,7 +42,7 @@ class Slot:
 
     annotation: Any = Any
     default: Any = REQUIRED
-    limits: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, Any] = field(default_factory=dict)
     meaning: str = ""
     reader: str = ""
 

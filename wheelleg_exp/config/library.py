@@ -23,7 +23,7 @@ MODULES = {
     "terminations": "terminations",
     "curriculums": "curriculum",
 }
-_LIBRARY = "wheelleg_exp.mdp"
+LIBRARY = "wheelleg_exp.mdp"
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class LibraryTerm:
 def library() -> list[LibraryTerm]:
     """Return the public terms, section by section, in the order of their modules."""
     return [
-        term for module, section in MODULES.items() for term in _terms(section, import_module(f"{_LIBRARY}.{module}"))
+        term for module, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{module}"))
     ]
 
 

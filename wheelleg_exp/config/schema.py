@@ -186,7 +186,7 @@ class Key:
     name: str
     annotation: Any
     required: bool
-    limits: dict[str, float]
+    limits: dict[str, Any]
 
 
 def keys_of(options: type) -> dict[str, Key]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import re
 import typing
 from collections.abc import Mapping
 from typing import Any
@@ -66,9 +68,18 @@ def _dataclass_in(annotation: Any) -> type | None:
     return None
 
 
-def _limits_broken(value: Any, limits: Mapping[str, float]) -> str | None:
+def _limits_broken(value: Any, limits: Mapping[str, Any]) -> str | None:
+    if isinstance(value, (list, tuple)) and ("length" in limits or "nonzero" in limits):
+        numbers = all(isinstance(v, (int, float)) and math.isfinite(v) for v in value)
+        if len(value) != limits.get("length", len(value)) or not numbers:
+            return f"{limits['length']:g} finite numbers" if "length" in limits else "finite numbers"
+        return "numbers that are not all zero" if "nonzero" in limits and not any(value) else None
+    if isinstance(value, str) and "pattern" in limits and not re.fullmatch(str(limits["pattern"]), value):
+        return f"text like {limits['pattern']}"
     if not isinstance(value, (int, float)):
         return None
+    if not math.isfinite(value):
+        return "a finite number"
     if "minimum" in limits and not value >= limits["minimum"]:
         return f"at least {limits['minimum']}"
     if "above" in limits and not value > limits["above"]:

@@ -161,6 +161,15 @@ def defaults_entries(file: Path) -> list[DefaultsEntry]:
     return [_entry(*pair) for item in items if isinstance(item, yaml.MappingNode) for pair in item.value]
 
 
+def self_before_others(file: Path) -> bool:
+    """Return whether a file's defaults list puts ``_self_`` before other entries, which then overwrite its body."""
+    root = yaml_node(file)
+    pairs = root.value if isinstance(root, yaml.MappingNode) else []
+    items = [item for key, value in pairs if key.value == "defaults" for item in value.value]
+    names = [str(item.value) for item in items if isinstance(item, yaml.ScalarNode)]
+    return "_self_" in names and not (isinstance(items[-1], yaml.ScalarNode) and items[-1].value == "_self_")
+
+
 def _entry(key: yaml.Node, value: yaml.Node) -> DefaultsEntry:
     words = str(key.value).split()
     chosen = [str(n.value) for n in value.value] if isinstance(value, yaml.SequenceNode) else value.value

@@ -62,13 +62,13 @@ def armature_ratio(case: Case) -> Iterator[Finding]:
 
 
 def wheel_friction(case: Case) -> float:
-    """Return the largest friction that wheels can have: of randomised materials, or of the model."""
-    found = [case.facts.friction]
+    """Return the largest friction that wheels can have: of randomised materials, else of the model."""
+    found: list[float] = []
     source = str(case.env["robot"].get("friction_source", "static"))
     ground = float(case.env["scene"]["ground"][f"{source}_friction"])
     for term in case.terms("events", "events.randomize_rigid_body_material"):
         found.append((float(term.node[f"{source}_friction_range"][1]) + ground) / 2)
-    return max(found)
+    return max(found, default=case.facts.friction)
 
 
 @rule

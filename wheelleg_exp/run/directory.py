@@ -13,6 +13,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
 from wheelleg_exp.run.files import for_people
 from wheelleg_exp.run.inventory import MANIFEST_NAME, is_inside
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.options import NAME
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 LATEST = "latest"
@@ -20,7 +21,7 @@ AGENTS = "agents"
 SWEEPS = "sweeps"
 _NOT_TASKS = (AGENTS, SWEEPS, LATEST)
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_NAME = re.compile(NAME)
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 
 

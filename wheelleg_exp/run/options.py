@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # what may be part of a folder's name
 
 
 @dataclass
@@ -16,5 +18,5 @@ class RunOptions:
     """
 
     root: str = "runs"
-    name: str | None = None
+    name: str | None = field(default=None, metadata={"pattern": NAME})
     max_patch_mb: float = 50.0

@@ -24,7 +24,7 @@ class SimOptions:
     """
 
     dt: float = field(metadata={"above": 0.0})
-    gravity: list[float]
+    gravity: list[float] = field(metadata={"length": 3})
     integrator: Literal["euler", "rk4", "implicit", "implicitfast"]
     solver: Literal["pgs", "cg", "newton"]
     cone: Literal["pyramidal", "elliptic"]
@@ -70,8 +70,8 @@ class InitState:
         joint_vel: rad/s, by joint expression; others are 0.
     """
 
-    pos: list[float]
-    rot: list[float]
+    pos: list[float] = field(metadata={"length": 3})
+    rot: list[float] = field(metadata={"length": 4, "nonzero": 1})
     joint_pos: dict[str, float]
     joint_vel: dict[str, float]
 
