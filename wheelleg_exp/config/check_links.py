@@ -95,6 +95,8 @@ def check_recorded(config: Mapping[str, Any]) -> list[ConfigError]:
     count = env.get("num_envs") if isinstance(env, Mapping) else None
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return []
+    if count < 1:
+        return []  # told elsewhere
     if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
         return []
     expected = f"at least one environment, each once, from 0 to {count - 1}"

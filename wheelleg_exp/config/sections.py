@@ -75,7 +75,7 @@ def _limits_broken(value: Any, limits: Mapping[str, Any]) -> str | None:
             return f"{limits['length']:g} finite numbers" if "length" in limits else "finite numbers"
         return "numbers that are not all zero" if "nonzero" in limits and not any(value) else None
     if isinstance(value, str) and "pattern" in limits and not re.fullmatch(str(limits["pattern"]), value):
-        return f"text like {limits['pattern']}"
+        return str(limits["words"])
     if not isinstance(value, (int, float)):
         return None
     if not math.isfinite(value):

@@ -13,7 +13,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
 from wheelleg_exp.run.files import for_people
 from wheelleg_exp.run.inventory import MANIFEST_NAME, is_inside
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.options import NAME
+from wheelleg_exp.run.options import NAME, NAME_WORDS
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 LATEST = "latest"
@@ -277,5 +277,5 @@ def _require_name(name: str, key: str) -> None:
         raise ConfigError(
             f"{name!r} cannot be part of a folder's name",
             key=key,
-            expected="up to 100 letters, digits, '.', '_' and '-', beginning with a letter or digit",
+            expected=NAME_WORDS,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # what may be part of a folder's name
+NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', beginning with a letter or digit"
 
 
 @dataclass
@@ -18,5 +19,5 @@ class RunOptions:
     """
 
     root: str = "runs"
-    name: str | None = field(default=None, metadata={"pattern": NAME})
+    name: str | None = field(default=None, metadata={"pattern": NAME, "words": NAME_WORDS})
     max_patch_mb: float = 50.0
