@@ -219,7 +219,7 @@ def test_each_note_stands_beside_the_element_that_it_is_about():
 @pytest.mark.parametrize("rule", ["a -- b", "a---b", "ends in -", "<tag> & \"quotes\" 'here'", "--"])
 def test_a_note_may_hold_anything_and_the_file_stays_xml(rule):
     notes = [Assumption("/r/a", rule, ""), Assumption("nowhere", rule, "-")]
-    ElementTree.fromstring(text_of(robot(body("a")), notes))
+    assert ElementTree.fromstring(text_of(robot(body("a")), notes)).tag == "mujoco"
 
 
 # ------------------------------------------------------------------ size

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any
 
 from wheelleg_exp.config import known, schema
+from wheelleg_exp.config.check_agent import RESOLVERS, SCHEDULES
 from wheelleg_exp.config.tree import Keys
 from wheelleg_exp.config.values import describe
 from wheelleg_exp.terms import TARGET
@@ -20,8 +21,6 @@ from wheelleg_exp.terms import TARGET
 _LIMITS = {"minimum": "at least {}", "above": "more than {}", "maximum": "at most {}"}
 # Parameters that name a term of a section.
 _TERM_NAMES = {"command_name": "commands", "action_name": "actions"}
-# Words of rsl_rl, and the function of its utils whose complaint lists them.
-_RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 
 
 @dataclass(frozen=True)
@@ -126,12 +125,12 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
 def _words(name: str) -> list[Any]:
     """Return the words that rsl_rl knows under a key, as far as it says so."""
     if name == "schedule":
-        return ["fixed", "adaptive"]
-    if name not in _RESOLVERS:
+        return list(SCHEDULES)
+    if name not in RESOLVERS:
         return []
     import rsl_rl.utils
 
-    resolver: Callable[[str], Any] = getattr(rsl_rl.utils, _RESOLVERS[name])
+    resolver: Callable[[str], Any] = getattr(rsl_rl.utils, RESOLVERS[name])
     try:
         resolver("?")
     except ValueError as error:

@@ -25,10 +25,10 @@ _ALGORITHM_INJECTED = (
     "self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg",
 )  # fmt: skip
 # Parameters whose words rsl_rl looks up, and the function of its utils that does so.
-_RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
+RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 # What rsl_rl takes without a word and then fails on, or passes over.
 _AT_LEAST_ONE = ("num_learning_epochs", "num_mini_batches")
-_SCHEDULES = ("fixed", "adaptive")
+SCHEDULES = ("fixed", "adaptive")
 _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 _EXTRA_KEYS = {"algorithm": ("share_cnn_encoders",)}
 
@@ -162,8 +162,8 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
             )
         elif name in hints and not fits(value, hints[name]):
             errors.append(wrong_type(key, value, hints[name]))
-        elif name in _RESOLVERS:
-            errors += _check_word(key, value, _RESOLVERS[name])
+        elif name in RESOLVERS:
+            errors += _check_word(key, value, RESOLVERS[name])
         else:
             errors += _check_range(key, name, value)
     return errors
@@ -176,9 +176,9 @@ def _check_range(key: str, name: str, value: Any) -> list[ConfigError]:
         return [ConfigError(f"is {value}", key=key, expected="at least 1")]
     if name == "hidden_dims" and (not value or min(value) < 1):
         return [ConfigError(f"is {list(value)}", key=key, expected="at least one layer, each of at least 1 unit")]
-    if name == "schedule" and value not in _SCHEDULES:
-        nearest = nearest_name(str(value), _SCHEDULES)
-        return [ConfigError(f"'{value}' is not known", key=key, expected=" or ".join(_SCHEDULES), nearest=nearest)]
+    if name == "schedule" and value not in SCHEDULES:
+        nearest = nearest_name(str(value), SCHEDULES)
+        return [ConfigError(f"'{value}' is not known", key=key, expected=" or ".join(SCHEDULES), nearest=nearest)]
     return []
 
 

@@ -11,7 +11,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import MissingConfigException
 
 from wheelleg_exp.config.loader import Loader, Repository
-from wheelleg_exp.config.tree import scalar_line, show_file, yaml_node
+from wheelleg_exp.config.tree import defaults_items, scalar_line, show_file
 from wheelleg_exp.errors import ConfigError, nearest_name
 
 IN_FILE = re.compile(r"^In '?([^':]+)'?:")
@@ -142,11 +142,8 @@ def _defaults_line(file: Path, path: str) -> int | None:
 
 def _defaults_entries(file: Path) -> list[tuple[str | None, yaml.Node]]:
     """Return the ``(key, value)`` pairs of a file's defaults list; plain entries have no key."""
-    root = yaml_node(file)
-    pairs = root.value if isinstance(root, yaml.MappingNode) else []
-    items = [item for key, value in pairs if key.value == "defaults" for item in value.value]
     entries: list[tuple[str | None, yaml.Node]] = []
-    for item in items:
+    for item in defaults_items(file):
         if isinstance(item, yaml.MappingNode):
             entries += [(str(key.value), value) for key, value in item.value]
         else:

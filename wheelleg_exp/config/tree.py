@@ -153,19 +153,22 @@ class DefaultsEntry:
     line: int
 
 
-def defaults_entries(file: Path) -> list[DefaultsEntry]:
-    """Return the entries of a file's defaults list that name a group; plain entries have none."""
+def defaults_items(file: Path) -> list[yaml.Node]:
+    """Return the nodes of a file's defaults list, nothing where it has none."""
     root = yaml_node(file)
     pairs = root.value if isinstance(root, yaml.MappingNode) else []
-    items = [item for key, value in pairs if key.value == "defaults" for item in value.value]
+    return [item for key, value in pairs if key.value == "defaults" for item in value.value]
+
+
+def defaults_entries(file: Path) -> list[DefaultsEntry]:
+    """Return the entries of a file's defaults list that name a group; plain entries have none."""
+    items = defaults_items(file)
     return [_entry(*pair) for item in items if isinstance(item, yaml.MappingNode) for pair in item.value]
 
 
 def self_before_others(file: Path) -> bool:
     """Return whether a file's defaults list puts ``_self_`` before other entries, which then overwrite its body."""
-    root = yaml_node(file)
-    pairs = root.value if isinstance(root, yaml.MappingNode) else []
-    items = [item for key, value in pairs if key.value == "defaults" for item in value.value]
+    items = defaults_items(file)
     names = [str(item.value) for item in items if isinstance(item, yaml.ScalarNode)]
     return "_self_" in names and not (isinstance(items[-1], yaml.ScalarNode) and items[-1].value == "_self_")
 
