@@ -7,9 +7,18 @@ import sys
 import time
 from collections.abc import Mapping
 from types import TracebackType
+from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from wheelleg_exp.rl.trainer import Iteration
 
@@ -25,32 +34,27 @@ class QuietConsole(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
-class ConsoleDisplay:
-    """Shows a job on standard error, so that standard output keeps what was asked for.
+class LiveLines:
+    """Lines on standard error, some of which move while the display is open, where it is a terminal.
 
     Args:
-        quiet: whether the managers' tables are left out.
+        columns: what stands between the count and the figures of a moving line.
     """
 
-    def __init__(self, quiet: bool = False) -> None:
+    def __init__(self, *columns: ProgressColumn) -> None:
         self._console = QuietConsole(file=sys.stderr)
         self._live = self._console.is_terminal
-        self._quiet = quiet
-        self._last_plain = time.monotonic()
-        self._task: TaskID | None = None
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=24),
             TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            *columns,
             TextColumn("{task.fields[figures]}"),
             console=self._console,
             transient=True,
         )
 
-    def __enter__(self) -> ConsoleDisplay:
+    def __enter__(self) -> Self:
         if self._live:
             self._progress.start()
         return self
@@ -60,6 +64,20 @@ class ConsoleDisplay:
     ) -> None:
         if self._live:
             self._progress.stop()
+
+
+class ConsoleDisplay(LiveLines):
+    """Shows a job on standard error, so that standard output keeps what was asked for.
+
+    Args:
+        quiet: whether the managers' tables are left out.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        super().__init__(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+        self._quiet = quiet
+        self._last_plain = time.monotonic()
+        self._task: TaskID | None = None
 
     def environment(self, description: str) -> None:
         """Show the managers' tables."""

@@ -2,47 +2,24 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping
-from types import TracebackType
 from typing import Any
 
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import TaskID, TimeElapsedColumn
 
-from wheelleg_exp.cli.display import PLAIN_EVERY_S, QuietConsole, figures
+from wheelleg_exp.cli.display import PLAIN_EVERY_S, LiveLines, figures
 
 
-class ConsoleSweepDisplay:
+class ConsoleSweepDisplay(LiveLines):
     """Shows a sweep on standard error; a line that several jobs would say is said once."""
 
     def __init__(self) -> None:
-        self._console = QuietConsole(file=sys.stderr)
-        self._live = self._console.is_terminal
+        super().__init__(TimeElapsedColumn())
         self._said: set[str] = set()
         self._last_plain: dict[int, float] = {}
         self._tasks: dict[int, TaskID] = {}
         self._all: TaskID | None = None
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[figures]}"),
-            console=self._console,
-            transient=True,
-        )
-
-    def __enter__(self) -> ConsoleSweepDisplay:
-        if self._live:
-            self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live:
-            self._progress.stop()
 
     def say(self, text: str) -> None:
         """Show one line of the sweep itself."""

@@ -9,6 +9,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
 from wheelleg_exp.asset.reader.attributes import plain
 from wheelleg_exp.asset.reader.reasons import PHYSICAL_PROPERTIES, PHYSICAL_SCHEMAS, why_kind, why_property, why_schema
+from wheelleg_exp.asset.reader.scenes import physics_scenes
 from wheelleg_exp.asset.reader.stage import Stage, below_instancer, schemas
 
 LONGEST = 200  # characters of a value
@@ -38,14 +39,10 @@ def _everything(stage: Stage) -> Iterator[Usd.Prim]:
         yield prim
         if prim.IsA(UsdGeom.PointInstancer):
             yield from below_instancer(prim)
-    for prim in [*_scenes(stage), *_materials(stage)]:
+    for prim in [*physics_scenes(stage), *_materials(stage)]:
         if prim and prim.GetPath() not in seen:
             seen.add(prim.GetPath())
             yield prim
-
-
-def _scenes(stage: Stage) -> list[Usd.Prim]:
-    return [prim for prim in stage.usd.Traverse() if prim.IsA(UsdPhysics.Scene)]
 
 
 def _materials(stage: Stage) -> Iterator[Usd.Prim]:

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from wheelleg_exp.asset.description import Closure, Pose, RobotDescription
+from wheelleg_exp.asset.naming import Numbered
 
 
 class Names:
     """Names that clash with no other of the robot's."""
 
     def __init__(self, robot: RobotDescription) -> None:
-        joints = {dof.name for dof in robot.dofs}
-        sites = {site.name for body in robot.bodies for site in body.sites} | {s.name for s in robot.static_sites}
-        equalities = {coupling.name for coupling in robot.couplings}
-        self._free = {body.name: _free(f"{body.name}_free", joints) for body in robot.bodies if body.floating}
+        joints = Numbered(dof.name for dof in robot.dofs)
+        sites = Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
+        equalities = Numbered(coupling.name for coupling in robot.couplings)
+        self._free = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self._closures: dict[str, list[tuple[str, str, str]]] = {}
         self._anchors: dict[str | None, list[tuple[str, Pose]]] = {}
         for closure in robot.closures:
@@ -32,21 +33,13 @@ class Names:
         """Return for each pair of anchors the equality's name and its two sites."""
         return self._closures[closure.name]
 
-    def _closure(self, closure: Closure, sites: set[str], equalities: set[str]) -> None:
+    def _closure(self, closure: Closure, sites: Numbered, equalities: Numbered) -> None:
         made = self._closures.setdefault(closure.name, [])
         several = len(closure.anchors) > 1
         for index, pair in enumerate(closure.anchors):
             stem = f"{closure.name}_{index}"
-            name = _free(stem if several else closure.name, equalities)
-            ends = [_free(f"{stem}_{side}", sites) for side in "ab"]
+            name = equalities.take(stem if several else closure.name)
+            ends = [sites.take(f"{stem}_{side}") for side in "ab"]
             for body, site, at in zip(closure.bodies, ends, pair, strict=True):
                 self._anchors.setdefault(body, []).append((site, at))
             made.append((name, ends[0], ends[1]))
-
-
-def _free(name: str, taken: set[str]) -> str:
-    candidate, number = name, 2
-    while candidate in taken:
-        candidate, number = f"{name}_{number}", number + 1
-    taken.add(candidate)
-    return candidate

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pxr import Usd
 
 from wheelleg_exp.asset.description import Geom, RobotDescription
-from wheelleg_exp.asset.naming import unique_names
+from wheelleg_exp.asset.naming import Numbered, unique_names
 from wheelleg_exp.asset.reader.bodies import Links, shown_names
 from wheelleg_exp.asset.reader.mujoco.tendons import tendon_prims
 from wheelleg_exp.asset.reader.shapes import shape_of
@@ -21,7 +21,8 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
     """Return the robot with a geom for each shape on a tendon's path that it has no geom of yet."""
     known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
     prims = [prim for prim in _wrapped(stage) if str(prim.GetPath()) not in known]
-    taken = {g.name for g in robot.static_geoms} | {g.name for body in robot.bodies for g in body.geoms}
+    geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
+    taken = Numbered(geom.name for geom in geoms)
     names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
     added: dict[str | None, list[Geom]] = {}
     for prim in prims:
@@ -31,7 +32,7 @@ def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDesc
         if shape is None or shape.kind not in WRAPPED:
             continue
         path = str(prim.GetPath())
-        name = _free(names[path], taken)
+        name = taken.take(names[path])
         stage.ledger.mapped(path, str(prim.GetTypeName()), f"geom {name}, which tendons wrap around")
         geom = Geom(name, path, shape.kind, shape.size, shape.frame.pose(), collides=False, drawn=False)
         added.setdefault(link.path if link else None, []).append(geom)
@@ -50,11 +51,3 @@ def _wrapped(stage: Stage) -> list[Usd.Prim]:
             if prim and not is_site(prim):
                 found[str(path)] = prim
     return list(found.values())
-
-
-def _free(name: str, taken: set[str]) -> str:
-    candidate, number = name, 2
-    while candidate in taken:
-        candidate, number = f"{name}_{number}", number + 1
-    taken.add(candidate)
-    return candidate

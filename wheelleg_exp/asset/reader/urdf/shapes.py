@@ -9,6 +9,7 @@ import numpy as np
 
 from wheelleg_exp.asset.description import Geom, Mesh, ShapeKind
 from wheelleg_exp.asset.geometry import Array, Frame
+from wheelleg_exp.asset.naming import Numbered
 from wheelleg_exp.asset.reader.shapes import SMALLEST_AREA, Shape, flat_to_box
 from wheelleg_exp.asset.reader.urdf.document import Document
 from wheelleg_exp.asset.reader.urdf.files import Files
@@ -30,7 +31,7 @@ class Shapes:
         self.looks = Looks(document)
         self._loaded: dict[str, Triangles | str] = {}
         self._meshes: dict[str, Mesh] = {}
-        self._taken: set[str] = set()
+        self._taken = Numbered()
         self._made = {name: self._of(name, seen[name]) for name in tree.links}
 
     def solids(self) -> dict[str, list[Shape]]:
@@ -77,14 +78,7 @@ class Shapes:
         short = own if own == owner or own.startswith(f"{owner}_") else "_".join(filter(None, (owner, own)))
         if placed.collides and not own:
             short += "_collision"
-        return self._free(short if placed.collides else f"{short}_visual")
-
-    def _free(self, name: str) -> str:
-        candidate, number = name, 2
-        while candidate in self._taken:
-            candidate, number = f"{name}_{number}", number + 1
-        self._taken.add(candidate)
-        return candidate
+        return self._taken.take(short if placed.collides else f"{short}_visual")
 
     # ------------------------------------------------------------ shapes
     def _shape(self, placed: Placed) -> Shape | None:
