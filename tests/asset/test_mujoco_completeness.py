@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from wheelleg_exp.errors import AssetError
+
 from .small_usd import applied, converted, hinge, link, write
 
 # All attributes of mujoco-usd 4.0.0's schemas (generatedSchema.usda), by schema and type, without "mjc:".
@@ -219,3 +221,25 @@ def test_an_attribute_becomes_something_or_is_named_with_its_own_reason(report, 
 
 def test_nothing_is_warned_about(report):
     assert report.warnings == ()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'uniform string mjc:option:actuatorgroupdisable = "x"',
+        "double mjc:option:actuatorgroupdisable = inf",
+        'string mjc:torsionalfriction = "x"',
+        "double mjc:rollingfriction = inf",
+    ],
+)
+def test_a_value_that_no_attribute_can_have_is_told_with_its_prim(tmp_path, text):
+    rubber = prim(
+        "Material", "rubber", "float physics:dynamicFriction = 0.5\n" + text, "PhysicsMaterialAPI MjcMaterialAPI"
+    )
+    ball = "rel material:binding:physics = </bot/rubber>"
+    shape = prim("Sphere", "ball", ball, "PhysicsCollisionAPI MjcCollisionAPI MaterialBindingAPI")
+    scene = prim("PhysicsScene", "scene", text, "MjcSceneAPI")
+    with pytest.raises(AssetError) as told:
+        converted(write(tmp_path, link("a", inside=shape) + rubber, outside=scene))
+    assert told.value.key in ("/bot/rubber", "/scene")
+    assert text.split()[-3] in str(told.value)

@@ -52,6 +52,7 @@ _KINDS: tuple[tuple[str, Kind], ...] = (  # full names as patterns
     (r"urdf:dynamics:\w+", Kind("number")),
     (r"mjc:(armature|damping|frictionloss|stiffness|ref|springref|margin|gap|solmix)", Kind("number")),
     (r"mjc:(coef\d|inheritRange|width|torqueScale|group|condim|priority|crankLength)", Kind("number")),
+    (r"mjc:(torsional|rolling)friction", Kind("number")),
     (r"mjc:(actDim|maxhullvert|body:gravcomp)", Kind("number")),
     (r"mjc:compiler:(boundMass|boundInertia|setTotalMass)", Kind("number")),
     (r"mjc:option:(impratio|density|viscosity|o_margin|noslip_\w+|timestep)", Kind("number")),
@@ -70,7 +71,7 @@ _KINDS: tuple[tuple[str, Kind], ...] = (  # full names as patterns
     (r"physics:(principalAxes|localRot[01])", Kind("vector", 4)),
     (r"newton:inertia", Kind("vector", 6)),
     (r"mjc:(gainPrm|biasPrm|dynPrm|gear|solref\w*|solimp\w*|springlength|springdamper|rgba)", Kind("array")),
-    (r"mjc:(qpos|qvel|act|ctrl|mpos|mquat|option:(wind|magnetic|o_\w+))", Kind("array")),
+    (r"mjc:(qpos|qvel|act|ctrl|mpos|mquat|option:(wind|magnetic|actuatorgroupdisable|o_\w+))", Kind("array")),
     (r"mjc:(path:(coef|divisors|indices|segments)|sideSites:indices)", Kind("array")),
 )
 _EXPECTED = {
