@@ -38,7 +38,7 @@ def _run(kind: AgentKind, args: argparse.Namespace) -> int:
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
     from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.report import print_contacts, print_figures, print_recording
+    from wheelleg_exp.cli.figures import print_contacts, print_figures, print_recording
     from wheelleg_exp.jobs.agents import run_agent
 
     with ConsoleDisplay(quiet=args.json) as display:

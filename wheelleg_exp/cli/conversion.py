@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import print_table
-from wheelleg_exp.cli.report import shown
+from wheelleg_exp.cli.figures import shown
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report

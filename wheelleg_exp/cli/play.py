@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     checkpoint = None if args.checkpoint is None else _checkpoint(directory, args.checkpoint)
 
     from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.report import print_figures, print_recording, shown
+    from wheelleg_exp.cli.figures import print_figures, print_recording, shown
     from wheelleg_exp.jobs.play import play
 
     with ConsoleDisplay(quiet=True) as display:

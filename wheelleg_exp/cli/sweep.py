@@ -39,7 +39,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         sweep = compose_sweep(args.overrides, config_dirs=args.config_dirs, progress=progress)
         display.checked()
 
-        from wheelleg_exp.cli.report import shown
+        from wheelleg_exp.cli.figures import shown
         from wheelleg_exp.jobs.sweep import SweepRunner
 
         at_once, named = _at_once(sweep), _named(args.config_dirs)
@@ -130,7 +130,7 @@ def _text(path: Path | None) -> str | None:
 
 
 def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
-    from wheelleg_exp.cli.report import shown
+    from wheelleg_exp.cli.figures import shown
 
     print_table(("job", "overrides", "status", "return", "run"), [_row(index, job) for job in index.jobs])
     done = [job for job in index.jobs if job["status"] == "finished"]
@@ -148,7 +148,7 @@ def _print_labelled(label: str, lines: Sequence[str]) -> None:
 
 
 def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
-    from wheelleg_exp.cli.report import shown
+    from wheelleg_exp.cli.figures import shown
 
     run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
     status = "not started" if job["status"] == "waiting" else job["status"]
@@ -158,7 +158,7 @@ def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
 
 def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the commands that one would want next."""
-    from wheelleg_exp.cli.report import shown, tool
+    from wheelleg_exp.cli.figures import shown, tool
 
     runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]
     if not runs:
@@ -171,6 +171,6 @@ def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _program() -> list[str]:
-    from wheelleg_exp.cli.report import tool
+    from wheelleg_exp.cli.figures import tool
 
     return [tool("wheelleg")]

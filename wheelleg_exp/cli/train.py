@@ -46,7 +46,7 @@ def _train(args: argparse.Namespace, stop: StopRequest) -> int:
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
     from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.report import shown, tool
+    from wheelleg_exp.cli.figures import shown, tool
     from wheelleg_exp.jobs import training
     from wheelleg_exp.physics.report import examine
 

@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from wheelleg_exp.jobs.training_recording import TrainingRecording
 from wheelleg_exp.recording.options import RecordingOptions
-from wheelleg_exp.recording.recorder import Recorder
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.trainer import Iteration, Trainer
 from wheelleg_exp.run.directory import RunDirectory
@@ -43,7 +43,7 @@ class Outputs:
         self._trainer = trainer
         self._options = options
         self._documents = documents
-        self._recorder: Recorder | None = None
+        self._recording: TrainingRecording | None = None
 
     def __enter__(self) -> Outputs:
         with ExitStack() as opened:
@@ -51,31 +51,14 @@ class Outputs:
             opened.callback(self._tensorboard.close)
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
             if self._options.enabled:
-                self._recorder = opened.enter_context(self._open_recorder())
+                made = TrainingRecording(self._directory, self._trainer.env.env, self._options, self._documents)
+                self._recording = opened.enter_context(made)
             self._close = opened.pop_all().close
         return self
-
-    def _open_recorder(self) -> Recorder:
-        env = self._trainer.env.env
-        recorder = Recorder(
-            self._directory.recording,
-            env,
-            recording_id=self._directory.id,
-            name=self._directory.id,
-            env_ids=self._options.env_ids,
-            purpose="training",
-        )
-        for name, text in self._documents.items():
-            recorder.document(name, text)
-        env.observers.append(recorder.capture)
-        recorder.start(0, self._options.steps)
-        return recorder
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._recorder is not None:
-            self._trainer.env.env.observers.remove(self._recorder.capture)
         self._close()
 
     def write(self, iteration: Iteration) -> None:
@@ -87,24 +70,16 @@ class Outputs:
         with for_people(self._directory.iterations):
             self._lines.write(json.dumps(json_plain(line), allow_nan=False) + "\n")
             self._lines.flush()
-        if self._recorder is not None:
-            self._record(self._recorder, iteration)
+        if self._recording is not None:
+            self._recording.write(iteration.scalars, iteration.index)
 
     def checkpoint(self, iteration: int) -> str:
         """Write ``model_<iteration>.pt`` and return its name."""
         name = f"model_{iteration}.pt"
         write_bytes(self._directory.path / name, checkpoint.serialize(self._trainer.state_dict()))
-        if self._recorder is not None:
-            self._recorder.flush()
+        if self._recording is not None:
+            self._recording.flush()
         return name
-
-    def _record(self, recorder: Recorder, iteration: Iteration) -> None:
-        recorder.scalars(iteration.scalars, iteration.index)
-        following = iteration.index + 1
-        if following % self._options.interval == 0:
-            recorder.stop()
-            recorder.start(following, self._options.steps)
-        recorder.iteration = following
 
 
 def digests(trainer: Trainer) -> dict[str, str]:

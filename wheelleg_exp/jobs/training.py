@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.asset import CachedConversion
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -30,10 +32,27 @@ from wheelleg_exp.run.snapshot import begin
 
 
 @dataclass(frozen=True)
+class Recipe:
+    """All that a training is made from.
+
+    Attributes:
+        config: the composed tree, plain.
+        hydra_files: Hydra's own files, text by name.
+        source_roots: folders whose source the snapshot keeps, this package's own first.
+        asset: the converted robot.
+    """
+
+    config: dict[str, Any]
+    hydra_files: Mapping[str, str]
+    source_roots: Sequence[Path]
+    asset: CachedConversion
+
+
+@dataclass(frozen=True)
 class Training:
     """A training that is ready to run: everything that can be wrong with its input has been found."""
 
-    composed: Composed
+    recipe: Recipe
     trainer: Trainer
     directory: RunDirectory
     manifest: Manifest
@@ -46,27 +65,36 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
         WheellegError: the input is wrong; no run directory has been made.
     """
     with composed.placing():
-        return _prepare(composed, command, display)
+        require_env_ids(composed.config["recording"]["env_ids"], composed.config["env"]["num_envs"])
+        recipe = Recipe(
+            config=composed.config,
+            hydra_files=composed.hydra_files(),
+            source_roots=[configs_dir().parent, *composed.config_dirs],
+            asset=prepare_asset(composed.config, composed.asset_roots),
+        )
+        return start(recipe, command, display)
 
 
-def _prepare(composed: Composed, command: Sequence[str], display: Display) -> Training:
-    config, agent = composed.config, composed.config["agent"]
-    require_env_ids(config["recording"]["env_ids"], config["env"]["num_envs"])
-    asset = prepare_asset(config, composed.asset_roots)
-    env = ManagerBasedRLEnv(config["env"], asset.output, config["seed"])
-    threads = set_threads(agent, env.scene.sim.nthread)
-    trainer = Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"])
+def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
+    """Build what a recipe says, and write the run directory's snapshot.
+
+    Raises:
+        WheellegError: the input is wrong; no run directory has been made.
+    """
+    config, agent = recipe.config, recipe.config["agent"]
+    trainer, threads = build(recipe)
+    env = trainer.env.env
     run = config["run"]
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
     try:
         display.environment(env.describe())
-        keep_asset(directory, asset, config["env"]["robot"]["asset"], env.scene.model_digest())
+        keep_asset(directory, recipe.asset, config["env"]["robot"]["asset"], env.scene.model_digest())
         manifest = begin(
             directory,
             command=command,
             params={"env": config["env"], "agent": agent},
-            hydra_files=composed.hydra_files(),
-            source_roots=[configs_dir().parent, *composed.config_dirs],
+            hydra_files=recipe.hydra_files,
+            source_roots=recipe.source_roots,
             seed=config["seed"],
             task=config["task"]["name"],
             threads=threads,
@@ -76,7 +104,15 @@ def _prepare(composed: Composed, command: Sequence[str], display: Display) -> Tr
         if not (directory.path / MANIFEST_NAME).exists():  # nobody could tell what it is
             shutil.rmtree(directory.path, ignore_errors=True)
         raise
-    return Training(composed, trainer, directory, manifest)
+    return Training(recipe, trainer, directory, manifest)
+
+
+def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
+    """Build environment and networks; return the trainer, and what the manifest says of threads."""
+    config, agent = recipe.config, recipe.config["agent"]
+    env = ManagerBasedRLEnv(config["env"], recipe.asset.output, config["seed"])
+    threads = set_threads(agent, env.scene.sim.nthread)
+    return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"]), threads
 
 
 def run(training: Training, display: Display, stop: StopRequest) -> dict[str, Any]:
@@ -87,10 +123,11 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
         SimulationFailure: physics or the disk failed.
     """
     trainer, directory = training.trainer, training.directory
-    agent = training.composed.config["agent"]
+    config = training.recipe.config
+    agent = config["agent"]
     total, started = int(agent["max_iterations"]), time.perf_counter()
-    documents = {"config": f"```yaml\n{training.composed.hydra_files()['config.yaml']}\n```"}
-    options = RecordingOptions(**training.composed.config["recording"])
+    documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
+    options = RecordingOptions(**config["recording"])
     with (
         RunLock(directory),
         training.manifest.finishing() as results,
