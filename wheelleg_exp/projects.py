@@ -217,6 +217,25 @@ def join(project: Project) -> None:
         _joined[package] = project
 
 
+def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
+    """Let configs call the packages of the given config folders, or of the recorded ones when none are given.
+
+    A recorded folder that is gone is left out; its packages' targets will say that they are not there.
+
+    Raises:
+        ConfigError: a folder is not there, or a recorded one lies in another user's project.
+    """
+    if folders:
+        found = [config_folder(folder) for folder in folders]
+    else:
+        found = [Path(folder) for folder in recorded if Path(folder).is_dir()]
+        for project in filter(None, (read_project(folder.parent) for folder in found)):
+            _require_own(project)
+    for folder in found:
+        join_folder(folder)
+    return found
+
+
 def join_folder(folder: Path) -> None:
     """Let configs call the packages of the project that a config folder belongs to, if it does to one."""
     project = read_project(folder.parent) if folder.name == CONFIGS else None
@@ -237,6 +256,12 @@ def forget(root: Path) -> None:
 def joined_packages() -> tuple[str, ...]:
     """Return the packages of the projects that are in use."""
     return tuple(_joined)
+
+
+def project_of(package: str) -> Project | None:
+    """Return the project in use that declares a package, or the package's top."""
+    top = package.split(".")[0]
+    return next((project for name, project in _joined.items() if name.split(".")[0] == top), None)
 
 
 def make_importable(target: str) -> None:

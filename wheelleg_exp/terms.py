@@ -47,6 +47,33 @@ class TermNode:
     params: dict[str, Any] = field(default_factory=dict)
 
 
+def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
+    """Take null terms out of a tree, give absent sections an empty mapping, and return the paths that were null."""
+    env = config.get("env")
+    if not isinstance(env, dict):
+        return ()
+    removed: list[str] = []
+    for section in RESERVED:
+        if env.get(section) is None:
+            env[section] = {}
+        removed += _drop_null(env, section, "env")
+    groups = env["observations"]
+    if isinstance(groups, dict):
+        for name, group in groups.items():
+            if isinstance(group, dict) and "terms" in group:
+                group["terms"] = {} if group["terms"] is None else group["terms"]
+                removed += _drop_null(group, "terms", f"env.observations.{name}")
+    return tuple(removed)
+
+
+def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
+    section = parent[key]
+    if not isinstance(section, dict):
+        return []
+    parent[key] = {name: node for name, node in section.items() if node is not None}
+    return [f"{path}.{key}.{name}" for name, node in section.items() if node is None]
+
+
 def split_node(kind: str, path: str, node: Any) -> TermNode:
     """Split one term node into the manager's fields and the target's parameters.
 

@@ -136,7 +136,7 @@ def test_an_unknown_command_is_told_with_the_nearest(capsys):
 
 def test_a_missing_command_is_told(capsys):
     assert main([]) == 2
-    assert "expected one of train, play" in capsys.readouterr().err
+    assert "expected one of train, resume, play" in capsys.readouterr().err
 
 
 def test_an_unknown_option_is_told_with_the_nearest(probe, capsys):

@@ -11,6 +11,7 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+import yaml
 
 from jobs.small import ITERATIONS, TINY
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
@@ -105,9 +106,8 @@ def test_the_manifest_gets_an_entry(run):
     assert set(entry["files"]) == {f"{folder}/figures.json", f"{folder}/recording.rrd"}
     for name, record in entry["files"].items():
         assert record["sha256"] == hashlib.sha256((run.path / name).read_bytes()).hexdigest()
-    assert {key: data[key] for key in before if key != "additions"} == {
-        key: before[key] for key in before if key != "additions"
-    }
+    changed = {"additions", "sha256"}  # the second is the manifest's own seal
+    assert {key: data[key] for key in before.keys() - changed} == {key: before[key] for key in before.keys() - changed}
     assert not run.manifest().compare_files()
 
 
@@ -119,6 +119,30 @@ def test_figures_json_says_which_policy_and_what_was_changed(run):
     assert content["checkpoint_sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
     assert (content["seed"], content["overrides"]) == (7, ["env.num_envs=2", "seed=7"])
     assert content["survival"] == done.figures.survival
+
+
+def test_the_recording_says_which_policy_was_played_and_how_it_did(run):
+    done = played(run, "env.num_envs=2", "seed=7", iteration=1)
+    recording, content = Recording(done.recording), json.loads((done.folder / "figures.json").read_text())
+    about = recording.properties["wheelleg"]
+    assert (about["purpose"], about["agent"], about["task"]) == ("play", "policy", "stand")
+    assert (about["run_id"], about["seed"], about["num_envs"]) == (run.id, 7, 2)
+    assert about["checkpoint"] == "model_1.pt"
+    assert about["checkpoint_sha256"] == hashlib.sha256(run.checkpoint(1).read_bytes()).hexdigest()
+    texts = {name: recording.document(name).splitlines() for name in recording.documents()}
+    assert json.loads("\n".join(texts["figures"][1:-1])) == content
+    assert yaml.safe_load("\n".join(texts["config"][1:-1]))["env"]["num_envs"] == 2
+    assert json.loads("\n".join(texts["manifest"][1:-1]))["id"] == run.id
+    assert {"git", "command", "checkpoint"} <= set(texts)
+
+
+def test_at_the_bound_on_the_size_a_play_goes_on_without_being_recorded(run):
+    done = played(run, "env.num_envs=1", "recording.max_mb=0")
+    recording = Recording(done.recording)
+    assert not recording.has_rows("base/height")
+    (text,) = recording.table("log/recording").column("text").to_pylist()
+    assert text == ["the bound of 0 MB is reached; what follows is not recorded"]
+    assert done.figures.episodes == 1
 
 
 def test_plays_do_not_share_a_folder(run):
@@ -183,6 +207,8 @@ def test_a_play_ends_when_the_last_first_episode_does(run):
         ("play.settle_s=-1", "play.settle_s"),
         ("recording.env_ids=[99]", "recording.env_ids"),
         ("recording.enabled=perhaps", "recording.enabled"),
+        ("recording.max_mb=-1", "recording.max_mb"),
+        ("recording.live=maybe", "recording.live"),
         ("agent.torch_threads=0", "agent.torch_threads"),
     ],
 )

@@ -15,8 +15,8 @@ import pytest
 from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
 from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
 from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.jobs import child, sweep_job
 from wheelleg_exp.jobs import sweep as runner_module
-from wheelleg_exp.jobs import sweep_job
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.sweep_job import Request
 from wheelleg_exp.recording.digest import entity_digests
@@ -210,7 +210,8 @@ def _request(*overrides: str, digest: str = "") -> Request:
 
 def _ended(request: Request, stop: StopRequest) -> tuple[int, dict]:
     reader, writer = os.pipe()
-    status = sweep_job._ended(sweep_job.Events(writer), request, stop)
+    events = child.Events(writer)
+    status = child._ended(events, lambda: sweep_job._train(events, request.line(), stop))
     os.close(writer)
     with os.fdopen(reader) as lines:
         return status, json.loads(lines.read().splitlines()[-1])

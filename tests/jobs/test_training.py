@@ -24,7 +24,7 @@ from wheelleg_exp.build import build_env
 from wheelleg_exp.config.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.recording.reader import Recording
-from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory
@@ -196,20 +196,16 @@ def test_checkpoints_are_those_of_their_iteration(trained):
 def test_there_is_one_line_an_iteration(trained):
     found = lines(trained.run)
     assert [line["iteration"] for line in found] == list(range(ITERATIONS))
-    assert [set(line["digests"]) for line in found] == [{"parameters", "environment", "streams"}] * ITERATIONS
-    for part in ("parameters", "environment", "streams"):
+    names = {"parameters", "optimizer", "environment", "streams", "log", "rest"}
+    assert [set(line["digests"]) for line in found] == [names] * ITERATIONS
+    for part in ("parameters", "optimizer", "environment", "streams", "log"):
         assert len({line["digests"][part] for line in found}) == ITERATIONS, part
 
 
-def test_the_digest_of_the_parameters_is_that_of_the_checkpoint(trained):
-    """First 16 digits of the sha256 over the bytes of every parameter, the actor's first."""
+def test_the_digests_can_be_computed_again_from_the_checkpoint(trained):
     for line in lines(trained.run):
-        saved = checkpoint.load(trained.run.checkpoint(line["iteration"]))
-        digest = hashlib.sha256()
-        for role in ("actor", "critic"):
-            for value in saved[f"{role}_state_dict"].values():
-                digest.update(value.numpy().tobytes())
-        assert line["digests"]["parameters"] == digest.hexdigest()[:16]
+        assert line["digest_format"] == digests.FORMAT
+        assert line["digests"] == digests.of_state(checkpoint.load(trained.run.checkpoint(line["iteration"])))
 
 
 def test_tensorboard_reads_isaac_labs_keys(trained):
@@ -394,6 +390,7 @@ def test_a_signal_stops_the_training_after_its_iteration(stopped, number):
     assert checkpoint.load(run.latest_checkpoint())["iter"] == done[-1]
     assert "interrupted" in err
     assert run.latest_checkpoint().name in err
+    assert f"resume {path.relative_to(path.parents[1].parent)}" in err or "resume stand" in err
     assert "Traceback" not in err
 
 

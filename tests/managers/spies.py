@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+import io
+import itertools
+import random
+from collections import deque
+from typing import Any, ClassVar
 
+import numpy as np
 import torch
 
 from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, TermBase
+from wheelleg_exp.sim.actuators import ImplicitActuator
 
 LOG: list[Any] = []
 VALUES: dict[str, Any] = {}
@@ -170,3 +176,135 @@ class SpyAction(ActionTerm):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         LOG.append(f"action reset {env_ids.tolist()}")
+
+
+# ---- terms that remember in ways of their own ----
+
+
+class RemembersInAList(TermBase):
+    """Keeps its calls in a list, and what it has seen in a dictionary, a set, an array and a deque."""
+
+    def __init__(self, env: Env) -> None:
+        self._calls: list[float] = []
+        self._seen: dict[str, Any] = {"most": 0.0, "rows": np.zeros(env.num_envs)}
+        self._heights: set[int] = set()
+        self._last: deque[float] = deque(maxlen=3)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        height = env.scene.robot.data.root_pos_w[:, 2]
+        self._calls.append(float(height.mean()))
+        self._last.append(float(height[0]))
+        self._seen["most"] = max(self._seen["most"], self._calls[-1])
+        self._seen["rows"] += height.numpy()
+        self._heights.add(round(float(height[0]) * 1000))
+        total = sum(self._calls) + self._seen["most"] + sum(self._last) + len(self._heights)
+        return torch.from_numpy(self._seen["rows"]).float() + total
+
+
+class RemembersNumbers(TermBase):
+    """Counts in a number, and keeps a tensor that it makes at its first call."""
+
+    def __init__(self, env: Env) -> None:
+        self._count, self._sum = 0, None
+        self._mode = ("a", 1)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        self._count += 1
+        speed = env.scene.robot.data.root_lin_vel_w[:, 0]
+        self._sum = speed.clone() if self._sum is None else self._sum + speed
+        self._mode = ("b", self._count)
+        return self._sum + self._count * self._mode[1]
+
+
+class _Helper:
+    def __init__(self) -> None:
+        self.total, self.kept = 0.0, [torch.zeros(1)]
+        self.scale = lambda x: 2.0 * x
+
+    def add(self, value: float) -> float:
+        self.total += value
+        self.kept[0] += value
+        return self.scale(self.total) + float(self.kept[0])
+
+
+class RemembersInAHelper(TermBase):
+    """Leaves its memory to an object that knows nothing of saving, and to a network."""
+
+    def __init__(self, env: Env) -> None:
+        self._env = env
+        self._helper = _Helper()
+        self._norm = torch.nn.BatchNorm1d(1, affine=False)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        height = self._env.scene.robot.data.root_pos_w[:, 2:3]
+        with torch.no_grad():
+            normal = self._norm(height)[:, 0]
+        return normal + self._helper.add(float(height.mean()))
+
+
+class RemembersGenerators(TermBase):
+    """Draws from generators of its own, which no stream names."""
+
+    def __init__(self, env: Env) -> None:
+        self._torch = torch.Generator().manual_seed(1)
+        self._python, self._numpy = random.Random(2), np.random.default_rng(3)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        drawn = torch.rand(env.num_envs, generator=self._torch)
+        return drawn + self._python.random() + float(self._numpy.random())
+
+
+class RemembersInAnIterator(TermBase):
+    """Keeps its place in an iterator, which cannot be read."""
+
+    def __init__(self, env: Env) -> None:
+        self._numbers = itertools.count()
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        return torch.full((env.num_envs,), float(next(self._numbers)))
+
+
+class RemembersInAFile(TermBase):
+    """Keeps something that stands for a place outside."""
+
+    def __init__(self, env: Env) -> None:
+        self._file = io.BytesIO(b"12345")
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        return torch.full((env.num_envs,), float(self._file.read(1) or 0))
+
+
+class RemembersLater(TermBase):
+    """Makes, at its first call, an object that nobody could make again."""
+
+    def __init__(self, env: Env) -> None:
+        self._helper: _Helper | None = None
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        self._helper = self._helper or _Helper()
+        return torch.full((env.num_envs,), self._helper.add(1.0))
+
+
+class RemembersInItsClass(TermBase):
+    """Counts in its class."""
+
+    calls: ClassVar[list[int]] = []
+
+    def __init__(self, env: Env) -> None:
+        pass
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        self.calls.append(1)
+        return torch.full((env.num_envs,), float(len(self.calls)))
+
+
+class Delayed(ImplicitActuator):
+    """Acts two physics steps late, and heats up."""
+
+    def control(self, data: Any) -> torch.Tensor:
+        if not hasattr(self, "_waiting"):
+            self._waiting: deque[torch.Tensor] = deque(maxlen=2)
+            self.heat = torch.zeros(1)
+        self._waiting.append(super().control(data).clone())
+        self.heat += self._waiting[-1].abs().mean()
+        return self._waiting[0] * torch.exp(-self.heat / 100.0)

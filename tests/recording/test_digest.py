@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
+from recording.conftest import record
 
-from tests.recording.conftest import record
 from wheelleg_exp.recording.digest import entity_digests, recording_digest
 
 

@@ -3,8 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rerun as rr
+from inspection.synthetic import STEP_DT, Writer, play, training
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.recording.groups import Number
 from wheelleg_exp.recording.reader import Recording
 
 
@@ -36,21 +38,134 @@ def test_a_missing_entity_is_named_with_its_nearest_neighbour(tmp_path):
         Recording(write(tmp_path / "r.rrd", [0])).table("a/bb")
 
 
-def test_a_missing_file_is_an_error_for_people(tmp_path):
-    with pytest.raises(RunDirectoryError, match="cannot read"):
-        Recording(tmp_path / "absent.rrd")
+def test_a_group_is_a_table_of_its_numbers_in_the_order_that_the_recording_gives(tmp_path):
+    table = Recording(play(tmp_path / "r.rrd")).table("rewards")
+    assert table.column_names == ["step", "sim_time", "effort", "alive", "total"]
+    assert [str(table.schema.field(name).type) for name in table.column_names] == ["int64", *4 * ["double"]]
+    assert table.column("effort").to_pylist() == [-1.0] * 200
+    np.testing.assert_allclose(table.column("sim_time"), STEP_DT * np.arange(1, 201), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("content", "said"), [(b"", "empty"), (b"%PDF-1.7 and more", "no rerun recording")])
-def test_an_empty_and_a_foreign_file_are_errors_for_people(tmp_path, content, said):
-    (tmp_path / "r.rrd").write_bytes(content)
-    with pytest.raises(RunDirectoryError, match=said):
-        Recording(tmp_path / "r.rrd")
+def test_a_number_of_a_group_is_called_by_its_path_below_it(tmp_path):
+    recording = Recording(play(tmp_path / "r.rrd"))
+    assert recording.table("joints").column_names[2:] == ["hip.effort"]
+    assert recording.table("joints/hip").column_names[2:] == ["effort"]
+    assert recording.table("contacts").column_names[2:] == ["feet.left", "feet.right"]
+    assert {"joints.hip.effort", "contacts.feet.left", "base.pitch"} <= set(recording.all_numbers())
+    assert {"rewards", "joints", "joints/hip", "commands/drive"} <= set(recording.groups())
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6])
-def test_a_file_that_was_cut_off_is_an_error_for_people(tmp_path, share):
-    data = write(tmp_path / "r.rrd", [0, 3]).read_bytes()
-    (tmp_path / "cut.rrd").write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(RunDirectoryError, match="damaged"):
-        Recording(tmp_path / "cut.rrd")
+def test_numbers_of_different_steps_stand_in_one_table_with_gaps(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("g/often", [1.0, 2.0, 3.0], steps=[1, 2, 3])
+    writer.numbers("g/seldom", [7.0], steps=[2])
+    table = Recording(writer.close()).table("g")
+    assert table.column("often").to_pylist() == [1.0, 2.0, 3.0]
+    np.testing.assert_array_equal(table.column("seldom"), [np.nan, 7.0, np.nan])
+
+
+def test_observation_terms_are_joined_in_the_order_of_the_group(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.static("observations/policy", terms=["z", "a"], widths=[2, 1])
+    writer.numbers("observations/policy/a", [[5.0], [6.0]], names=["a[0]"])
+    writer.numbers("observations/policy/z", [[1.0, 2.0], [3.0, 4.0]], names=["z[0]", "z[1]"])
+    recording = Recording(writer.close())
+    np.testing.assert_array_equal(recording.values("observations/policy"), [[1, 2, 5], [3, 4, 6]])
+    assert recording.names("observations/policy") == ["z[0]", "z[1]", "a"]
+    assert "observations.policy.z[1]" in recording.all_numbers()
+
+
+def test_a_number_that_is_called_like_a_timeline_keeps_its_group_s_name(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("episode/step", [4.0, 5.0])
+    assert Recording(writer.close()).table("episode").column_names == ["step", "sim_time", "episode.step"]
+
+
+def test_each_recorded_environment_has_its_own_tables(tmp_path):
+    recording = Recording(training(tmp_path / "r.rrd"))
+    assert recording.env_ids == [2, 5]
+    assert recording.table("base").column("height")[0].as_py() == 0.1
+    assert recording.table("base", env_id=5).column("height")[0].as_py() == 1.1
+    assert recording.table("env_5/base").column("height")[0].as_py() == 1.1
+    assert recording.table("training", env_id=5).column_names[-1] == "Train.mean_reward"
+    with pytest.raises(RunDirectoryError, match=r"environment 3 was not recorded.*one of 2, 5"):
+        recording.table("base", env_id=3)
+
+
+def test_words_are_events_by_step(tmp_path):
+    recording = Recording(play(tmp_path / "r.rrd"))
+    found = [(event.step, event.kind, event.text, event.env_id) for event in recording.events()]
+    assert found == [
+        (30, "events", "push", 0),
+        (50, "episodes", "ended by fallen", 0),
+        (120, "events", "push", 0),
+        (150, "episodes", "ended by time_out", 0),
+    ]
+    assert recording.events("episodes")[0].time_s == pytest.approx(1.0)
+    assert [event.level for event in recording.events("episodes")] == ["WARN", "INFO"]
+
+
+def test_purpose_and_step_are_known_without_properties_and_said_by_them(tmp_path):
+    assert Recording(play(tmp_path / "p.rrd")).purpose == "play"
+    recording = Recording(training(tmp_path / "t.rrd"))
+    assert recording.purpose == "training"
+    assert recording.step_dt == pytest.approx(STEP_DT, rel=1e-12)
+    writer = Writer(tmp_path / "r.rrd")
+    writer.static("__properties/wheelleg", purpose="evaluation", step_dt=0.5, env_ids=[4], task="stand")
+    writer.numbers("base/height", [1.0])
+    said = Recording(writer.close())
+    assert (said.purpose, said.step_dt, said.env_ids) == ("evaluation", 0.5, [4])
+    assert said.properties["wheelleg"]["task"] == "stand"
+    assert said.entities() == ["base/height"]
+
+
+def test_the_last_scalars_of_a_killed_training_come_from_its_journal(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("training/loss", [5.0, 4.0], [10, 20], None, [0, 1])
+    writer.static("__journal/training", keys=["loss", "new"])
+    for i, row in enumerate([[5.0], [4.0], [3.0, np.nan], [2.0, 8.0]]):
+        writer.numbers("__journal/training", [row], [10 * (i + 1)], None, [i])
+    recording = Recording(writer.kill())
+    table = recording.table("training")
+    assert table.column("iteration").to_pylist() == [0, 1, 2, 3]
+    assert table.column("loss").to_pylist() == [5.0, 4.0, 3.0, 2.0]
+    np.testing.assert_array_equal(table.column("new"), [np.nan, np.nan, np.nan, 8.0])
+    assert recording.count("training/new") == 1
+    assert recording.entities() == ["training/loss", "training/new"]
+
+
+def test_a_file_that_grows_is_read_as_it_was_when_it_was_opened(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("a", [1.0])
+    writer.stream.flush()
+    recording = Recording(writer.path)
+    writer.numbers("a", [2.0], steps=[2])
+    writer.stream.flush()
+    assert recording.table("a").num_rows == 1
+    assert not recording.health.is_whole
+    assert Recording(writer.path).table("a").num_rows == 2
+    assert Recording(writer.close()).health.lines() == ["whole"]
+
+
+def test_more_than_the_limit_is_told_and_not_read(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    for part in range(4):
+        writer.numbers("large", np.zeros(5000), steps=np.arange(5000) + 5000 * part)
+    writer.numbers("small", [1.0])
+    recording = Recording(writer.close(), limit=200_000)
+    with pytest.raises(RunDirectoryError, match=r"'large' of .* take more than"):
+        recording.table("large")
+    with pytest.raises(RunDirectoryError, match=r"40000 numbers of .* take more than"):
+        recording.columns_of(40_000 * [Number("small", "small", 0)])
+    assert recording.table("small").num_rows == 1
+    assert recording.count("large") == 20_000
+
+
+def test_many_entities_do_not_stay_in_memory(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    for i in range(20):
+        writer.numbers(f"a/{i}", np.full(2000, float(i)))
+    recording = Recording(writer.close(), limit=100_000)
+    for i in range(20):
+        assert recording.values(f"a/{i}")[-1, 0] == i
+        assert sum(table.nbytes for table in recording._tables.values()) < 300_000

@@ -8,9 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from recording.conftest import STEPS, Account, record, roll_out
 
-from tests.recording.conftest import STEPS, Account, record, roll_out
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp.recording.finishing import finish
 from wheelleg_exp.recording.reader import Recording
 from wheelleg_exp.recording.recorder import Recorder
 
@@ -162,10 +164,24 @@ def test_the_log_says_what_ended_an_episode_and_when(recording, recorded):
 
 
 def test_the_log_names_interval_events_at_the_step_that_they_follow(recording, recorded):
-    pushed = [step for step in recorded[1].pushed if step < STEPS]
+    pushed = recorded[1].pushed
     assert pushed
     assert listed(recording, "log/events", "step") == pushed
     assert listed(recording, "log/events", "text") == [["env 1: push_robot"]] * len(pushed)
+    assert listed(recording, "events/push_robot", "step") == pushed
+    assert recording.values("events/push_robot").tolist() == [[1.0]] * len(pushed)
+    assert recording.static("events")["terms"] == ["push_robot"]
+
+
+def test_a_push_shows_in_the_row_after_it(make_env, tmp_path):
+    sideways = "env.events.push_robot.velocity_range.y=[1.0,1.0]"
+    env = make_env(sideways, "env.events.push_robot.interval_range_s=[0.1,0.15]", num_envs=2)
+    record(tmp_path / "r.rrd", env, env_ids=(0,), steps=25)
+    recording = Recording(tmp_path / "r.rrd")
+    pushed = listed(recording, "events/push_robot", "step")
+    change = np.diff(recording.values("state/qvel")[:, 1])
+    assert len(pushed) >= 2
+    assert [step for step, jump in enumerate(change, start=1) if jump > 0.5] == [step for step in pushed if step < 25]
 
 
 def test_the_robot_is_drawn_once_and_statically(recording, recorded):
@@ -223,32 +239,6 @@ def test_texts_are_kept_and_the_last_of_a_name_counts(recorded, tmp_path):
         recorder.document("config", "# second")
     assert Recording(path).document("config") == "# second"
     assert Recording(path).document("absent") is None
-
-
-def test_what_was_flushed_survives_a_sudden_death(mjcf, tmp_path):
-    path = tmp_path / "r.rrd"
-    code = f"""
-        import os
-        import torch
-        from pathlib import Path
-        from wheelleg_exp.config.compose import compose
-        from wheelleg_exp.env import ManagerBasedRLEnv
-        from wheelleg_exp.recording.recorder import Recorder
-        config = compose(["task=stand", "env.num_envs=2"]).config
-        env = ManagerBasedRLEnv(config["env"], Path({str(mjcf)!r}), 0)
-        env.reset(seed=0)
-        recorder = Recorder(Path({str(path)!r}), env, recording_id="r", name="n", env_ids=[0], purpose="play")
-        env.observers.append(recorder.capture)
-        recorder.start()
-        for i in range(12):
-            env.step(torch.zeros(2, 6))
-            if i == 7:
-                recorder.flush()
-        os._exit(9)
-    """
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True)
-    assert done.returncode == 9, done.stderr
-    assert len(Recording(path).values("base/height")) == 8
 
 
 def test_a_resumed_recording_is_as_if_it_had_never_stopped(make_env, tmp_path):
@@ -356,3 +346,28 @@ def test_a_term_that_would_share_a_place_is_refused(make_env, tmp_path):
     with pytest.raises(ConfigError, match=r"env\.rewards\.total"):
         Recorder(tmp_path / "r.rrd", env, recording_id="r", name="n", env_ids=[0], purpose="play")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_finished_recording_is_put_together_and_has_an_index(make_env, tmp_path, monkeypatch):
+    """Small pieces as a killed process would leave them, against the finished file: the same content, less room."""
+    path, env = tmp_path / "r.rrd", make_env(num_envs=2)
+    monkeypatch.setattr("wheelleg_exp.recording.sink.finish", lambda path: False)
+    record(path, env, env_ids=(0,), steps=40, flush_every=4)
+    before, pieces = entity_digests(path), Recording(path).health
+    assert finish(path)
+    after = Recording(path).health
+    assert entity_digests(path) == before
+    assert after.is_whole
+    assert not pieces.is_closed
+    assert after.messages < pieces.messages / 3
+    assert after.size < pieces.size
+    assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]
+
+
+def test_a_recording_that_cannot_be_finished_stays_as_it_is(recorded, tmp_path, monkeypatch):
+    path = tmp_path / "r.rrd"
+    path.write_bytes(recorded[0].read_bytes())
+    monkeypatch.setattr("wheelleg_exp.recording.finishing.rerun_program", lambda: str(tmp_path / "none"))
+    assert not finish(path)
+    assert path.read_bytes() == recorded[0].read_bytes()
+    assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
 
 import numpy as np
 import onnx
 import onnxruntime
 import pytest
+import rsl_rl
 import torch
 from tensordict import TensorDict
 
@@ -86,6 +93,51 @@ def test_the_exports_draw_nothing(policy):
     before = torch.get_rng_state()
     export.torchscript(policy)
     assert torch.equal(torch.get_rng_state(), before)
+
+
+_EXPORT = """
+import hashlib, io, json, sys
+import torch
+from tensordict import TensorDict
+from rsl_rl.models import MLPModel
+from wheelleg_exp.rl import export
+
+def policy(*hidden):
+    torch.manual_seed(0)
+    observations = TensorDict({"policy": torch.zeros(2, 9)}, batch_size=[2])
+    gaussian = {"class_name": "GaussianDistribution", "init_std": 1.0}
+    return MLPModel(observations, {"actor": ["policy"]}, "actor", 3, hidden, "elu", True, gaussian)
+
+for hidden in json.loads(sys.argv[1]):
+    made = policy(*hidden).eval()
+    script, graph = export.torchscript(made), export.onnx(made)
+x = torch.randn(7, 9, generator=torch.Generator().manual_seed(1))
+loaded = torch.jit.load(io.BytesIO(script))
+assert torch.equal(loaded(x), made.as_jit()(x)) and not loaded.training
+assert set(loaded.state_dict()) == set(made.as_jit().state_dict())
+loaded.reset()
+print(hashlib.sha256(script).hexdigest(), hashlib.sha256(graph).hexdigest())
+"""
+
+
+def exported_elsewhere(hash_seed: int, *hidden: list[int]) -> str:
+    """The digests of the last of some policies, exported in a process of its own one after another."""
+    command = [sys.executable, "-W", "ignore", "-c", _EXPORT, json.dumps(hidden)]
+    environ = {**os.environ, "PYTHONHASHSEED": str(hash_seed)}
+    return subprocess.run(command, env=environ, capture_output=True, text=True, check=True).stdout
+
+
+def test_the_bytes_depend_neither_on_the_process_nor_on_what_it_exported_before():
+    first = exported_elsewhere(1, [8, 8, 6])
+    assert exported_elsewhere(2, [8, 8, 6]) == first
+    assert exported_elsewhere(3, [4], [16, 8], [8, 8, 6]) == first
+
+
+def test_the_exports_name_no_place_of_this_disk(policy, model):
+    places = [str(Path(rsl_rl.__file__).parents[1]).encode(), str(Path(export.__file__).parents[2]).encode()]
+    with zipfile.ZipFile(io.BytesIO(export.torchscript(policy))) as archive:
+        contents = [archive.read(name) for name in archive.namelist()]
+    assert not [place for place in places for content in (*contents, model) if place in content]
 
 
 def test_exporting_leaves_the_policy_as_it_was(policy):

@@ -5,7 +5,9 @@ import os
 import subprocess
 import sys
 from importlib import metadata
+from types import SimpleNamespace
 
+import pytest
 from packaging.requirements import Requirement
 
 from wheelleg_exp.run import environment
@@ -70,6 +72,46 @@ def test_variables_that_change_numbers_are_kept_and_others_are_not():
     }
     other = {"HOME": "/x", "AWS_SECRET_ACCESS_KEY": "k", "WHEELLEG_TOKEN": "t", "MY_OMP_X": "1"}
     assert environment.variables({**environ, **other}) == dict(sorted(environ.items()))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("MKL_NUM_THREADS", "OMP_WAIT_POLICY", "KMP_AFFINITY", "GOMP_CPU_AFFINITY", "OPENBLAS_CORETYPE"),
+        *("NPY_DISABLE_CPU_FEATURES", "GLIBC_TUNABLES", "ONEDNN_MAX_CPU_ISA", "ATEN_CPU_CAPABILITY", "TORCH_LOGS"),
+        *("CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "NVIDIA_TF32_OVERRIDE", "HSA_OVERRIDE_GFX_VERSION"),
+        *("MUJOCO_PLUGIN_PATH", "PXR_PLUGINPATH_NAME", "WHEELLEG_CACHE", "LD_PRELOAD", "LD_LIBRARY_PATH"),
+        *("PYTHONPATH", "PYTHONHASHSEED", "PYTHONOPTIMIZE", "PYTHONWARNINGS", "PYTHON_GIL", "LC_NUMERIC", "LANG"),
+    ],
+)
+def test_a_variable_that_can_change_a_result_shows(name):
+    assert environment.variables({name: "a"}) != environment.variables({name: "b"})
+
+
+def test_what_a_config_asks_for_counts_and_a_secret_never_does():
+    texts = ["a: ${oc.env:SPEED}\nb: ${oc.env:MY_TOKEN,x}\n", "c: '${ oc.env: SPEED, 3 } ${oc.decode:${oc.env:MASS}}'"]
+    asked = environment.variables_asked_for(texts)
+    assert asked == ["MASS", "MY_TOKEN", "SPEED"]
+    values = {"SPEED": "3", "MY_TOKEN": "t", "MASS": "AKIA" + "A" * 16, "OTHER": "x", "OMP_X": "glpat-" + "a" * 20}
+    assert environment.variables(values, also=asked) == {"SPEED": "3"}
+
+
+@pytest.mark.parametrize("key", ["cpu_quota", "cores_usable", "cpu", "cpu_flags", "torch_cpu_capability"])
+def test_another_processor_or_container_shows(key, monkeypatch):
+    before = environment.hardware()
+    info = CPUINFO.replace("AMD EPYC", "Another").replace("avx512_bf16", "amx_tile")
+    monkeypatch.setattr(environment, "_read", lambda _path: info)
+    monkeypatch.setattr(environment, "cpu_quota", lambda: 1.5)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: {0, 1, 2, 3, 4, 5, 6}, raising=False)
+    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(backends=Backends))
+    assert environment.hardware().get(key) != before.get(key)
+
+
+class Backends:
+    class cpu:
+        @staticmethod
+        def get_cpu_capability():
+            return "ANOTHER"
 
 
 def test_hardware_comes_from_the_system():

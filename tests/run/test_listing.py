@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -8,8 +9,9 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from wheelleg_exp.run.listing import list_runs
+from wheelleg_exp.run.listing import list_runs, list_sweeps
 from wheelleg_exp.run.process import is_alive, this_process
+from wheelleg_exp.run.sweep import SweepIndex
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 
@@ -83,6 +85,87 @@ def test_a_damaged_run_is_listed_with_its_problem(make_run, tmp_path):
     assert "broken JSON" in first.problem
     # the name tells whole seconds of local time
     assert first.started == START + timedelta(hours=1)
+
+
+def written(run, iterations, *, checkpoints=(), total=10, cut=""):
+    """Give a run what a training leaves: lines, checkpoints, and how many iterations it should have."""
+    scalars = {"Train/mean_reward": 1.5, "Train/mean_episode_length": 30.0, "Episode_Termination/time_out": 0.25}
+    lines = [{"iteration": i, "digests": {}, "scalars": scalars} for i in range(iterations)]
+    (run.path / "iterations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines) + cut)
+    (run.path / "params").mkdir(exist_ok=True)
+    (run.path / "params" / "agent.yaml").write_text(f"device: cpu\nmax_iterations: {total}\n")
+    for iteration in checkpoints:
+        (run.path / f"model_{iteration}.pt").write_bytes(b"x" * 100)
+    return run
+
+
+def test_how_far_a_crashed_run_came_is_told_from_the_end_of_its_lines(make_run, tmp_path, dead_pid):
+    run = written(make_run(name="mine"), 7, checkpoints=(0, 5), cut='{"iteration": 7, "sca')
+    set_process(run, pid=dead_pid)
+    (found,) = list_runs(tmp_path / "runs")
+    assert (found.status, found.name) == ("crashed", "mine")
+    assert (found.iterations, found.max_iterations, found.checkpoint, found.resumable) == (7, 10, 5, True)
+    assert found.figures == {"return": 1.5, "episode_length": 30.0, "time_out": 0.25}
+    assert found.seconds is not None
+
+
+@pytest.mark.parametrize(("end", "resumable"), [("interrupted", True), ("failed", True), ("finished", False)])
+def test_what_stopped_early_can_be_resumed_and_what_is_whole_cannot(make_run, tmp_path, end, resumable):
+    run = written(make_run(), 10 if end == "finished" else 6, checkpoints=(5,))
+    run.manifest().finish(end, {"iterations": 6}, "disk full" if end == "failed" else None)
+    (found,) = list_runs(tmp_path / "runs")
+    assert (found.status, found.resumable) == (end, resumable)
+    assert found.problem == ("disk full" if end == "failed" else None)
+
+
+def test_without_a_checkpoint_and_while_it_runs_nothing_can_be_resumed(make_run, tmp_path):
+    written(make_run(), 3, checkpoints=(0,))
+    written(make_run(), 3).manifest().finish("interrupted")
+    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [False, False]
+
+
+def test_what_a_play_found_stands_beside(make_run, tmp_path):
+    run = written(make_run(), 10)
+    run.manifest().finish("finished")
+    for survival in (0.5, 1.0):
+        run.manifest().add("play", results={"survival": survival})
+    assert list_runs(tmp_path / "runs")[0].played == {"survival": 1.0}
+
+
+def test_a_folder_that_was_left_before_its_manifest_is_damaged(make_run, tmp_path):
+    run = make_run(now=START)
+    (run.path / "manifest.json").unlink()
+    (found,) = list_runs(tmp_path / "runs")
+    assert (found.status, found.started) == ("damaged", START)
+    assert "has no manifest.json" in found.problem
+
+
+def test_five_hundred_runs_are_listed_in_a_moment(make_run, tmp_path):
+    first = written(make_run(), 1000, checkpoints=(0, 5, 9))
+    first.manifest().finish("finished", {"iterations": 10})
+    for number in range(499):
+        shutil.copytree(first.path, first.path.parent / f"2026-01-01_00-00-00_{number}")
+    start = time.process_time()
+    assert len(list_runs(tmp_path / "runs")) == 500
+    assert time.process_time() - start < 1.0
+
+
+def test_sweeps_are_listed_with_their_jobs(tmp_path, dead_pid):
+    jobs = [(["task=stand", f"seed={seed}"], [f"seed={seed}"]) for seed in (1, 2)]
+    index = SweepIndex.create(tmp_path, command=[], launcher={}, jobs=jobs, now=START)
+    index.job_started(1)
+    broken = SweepIndex.create(tmp_path, command=[], launcher={}, jobs=jobs, now=START + timedelta(hours=1))
+    broken.path.write_text("{")
+    first, second = list_sweeps(tmp_path)
+    assert (first.status, second.status) == ("damaged", "running")
+    assert (second.jobs, second.swept) == ({"running": 1, "waiting": 1}, ("seed",))
+    index.data["process"]["pid"] = dead_pid
+    index.finish("finished")
+    assert list_sweeps(tmp_path)[1].status == "finished"
+    index.data["status"] = "running"
+    index.write_multirun("")
+    index._write()
+    assert list_sweeps(tmp_path)[1].status == "crashed"
 
 
 def test_a_zombie_is_not_alive():

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelleg_exp.run.secrecy import secret_content, secret_name, without_credentials
+from wheelleg_exp.run.secrecy import secret_content, secret_keys, secret_name, without_credentials
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,12 @@ from wheelleg_exp.run.secrecy import secret_content, secret_name, without_creden
         ".git-credentials",
         "passwords.csv",
         "prod.env",
+        "home/.ssh/config",
+        ".aws/config",
+        "deploy_rsa",
+        "service_account_1.json",
+        "rclone.conf",
+        ".pgpass",
     ],
 )
 def test_names_of_keys_and_tokens_are_known(path):
@@ -43,6 +49,27 @@ def test_a_private_key_is_known_by_its_header(kind):
 
 def test_an_access_token_is_known_by_its_form():
     assert secret_content(b"url = https://gh" + b"p_" + b"a1" * 18 + b"@host")
+
+
+@pytest.mark.parametrize(
+    "token",
+    [
+        "ASIA" + "Q" * 16,
+        "AIza" + "a" * 35,
+        "xoxb" + "-1234567890-abcdefghij",
+        "sk-ant" + "-api03-" + "a" * 20,
+        "npm_" + "a" * 36,
+        "eyJ" + "a" * 12 + ".eyJ" + "b" * 12 + "." + "c" * 12,
+    ],
+)
+def test_tokens_of_many_services_are_known(token):
+    assert secret_content(f"key: {token}\n".encode())
+    assert list(secret_keys({"a": [{"b": token}]})) == [("a.0.b", "it holds a private key or an access token")]
+
+
+def test_a_key_that_says_it_holds_a_secret_is_one_and_numbers_are_not():
+    tree = {"wandb": {"api_key": "abc", "token": None, "secret": ""}, "password": "x", "token_dim": "y", "max_token": 3}
+    assert [path for path, _ in secret_keys(tree)] == ["wandb.api_key", "password"]
 
 
 @pytest.mark.parametrize("content", [b"", b"-----BEGIN PUBLIC KEY-----", b"a PRIVATE KEY here", bytes(range(256))])

@@ -5,7 +5,7 @@ import json
 import pytest
 import yaml
 
-from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.params import load_params, write_params
 from wheelleg_exp.run.snapshot import begin
@@ -103,6 +103,110 @@ def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
     (tmp_path / "params" / "agent.yaml").write_text("- 1\n")
     with pytest.raises(RunDirectoryError, match="a list, not parameters"):
         load_params(tmp_path)
+
+
+def snapshot_of(tmp_path, **changes):
+    """The manifest and the source record of a run, as far as they tell what it was made from."""
+    directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
+    given = {"command": ["wheelleg"], "params": PARAMS, "hydra_files": {"config": "a: 1\n"}, "source_roots": []}
+    given |= {"seed": 7, "task": "walk", "threads": {"torch": 2}} | changes
+    data = begin(directory, **given).data
+    source = json.loads((directory.source / "git.json").read_text())
+    timeless = ("id", "started", "process", "sha256")
+    return {k: v for k, v in data.items() if k not in timeless} | {"git": source}
+
+
+def changed(one, other):
+    return {key for key in one if one[key] != other[key]}
+
+
+@pytest.fixture
+def user_folder(tmp_path):
+    folder = tmp_path / "mine"
+    for name in ("configs/task/a.yaml", "terms.py", "assets/mesh.stl"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("1\n")
+    return folder
+
+
+def test_the_same_twice_is_the_same_snapshot(tmp_path, repository, git, user_folder):
+    roots = [repository, user_folder]
+    assert not changed(snapshot_of(tmp_path, source_roots=roots), snapshot_of(tmp_path, source_roots=roots))
+
+
+@pytest.mark.parametrize("name", ["configs/task/a.yaml", "terms.py", "assets/mesh.stl"])
+def test_a_change_in_a_users_folder_without_a_repository_shows(tmp_path, repository, git, user_folder, name):
+    roots = [repository, user_folder]
+    before = snapshot_of(tmp_path, source_roots=roots)
+    (user_folder / name).write_text("2\n")
+    after = snapshot_of(tmp_path, source_roots=roots)
+    assert "git" in changed(before, after)
+    assert before["git"]["others"][0]["tree"] != after["git"]["others"][0]["tree"]
+
+
+def test_a_changed_installed_package_and_a_loose_module_show(tmp_path, git):
+    package, module = tmp_path / "site-packages" / "terms", tmp_path / "helpers.py"
+    package.mkdir(parents=True)
+    (package / "a.py").write_text("1\n")
+    module.write_text("1\n")
+    before = snapshot_of(tmp_path, source_roots=[package, module])["git"]
+    (package / "a.py").write_text("2\n")
+    module.write_text("2\n")
+    after = snapshot_of(tmp_path, source_roots=[package, module])["git"]
+    assert before["content_sha256"] != after["content_sha256"]
+    assert before["others"][0]["tree"] != after["others"][0]["tree"]
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"params": {**PARAMS, "env": {**PARAMS["env"], "decimation": 5}}}, "files"),
+        ({"hydra_files": {"config": "a: 2\n"}}, "files"),
+        ({"command": ["wheelleg", "train"]}, "command"),
+        ({"seed": 8}, "seeds"),
+        ({"threads": {"torch": 3}}, "threads"),
+    ],
+)
+def test_a_change_of_what_is_given_shows(tmp_path, change, where):
+    assert where in changed(snapshot_of(tmp_path), snapshot_of(tmp_path, **change))
+
+
+@pytest.mark.parametrize(
+    ("name", "where"),
+    [("OMP_NUM_THREADS", "environment_variables"), ("LEG_LENGTH", "config_variables")],
+)
+def test_a_variable_that_matters_or_that_the_config_asks_for_shows(tmp_path, monkeypatch, name, where):
+    files = {"config": "a: ${oc.env:LEG_LENGTH}\n"}
+    found = []
+    for value in ("1", "2"):
+        monkeypatch.setenv(name, value)
+        found.append(snapshot_of(tmp_path, hydra_files=files))
+    assert where in changed(*found)
+    monkeypatch.delenv("LEG_LENGTH", raising=False)
+    assert snapshot_of(tmp_path, hydra_files=files)["config_variables"] == {}
+
+
+def test_another_version_and_another_processor_show(tmp_path, monkeypatch):
+    before = snapshot_of(tmp_path)
+    versions, hardware = before["versions"], before["hardware"]
+    monkeypatch.setattr("wheelleg_exp.run.environment.versions", lambda: {**versions, "mujoco": "9"})
+    monkeypatch.setattr("wheelleg_exp.run.environment.hardware", lambda: {**hardware, "cpu": "another"})
+    assert {"versions", "hardware"} <= changed(before, snapshot_of(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"command": ["wheelleg", "run.name=gh" + "p_" + "a1" * 18]},
+        {"hydra_files": {"hydra": "hydra: {job: {env_set: {X: AKIA" + "A" * 16 + "}}}"}},
+        {"params": {"env": {"events": {"a": {"api_key": "abc"}}}, "agent": {}}},
+    ],
+)
+def test_a_token_in_a_config_or_on_the_command_line_is_refused_before_anything_is_written(tmp_path, change):
+    with pytest.raises(ConfigError, match="kept in the run directory"):
+        snapshot_of(tmp_path, **change)
+    (directory,) = (tmp_path / "runs" / "walk").iterdir()
+    assert list(directory.iterdir()) == []
 
 
 def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):

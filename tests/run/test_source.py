@@ -12,6 +12,7 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run import git as git_module
 from wheelleg_exp.run.restore import restore_source
 from wheelleg_exp.run.source import snapshot_source
+from wheelleg_exp.run.source_lines import source_lines
 
 ODD = ["a b.txt", "tab\there", "new\nline", 'quo"te', "back\\slash", "ünï", "-dash", ":(top)x", "*"]
 ODD += [os.fsdecode(b"\xff")]  # no UTF-8
@@ -267,12 +268,60 @@ def test_a_patch_over_the_cap_is_refused_with_the_big_files(repository, git, tmp
     assert snapshot(repository, tmp_path, max_patch_mb=1.0)["status"] == "ok"
 
 
-def test_a_folder_without_a_repository_says_so(tmp_path, git):
+def test_a_folder_without_a_repository_is_kept_as_a_patch_from_nothing(tmp_path, git):
+    folder = tmp_path / "plain"
+    (folder / "configs" / "task").mkdir(parents=True)
+    (folder / "configs" / "task" / "mine.yaml").write_bytes(b"a: 1\r\n")
+    for name in ODD:
+        (folder / name).write_text(name, errors="surrogateescape")
+    (folder / "link").symlink_to("configs/task/mine.yaml")
+    (folder / ".gitignore").write_text("*.log\n")
+    for name in (
+        "a.log",
+        "__pycache__/x.pyc",
+        "venv/pyvenv.cfg",
+        "venv/lib/x.py",
+        ".env",
+        "runs/stand/1/manifest.json",
+    ):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("never")
+    before = digests(folder)
+    record = snapshot(folder, tmp_path, runs_root=folder / "runs")
+    assert (record["status"], record["commit"], record["dirty"]) == ("no_repository", None, True)
+    assert "is in no git repository" in record["note"]
+    assert digests(folder) == before
+    assert {entry["path"] for entry in record["refused"]} == {"venv/", ".env"}
+    assert restore_source(tmp_path, tmp_path / "again") == record["tree"]
+    kept = {path: content for path, content in digests(tmp_path / "again").items() if ".git" not in path.parts}
+    names = {path.relative_to(tmp_path / "again").as_posix() for path in kept if path.is_symlink() or path.is_file()}
+    assert names == {"configs/task/mine.yaml", "link", ".gitignore", *ODD}
+    for name in names - {"link"}:
+        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_a_plain_folder_over_the_cap_says_so(tmp_path, git):
     (tmp_path / "plain").mkdir()
-    record = snapshot(tmp_path / "plain", tmp_path)
+    (tmp_path / "plain" / "big.csv").write_bytes(bytes(300_000))
+    record = snapshot(tmp_path / "plain", tmp_path, max_patch_mb=0.1)
+    assert record["status"] == "patch_too_large"
+    assert "no git repository" in record["note"]
+    assert "big.csv" in record["note"]
+
+
+def test_a_loose_file_is_kept_alone(tmp_path, git):
+    for name in ("helpers.py", "diary.txt"):
+        (tmp_path / name).write_text(name)
+    record = snapshot(tmp_path / "helpers.py", tmp_path / "run")
+    assert (record["status"], record["folders"], record["changed"]) == ("no_repository", ["helpers.py"], ["helpers.py"])
+
+
+def test_a_repository_of_another_user_is_kept_as_a_folder(repository, git, tmp_path, monkeypatch):
+    monkeypatch.setenv("GIT_TEST_ASSUME_DIFFERENT_OWNER", "1")  # git's own way to test its refusal
+    record = snapshot(repository / "package", tmp_path)
     assert record["status"] == "no_repository"
-    assert "git init" in record["note"]
-    assert record["patch"] is None
+    assert "belongs to another user" in record["note"]
+    assert record["changed"] == ["code.py", "data.bin"]
 
 
 def test_a_repository_without_commits_is_held_against_nothing(tmp_path, git):
@@ -306,9 +355,14 @@ def test_a_package_in_an_environment_inside_a_repository_is_installed(repository
     assert snapshot(package, tmp_path)["content_sha256"] != first["content_sha256"]
 
 
-def test_an_ignored_folder_is_not_the_repositorys_source(repository, git, tmp_path):
+def test_an_ignored_folder_that_is_named_is_kept_as_a_folder(repository, git, tmp_path):
     (repository / "ignored").mkdir()
-    assert snapshot(repository / "ignored", tmp_path)["status"] == "installed"
+    (repository / "ignored" / "mine.yaml").write_text("a: 1\n")
+    record = snapshot([repository, repository / "ignored"], tmp_path)
+    assert record["dirty"] is False
+    (other,) = record["others"]
+    assert (other["status"], other["changed"]) == ("no_repository", ["mine.yaml"])
+    assert "is ignored by the repository around it" in other["note"]
 
 
 def test_an_installed_package_without_any_repository_is_installed(tmp_path, git):
@@ -322,11 +376,60 @@ def test_without_git_the_run_goes_on(repository, tmp_path, git, monkeypatch):
     assert snapshot(repository, tmp_path)["status"] == "no_git"
 
 
-def test_a_repository_that_git_cannot_read_is_recorded_as_failed(repository, tmp_path, git):
+def test_a_repository_that_git_cannot_read_is_kept_as_a_folder(repository, tmp_path, git):
     (repository / ".git" / "index").write_bytes(b"not an index, but long enough to look at")
     record = snapshot(repository, tmp_path)
-    assert record["status"] == "failed"
+    assert record["status"] == "no_repository"
     assert "bad signature" in record["note"]
+    assert "package/code.py" in record["changed"]
+
+
+def test_a_shallow_clone_is_kept_like_any_other(repository, git, tmp_path):
+    (repository / "gone.txt").unlink()
+    git(repository, "commit", "-qam", "second")
+    clone = tmp_path / "shallow"
+    git(tmp_path, "clone", "-q", "--depth", "1", f"file://{repository}", str(clone))
+    (clone / "package" / "code.py").write_text("x = 'shallow'\n")
+    record = snapshot(clone, tmp_path)
+    assert (record["status"], record["shallow"]) == ("ok", True)
+    assert record["commit"] == git(repository, "rev-parse", "HEAD")
+    assert record["changed"] == ["package/code.py"]
+
+
+def test_no_filter_program_runs_and_big_files_are_kept_with_their_content(repository, git, tmp_path):
+    (repository / ".gitattributes").write_text("*.stl filter=lfs\n*.crypt filter=seal\n")
+    for name in ("lfs", "seal"):
+        git(repository, "config", f"filter.{name}.clean", f"touch {tmp_path}/ran; echo pointer")
+        git(repository, "config", f"filter.{name}.required", "true")
+    for name in ("mesh.stl", "notes.crypt"):
+        (repository / name).write_text("hunter2\n")
+    record = snapshot(repository, tmp_path)
+    assert record["status"] == "ok"
+    assert not (tmp_path / "ran").exists()
+    assert record["refused"] == [{"path": "notes.crypt", "reason": "the filter 'seal' stands between it and git"}]
+    patch = (tmp_path / "source" / "source.patch").read_bytes()
+    assert patch.count(b"hunter2") == 1
+    assert b"pointer" not in patch
+
+
+def test_a_changed_file_that_cannot_be_read_is_named(repository, git, tmp_path, monkeypatch):
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    (repository / "gone.txt").write_text("changed\n")
+    run = git_module.run_git
+
+    def unreadable(folder, *arguments, **keywords):
+        if arguments[0] == "add":
+            if "--ignore-errors" in arguments:
+                run(folder, "update-index", "gone.txt", **keywords)
+            raise git_module.GitError('open("package/code.py"): Permission denied')
+        return run(folder, *arguments, **keywords)
+
+    monkeypatch.setattr(git_module, "run_git", unreadable)
+    record = snapshot(repository, tmp_path)
+    assert record["status"] == "ok"
+    assert record["changed"] == ["gone.txt"]
+    assert record["refused"][0]["path"] == "package/code.py"
+    assert "Permission denied" in record["refused"][0]["reason"]
 
 
 def test_roots_of_one_repository_count_once_and_others_get_their_own_patch(repository, git, tmp_path):
@@ -357,16 +460,22 @@ def test_nested_repositories_are_named(repository, git, tmp_path):
     assert {entry["path"] for entry in record["refused"]} == {"nested/", "unborn/"}
 
 
-def test_submodules_are_recorded_by_commit(repository, git, tmp_path):
+def test_submodules_are_recorded_by_commit_and_those_checked_out_are_kept_as_well(repository, git, tmp_path):
     library = tmp_path / "library"
     shutil.copytree(repository, library)
-    git(repository, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(library), "library")
-    git(repository, "commit", "-qm", "submodule")
+    for name in ("library", "absent"):
+        git(repository, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(library), name)
+    git(repository, "commit", "-qm", "submodules")
+    git(repository, "submodule", "--quiet", "deinit", "-f", "absent")
     git(repository / "library", "commit", "-q", "--allow-empty", "-m", "next")
-    record = snapshot(repository, tmp_path)
+    (repository / "library" / "new.py").write_text("n = 1\n")
+    record = snapshot([repository, repository / "library" / "package"], tmp_path)
     commit = git(repository / "library", "rev-parse", "HEAD")
-    assert record["submodules"] == [{"path": "library", "commit": commit}]
-    assert record["dirty"] is True
+    assert {"path": "library", "commit": commit} in record["submodules"]
+    assert record["note"] == "submodules that are not checked out: absent"
+    (other,) = record["others"]
+    assert (other["root"], other["commit"], other["untracked"]) == (str(repository / "library"), commit, ["new.py"])
+    assert [entry["root"] for entry in snapshot(repository, tmp_path)["others"]] == [str(repository / "library")]
 
 
 def test_the_recorded_tree_can_be_made_again(repository, git, tmp_path):
@@ -404,14 +513,46 @@ def test_a_source_that_cannot_be_made_again_leaves_nothing(repository, git, tmp_
     path.write_bytes(path.read_bytes().replace(b"x = 3", b"x = 4"))
     with pytest.raises(RunDirectoryError, match="expected the recorded"):
         restore_source(tmp_path, tmp_path / "out" / "again")
-    assert list((tmp_path / "out").iterdir()) == []
+    assert not list(tmp_path.glob("out/*"))
 
 
 def test_a_source_that_was_not_kept_says_why(tmp_path, git):
-    (tmp_path / "plain").mkdir()
-    snapshot(tmp_path / "plain", tmp_path)
-    with pytest.raises(RunDirectoryError, match=r"was not kept.*git init"):
+    (tmp_path / "site-packages" / "package").mkdir(parents=True)
+    snapshot(tmp_path / "site-packages" / "package", tmp_path)
+    with pytest.raises(RunDirectoryError, match=r"was not kept.*is installed"):
         restore_source(tmp_path, tmp_path / "again")
+
+
+def test_an_installed_package_is_recorded_with_its_distribution(tmp_path, git):
+    folder = tmp_path / "site-packages"
+    for name in ("package", "package-1.2.dist-info"):
+        (folder / name).mkdir(parents=True)
+    (folder / "package" / "code.py").write_text("x = 1\n")
+    (folder / "package-1.2.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: Package\nVersion: 1.2\n")
+    (folder / "package-1.2.dist-info" / "RECORD").write_text("package/code.py,,\n")
+    record = snapshot(folder / "package", tmp_path)
+    assert (record["status"], record["distribution"]) == ("installed", "Package==1.2")
+
+
+def test_the_console_is_told_in_a_line_what_is_kept(repository, git, tmp_path):
+    def said(*roots, **keywords):
+        return source_lines(snapshot(list(roots), tmp_path, **keywords))
+
+    commit = git(repository, "rev-parse", "HEAD")[:10]
+    assert said(repository) == [f"source: commit {commit} of {repository} on main, clean"]
+    (repository / "new.py").write_text("")
+    (repository / ".env").write_text("")
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    (plain / "a.yaml").write_text("a: 1\n")
+    assert said(repository, plain) == [
+        f"source: commit {commit} of {repository} on main, with changes: 1 file (1 untracked), "
+        "kept in source/source.patch",
+        f"warning: left out of the source of {repository}: '.env' (its name matches .env)",
+        f"source: {plain} is in no repository that git reads; 1 file, kept in source/source_2.patch",
+    ]
+    (repository / "big.csv").write_bytes(bytes(300_000))
+    assert said(repository, max_patch_mb=0.1)[0].startswith("warning: the source is not kept: the untracked files have")
 
 
 def test_git_that_hangs_is_given_up(repository, git, tmp_path, monkeypatch):

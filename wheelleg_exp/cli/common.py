@@ -96,10 +96,12 @@ def print_json(document: Any) -> None:
     print(dump_json(document), end="")
 
 
-def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str | None = None) -> None:
-    """Print a table: with lines in a terminal, as plain columns otherwise."""
+def print_table(
+    columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str | None = None, lines: bool = True
+) -> None:
+    """Print a table: with lines in a terminal (but for a wide one: ``lines``), as plain columns otherwise."""
     cells = [["" if cell is None else str(cell) for cell in row] for row in rows]
-    if sys.stdout.isatty():
+    if lines and sys.stdout.isatty():
         _print_rich(columns, cells, title)
     else:
         _print_plain(columns, cells)

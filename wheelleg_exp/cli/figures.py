@@ -6,9 +6,12 @@ import math
 import shutil
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import print_table
-from wheelleg_exp.jobs.figures import ContactFigures, StandFigures
+
+if TYPE_CHECKING:
+    from wheelleg_exp.jobs.figures import ContactFigures, StandFigures
 
 
 def print_figures(figures: StandFigures) -> None:

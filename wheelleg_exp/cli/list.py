@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +11,7 @@ from wheelleg_exp.config import catalog
 from wheelleg_exp.config.catalog import Entry
 from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
 
-KINDS = ("tasks", "terms", "groups", "options", "runs")
-_ROOT = Path("runs")
-_NEVER = datetime.min.replace(tzinfo=UTC)  # what stands for an unknown start
+KINDS = ("tasks", "terms", "groups", "options", "runs", "sweeps")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -36,12 +32,31 @@ def run(args: argparse.Namespace) -> int:
             expected="one of " + ", ".join(KINDS),
             nearest=nearest_name(str(args.kind), KINDS),
         )
-    columns, rows = _LISTS[args.kind](args)
+    columns, rows, documents = _listed(args)
     if args.json:
-        print_json([dict(zip(columns, row, strict=True)) for row in rows])
+        print_json(documents)
     else:
-        print_table(columns, [list(map(_cell, row)) for row in rows])
+        print_table(columns, [list(map(_cell, row)) for row in rows], lines=args.kind != "runs")
+        _print_problems(args.kind, documents)
     return EXIT_OK
+
+
+def _listed(args: argparse.Namespace) -> tuple[list[str], list[list[Any]], list[dict[str, Any]]]:
+    """Return columns and rows of the table, and the documents of ``--json``."""
+    if args.kind in ("runs", "sweeps"):
+        from wheelleg_exp.cli import list_runs
+
+        return list_runs.runs(args.root) if args.kind == "runs" else list_runs.sweeps(args.root)
+    columns, rows = _LISTS[args.kind](args)
+    return columns, rows, [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def _print_problems(kind: str, documents: list[dict[str, Any]]) -> None:
+    if kind in ("runs", "sweeps"):
+        from wheelleg_exp.cli import list_runs
+
+        for line in list_runs.problems(documents):
+            print(line)
 
 
 def _cell(value: Any) -> Any:
@@ -108,40 +123,9 @@ def _stock_row(entry: Entry) -> list[Any]:
     return [entry.group, entry.name, entry.file, entry.target, takes, entry.help]
 
 
-def _runs(args: argparse.Namespace) -> Table:
-    from wheelleg_exp.run.listing import list_runs
-
-    if args.root is not None and not args.root.is_dir():
-        raise WheellegError(
-            "there is no such folder",
-            key=str(args.root),
-            where="--root",
-            expected="the folder of the runs (run.root)",
-            nearest=_folder_like(args.root),
-        )
-    rows = [_summary(asdict(run)) for run in list_runs(args.root or _ROOT)]
-    columns = ["id", "task", "status", "started", "ended", "seeds", "path"]
-    return columns, [[row[column] for column in columns] for row in rows]
-
-
-def _folder_like(path: Path) -> str | None:
-    parent = path.absolute().parent
-    names = [p.name for p in parent.iterdir() if p.is_dir()] if parent.is_dir() else []
-    found = nearest_name(path.name, names)
-    return str(path.with_name(found)) if found else None
-
-
-def _summary(run: dict[str, Any]) -> dict[str, Any]:
-    """Return a run's row; what a damaged one does not say is left open."""
-    from wheelleg_exp.run.timestamps import utc_text
-
-    started = None if run["started"] == _NEVER else utc_text(run["started"])
-    return {**run, "started": started, "seeds": list(run["seeds"]) or None}
-
-
 def _entries(columns: list[str], entries: list[Entry]) -> Table:
     fields = {"task": "name", "option": "name", "term": "name"}
     return columns, [[getattr(entry, fields.get(column, column)) for column in columns] for entry in entries]
 
 
-_LISTS = {"tasks": _tasks, "groups": _groups, "options": _options, "terms": _terms, "runs": _runs}
+_LISTS = {"tasks": _tasks, "groups": _groups, "options": _options, "terms": _terms}

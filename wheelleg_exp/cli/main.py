@@ -36,9 +36,14 @@ class Command:
 
 COMMANDS: dict[str, Command] = {
     "train": Command("train", "compose, check, train, and write one run directory"),
+    "resume": Command("resume", "go on with a run that was stopped or killed, as if it had never been"),
     "play": Command("play", "run a policy and record it"),
     "zero-agent": Command("agents", "run a task with zero actions and record it", "run_zero"),
     "random-agent": Command("agents", "run a task with random actions and record it", "run_random"),
+    "report": Command("report", "write one HTML file about a run, for people"),
+    "replay": Command("replay", "train a run again from its snapshot, with its own code, and compare", project=False),
+    "verify": Command("verify", "hold a run against its own manifest, or two runs against each other", project=False),
+    "inspect": Command("inspect", "tell what a recording holds, and answer questions about it"),
     "convert": Command("convert", "convert a robot file to MJCF, with a report", project=False),
     "check": Command("check", "find every mistake in a config, and with --physics look at its numbers"),
     "compose": Command("compose", "print the composed config"),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json
-from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK
+from wheelleg_exp.cli.common import add_json, add_overrides
+from wheelleg_exp.cli.outcome import tell_trained, train_on
 
 if TYPE_CHECKING:
     from wheelleg_exp.jobs.stop import StopRequest
@@ -46,7 +46,7 @@ def _train(args: argparse.Namespace, stop: StopRequest) -> int:
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
     from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.figures import shown, tool
+    from wheelleg_exp.cli.figures import shown
     from wheelleg_exp.jobs import training
     from wheelleg_exp.physics.report import examine
 
@@ -57,20 +57,5 @@ def _train(args: argparse.Namespace, stop: StopRequest) -> int:
         display.note(f"run directory: {shown(directory.path)}")
         for finding in examine(composed).open:
             display.note(f"warning: {finding.line()}")
-        try:
-            results = training.run(ready, display, stop)
-        except KeyboardInterrupt:
-            found = directory.checkpoints()
-            last = f"the last checkpoint is {shown(found[-1])}" if found else "there is no checkpoint yet"
-            display.note(f"interrupted; {last}")
-            return EXIT_INTERRUPTED
-    if args.json:
-        print_json({"run": str(directory.path), "status": "finished", "results": results})
-        return EXIT_OK
-    path = shown(directory.path)
-    print(f"trained {results['iterations']} iterations in {results['seconds']:.0f} s: {path}")
-    print(f"next: {tool('wheelleg')} play {path}")
-    print(f"      {tool('tensorboard')} --logdir {path}")
-    if directory.recording.is_file():
-        print(f"      {tool('rerun')} {path}/recording.rrd")
-    return EXIT_OK
+        results = train_on(ready, display, stop)
+    return tell_trained(directory, results, as_json=args.json)

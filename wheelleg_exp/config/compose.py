@@ -21,7 +21,7 @@ from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.config.provenance import MISSING, Provenance, trace
 from wheelleg_exp.config.tree import dotted, leaves
 from wheelleg_exp.errors import ConfigError, WheellegError
-from wheelleg_exp.terms import RESERVED
+from wheelleg_exp.terms import drop_removed
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.mounts import Mount
@@ -132,7 +132,7 @@ def compose(
     hydra = raw.pop("hydra")
     OmegaConf.set_readonly(raw, True)
     config = _resolve(raw, lambda: trace(used, primary, parsed))
-    removed = _drop_removed(config)
+    removed = drop_removed(config)
     return Composed(config, raw, texts, primary, folders, removed, hydra, used, parsed)
 
 
@@ -179,30 +179,3 @@ def _flat(error: Exception) -> str:
 
 def _full_key(error: OmegaConfBaseException) -> str | None:
     return str(error.full_key) if error.full_key else None
-
-
-def _drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Take null terms out, give absent sections an empty mapping, and return the paths that were null."""
-    env = config.get("env")
-    if not isinstance(env, dict):
-        return ()
-    removed: list[str] = []
-    for section in RESERVED:
-        if env.get(section) is None:
-            env[section] = {}
-        removed += _drop_null(env, section, "env")
-    groups = env["observations"]
-    if isinstance(groups, dict):
-        for name, group in groups.items():
-            if isinstance(group, dict) and "terms" in group:
-                group["terms"] = {} if group["terms"] is None else group["terms"]
-                removed += _drop_null(group, "terms", f"env.observations.{name}")
-    return tuple(removed)
-
-
-def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
-    section = parent[key]
-    if not isinstance(section, dict):
-        return []
-    parent[key] = {name: node for name, node in section.items() if node is not None}
-    return [f"{path}.{key}.{name}" for name, node in section.items() if node is None]

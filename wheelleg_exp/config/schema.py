@@ -11,7 +11,7 @@ import dataclasses
 import typing
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal
 
 # Section of the tree -> the dataclass whose fields are its keys; imported when it is needed.
 OPTIONS: dict[str, str] = {
@@ -95,6 +95,8 @@ class PlayRecording:
 
     enabled: bool
     env_ids: list[int]
+    max_mb: float = field(metadata={"minimum": 0.0})
+    live: bool
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,7 @@ class Agent:
     device: str
     torch_threads: int = field(metadata={"minimum": 1, "maximum": 1024})
     clip_actions: float | None = field(default=None, metadata={"above": 0.0})
+    logger: Literal["tensorboard"] | None = "tensorboard"
     torch_compile_mode: str | None = None
 
 

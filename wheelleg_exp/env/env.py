@@ -22,12 +22,13 @@ from wheelleg_exp.managers import (
 )
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
+from wheelleg_exp.sim.state import Kept, cloned
 
 Observations = dict[str, Group]
 StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
-class ManagerBasedRLEnv:
+class ManagerBasedRLEnv(Kept):
     """N environments under eight managers, after Isaac Lab's ``ManagerBasedRLEnv``.
 
     Args:
@@ -193,6 +194,8 @@ class ManagerBasedRLEnv:
             "seed": self.seed,
             "common_step_counter": self.common_step_counter,
             "episode_length_buf": self.episode_length_buf.clone(),
+            "reward_buf": self.reward_buf.clone(),
+            "extras": cloned(self.extras),
             "streams": self.streams.state_dict(),
             "scene": self.scene.state_dict(),
             "managers": {n: m.state_dict() for n, m in self.managers.items() if n != "scene"},
@@ -203,6 +206,8 @@ class ManagerBasedRLEnv:
         self.seed = saved["seed"]
         self.common_step_counter = saved["common_step_counter"]
         self.episode_length_buf.copy_(saved["episode_length_buf"])
+        self.reward_buf = saved["reward_buf"].clone()
+        self.extras = cloned(saved["extras"])
         self.scene.load_state_dict(saved["scene"])
         for name, state in saved["managers"].items():
             self.managers[name].load_state_dict(state)

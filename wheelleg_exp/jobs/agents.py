@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -14,8 +14,10 @@ from wheelleg_exp.build import build_env
 from wheelleg_exp.config.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.jobs.display import Display
+from wheelleg_exp.jobs.documents import config_document
+from wheelleg_exp.jobs.episode_recording import EpisodeRecording
 from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandFigures, StandMeter
-from wheelleg_exp.recording.recorder import Recorder, require_env_ids
+from wheelleg_exp.recording.recorder import require_env_ids
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.files import write_json, write_yaml
 from wheelleg_exp.sim.contact import ContactSensor
@@ -67,23 +69,30 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     stand = StandMeter(env, settle_s=0.0)
     env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
     options = config["recording"]
-    with _recorder(directory, kind, env, options["env_ids"]) if options["enabled"] else nullcontext():
+    recording = _recording(directory, kind, env, config) if options["enabled"] else None
+    with recording or nullcontext():
         _roll(env, _actor(kind, env), steps or env.max_episode_length, display)
-    contacts = {name: meter.figures() for name, meter in meters.items()}
-    content = {"agent": kind, "figures": stand.figures().as_dict()}
-    content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
+        contacts = {name: meter.figures() for name, meter in meters.items()}
+        content = {"agent": kind, "figures": stand.figures().as_dict()}
+        content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
+        if recording is not None:
+            recording.figures(content)
     write_json(directory.path / "figures.json", content)
-    recording = directory.recording if options["enabled"] else None
-    return AgentRun(directory.path, recording, contacts, stand.figures())
+    return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures())
 
 
-def _recorder(directory: RunDirectory, kind: AgentKind, env: ManagerBasedRLEnv, env_ids: list[int]) -> Recorder:
-    recorder = Recorder(
-        directory.recording, env, recording_id=directory.id, name=f"{kind} agent", env_ids=env_ids, purpose="play"
+def _recording(
+    directory: RunDirectory, kind: AgentKind, env: ManagerBasedRLEnv, config: dict[str, Any]
+) -> EpisodeRecording:
+    return EpisodeRecording(
+        directory.recording,
+        env,
+        config["recording"],
+        purpose="play",
+        name=f"{directory.id} {kind} agent",
+        about={"run_id": directory.id, "task": config["task"]["name"], "agent": kind},
+        documents=config_document(config),
     )
-    env.observers.append(recorder.capture)
-    recorder.start()
-    return recorder
 
 
 def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor]:

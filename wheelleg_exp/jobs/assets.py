@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.asset import CachedConversion
+from wheelleg_exp.asset.cache import MODEL
+from wheelleg_exp.asset.report import Report
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import read_json, write_json, write_text
+from wheelleg_exp.run.files import for_people, read_json, write_json, write_text
 
 MJCF = "robot.xml"
 REPORT = "report.json"
@@ -51,3 +53,37 @@ def kept_mjcf(directory: RunDirectory) -> Path:
 def kept_model_digest(directory: RunDirectory) -> str:
     """Return the digest of the scene that the run compiled."""
     return str(read_json(directory.asset / IDENTITY)["model_sha256"])
+
+
+def kept_sources(directory: RunDirectory) -> dict[str, str]:
+    """Return the sha256 of each file that the run's robot was made of, as seen from its source's folder."""
+    return dict(read_json(directory.asset / IDENTITY)["sources"])
+
+
+def kept_robot(directory: RunDirectory) -> CachedConversion:
+    """Return the run's own conversion where it stands, in the run directory.
+
+    Raises:
+        RunDirectoryError: a part of it is missing.
+    """
+    path = directory.asset / REPORT
+    with for_people(path, "read"):
+        report = Report.from_json(path.read_text(encoding="utf-8"))
+    return CachedConversion(kept_mjcf(directory), report, kept_sources(directory), key="", fresh=False)
+
+
+def kept_conversion(directory: RunDirectory, folder: Path) -> CachedConversion:
+    """Return the run's own conversion, copied into a new folder, as if it had just been made.
+
+    Raises:
+        RunDirectoryError: a part of it is missing.
+        SimulationFailure: the disk is full.
+    """
+    mjcf = kept_mjcf(directory)
+    with for_people(folder):
+        shutil.copytree(directory.asset, folder)
+    output = folder / MODEL
+    with for_people(output):
+        (folder / mjcf.name).rename(output)
+    report = Report.from_json(output.with_name(REPORT).read_text(encoding="utf-8"))
+    return CachedConversion(output, report, kept_sources(directory), key="", fresh=False)

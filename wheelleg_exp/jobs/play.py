@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -20,9 +21,11 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.assets import kept_mjcf, kept_model_digest
 from wheelleg_exp.jobs.display import Display
+from wheelleg_exp.jobs.documents import command_document, config_document, json_document, run_documents
+from wheelleg_exp.jobs.episode_recording import EpisodeRecording
 from wheelleg_exp.jobs.figures import StandFigures, StandMeter
 from wheelleg_exp.jobs.threads import set_threads
-from wheelleg_exp.recording.recorder import Recorder, require_env_ids
+from wheelleg_exp.recording.recorder import require_env_ids
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory, create_exclusively
@@ -80,21 +83,50 @@ def play(
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
     meter = StandMeter(env, float(tree["play"]["settle_s"]))
+    own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
+    name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
+    about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
+    content = {**about, "seed": tree["seed"], "overrides": list(overrides)}
     folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     try:
-        recording = _roll(env, adapter, policy, meter, folder, tree["recording"], display)
+        recording = _recording(env, folder, tree, run, about, command) if tree["recording"]["enabled"] else None
+        with recording or nullcontext():
+            _roll(env, adapter, policy, meter, display)
+            content |= meter.figures().as_dict()
+            if recording is not None:
+                recording.figures(content)
     except BaseException:  # an interrupted play leaves nothing that looks like one
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    figures = meter.figures()
-    own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
-    name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
-    content = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint), "seed": tree["seed"]}
-    content |= {"overrides": list(overrides), **figures.as_dict()}
     write_json(folder / "figures.json", content)
-    files = [folder / "figures.json", *([recording] if recording else [])]
+    files = [folder / "figures.json", *([recording.path] if recording else [])]
     run.manifest().add("play", files, content, command=command)
-    return Played(run, checkpoint, folder, recording, figures)
+    return Played(run, checkpoint, folder, recording.path if recording else None, meter.figures())
+
+
+def _recording(
+    env: ManagerBasedRLEnv,
+    folder: Path,
+    tree: dict[str, Any],
+    run: RunDirectory,
+    checkpoint: dict[str, str],
+    command: Sequence[str],
+) -> EpisodeRecording:
+    documents = run_documents(run) | config_document(tree) | command_document(command)
+    return EpisodeRecording(
+        folder / "recording.rrd",
+        env,
+        tree["recording"],
+        purpose="play",
+        name=folder.name,
+        about={"run_id": run.id, "task": _task(run), "agent": "policy", **checkpoint},
+        documents=documents | json_document("checkpoint", checkpoint),
+    )
+
+
+def _task(run: RunDirectory) -> str | None:
+    task = run.manifest().data.get("task")
+    return None if task is None else str(task)
 
 
 def _own_settings() -> dict[str, Any]:
@@ -118,33 +150,11 @@ def _require_playable(kept: dict[str, Any], tree: dict[str, Any]) -> None:
 
 
 @torch.inference_mode()
-def _roll(
-    env: ManagerBasedRLEnv,
-    adapter: RslRlVecEnv,
-    policy: Any,
-    meter: StandMeter,
-    folder: Path,
-    options: dict[str, Any],
-    display: Display,
-) -> Path | None:
-    """Step until every environment has finished its first episode; return the recording."""
-    path = folder / "recording.rrd" if options["enabled"] else None
+def _roll(env: ManagerBasedRLEnv, adapter: RslRlVecEnv, policy: Any, meter: StandMeter, display: Display) -> None:
+    """Step until every environment has finished its first episode."""
     env.observers.append(meter.observe)
-    recorder = None
-    if path is not None:
-        recorder = Recorder(
-            path, env, recording_id=folder.name, name=folder.name, env_ids=options["env_ids"], purpose="play"
-        )
-        recorder.start()
-        env.observers.append(recorder.capture)
-    try:
-        for step in range(env.max_episode_length):
-            adapter.step(policy(adapter.get_observations()))
-            display.steps(step + 1, env.max_episode_length)
-            if not meter.running.any():
-                break
-    finally:
-        if recorder is not None:
-            recorder.flush()
-            recorder.close()
-    return path
+    for step in range(env.max_episode_length):
+        adapter.step(policy(adapter.get_observations()))
+        display.steps(step + 1, env.max_episode_length)
+        if not meter.running.any():
+            break

@@ -19,7 +19,8 @@ from wheelleg_exp.config.difference import Side
 from wheelleg_exp.config.mounts import Mount
 from wheelleg_exp.config.tree import dotted, line_table, split_path
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
-from wheelleg_exp.paths import configs_dir, find_asset
+from wheelleg_exp.jobs.source_roots import source_roots
+from wheelleg_exp.paths import find_asset
 from wheelleg_exp.run import environment
 from wheelleg_exp.run.directory import LATEST, RunDirectory
 from wheelleg_exp.run.files import read_json, read_yaml
@@ -46,25 +47,27 @@ def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> 
     Raises:
         WheellegError: a side is none of these, or does not compose.
     """
-    sides = [_load(text, root, config_dirs) for text in (a, b)]
-    if sum(bool(side.facts) for side in sides) == 1:
-        sides = [side if side.facts else replace(side, facts=_facts_here(side, config_dirs)) for side in sides]
-    return sides[0], sides[1]
+    (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
+    if composed is not None and other.facts:
+        one = replace(one, facts=_facts_here(composed))
+    if composed_too is not None and one.facts:
+        other = replace(other, facts=_facts_here(composed_too))
+    return one, other
 
 
-def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> Side:
+def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Composed | None]:
+    """Return a side, and what it was composed from unless it is a run."""
     words = split_words(text)
-    if not words:
-        return _composed(text or "(no overrides)", compose([], config_dirs=config_dirs))
-    first, rest = words[0], words[1:]
-    if (Path(first) / MANIFEST_NAME).is_file():
-        return _run(RunDirectory.open(first, root), rest)
-    if "=" in first or first.startswith(("~", "+")):
-        return _composed(text, compose(words, config_dirs=config_dirs))
-    tasks = [entry.name for entry in catalog.tasks(config_dirs)]
-    if first in tasks:
-        return _composed(text, compose([f"task={first}", *rest], config_dirs=config_dirs))
-    return _run(_open(first, root, tasks), rest)
+    first, rest = (words[0], words[1:]) if words else ("", [])
+    if words and (Path(first) / MANIFEST_NAME).is_file():
+        return _run(RunDirectory.open(first, root), rest), None
+    if words and "=" not in first and not first.startswith(("~", "+")):
+        tasks = [entry.name for entry in catalog.tasks(config_dirs)]
+        if first not in tasks:
+            return _run(_open(first, root, tasks), rest), None
+        words = [f"task={first}", *rest]
+    composed = compose(words, config_dirs=config_dirs)
+    return _composed(text or "(no overrides)", composed), composed
 
 
 def split_words(text: str) -> list[str]:
@@ -193,23 +196,22 @@ def _asset(identity: Mapping[str, Any]) -> dict[str, Any]:
     return {**dict(identity.get("sources") or {}), "compiled model": identity.get("model_sha256")}
 
 
-def _facts_here(side: Side, config_dirs: Sequence[Path]) -> dict[str, dict[str, Any]]:
+def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
     """Return the facts of this machine and checkout, as far as they are known without building anything."""
     with tempfile.TemporaryDirectory() as folder:
-        record = snapshot_source([configs_dir().parent, *config_dirs], Path(folder))
+        record = snapshot_source(source_roots(composed), Path(folder))
     return {
         "code": _code(record),
         "versions": dict(environment.versions()),
         "hardware": environment.hardware(),
-        "asset": _layers(side, config_dirs),
+        "asset": _layers(composed),
     }
 
 
-def _layers(side: Side, config_dirs: Sequence[Path]) -> dict[str, str]:
+def _layers(composed: Composed) -> dict[str, str]:
     from wheelleg_exp.asset.cache import source_digest
 
-    roots = [place for folder in config_dirs for place in (folder.parent / "assets", folder.parent)]
     try:
-        return source_digest(find_asset(side.tree["env"]["robot"]["asset"], roots))
+        return source_digest(find_asset(composed.config["env"]["robot"]["asset"], composed.asset_roots))
     except WheellegError:
         return {}

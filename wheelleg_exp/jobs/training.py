@@ -1,11 +1,11 @@
-"""Training: from a composed config to a run directory."""
+"""Training: from a composed config, or from a run that is gone on with, to a run directory."""
 
 from __future__ import annotations
 
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,23 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.jobs.assets import keep_asset
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.outputs import Outputs, summary
+from wheelleg_exp.jobs.proof import Proof
+from wheelleg_exp.jobs.source_roots import loaded_outside, source_roots
 from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.threads import set_threads
-from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.recording.recorder import require_env_ids
 from wheelleg_exp.rl import export
+from wheelleg_exp.rl.global_draws import no_global_draws
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import write_bytes, write_text
+from wheelleg_exp.run.files import sync_folder, write_bytes, write_text
 from wheelleg_exp.run.lock import RunLock
 from wheelleg_exp.run.manifest import MANIFEST_NAME, Manifest
+from wheelleg_exp.run.restore import load_source
 from wheelleg_exp.run.snapshot import begin
+from wheelleg_exp.run.source_lines import source_lines
 
 
 @dataclass(frozen=True)
@@ -40,22 +44,37 @@ class Recipe:
         hydra_files: Hydra's own files, text by name.
         source_roots: folders whose source the snapshot keeps, this package's own first.
         asset: the converted robot.
+        config_dirs: the user's config folders.
     """
 
     config: dict[str, Any]
     hydra_files: Mapping[str, str]
     source_roots: Sequence[Path]
     asset: CachedConversion
+    config_dirs: Sequence[Path] = ()
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training that is ready to run: everything that can be wrong with its input has been found."""
+    """A training that is ready to run: everything that can be wrong with its input has been found.
+
+    Attributes:
+        recipe: what it is made from.
+        trainer: environment, networks, and the iteration from which it goes on.
+        directory: where it is written.
+        manifest: the run's manifest, status ``running``.
+        lock: the run directory's lock; a resume has taken it already.
+        earlier: the log's lines of the iterations that are done, for a resume.
+        proof: what holds iterations that are computed a second time against what they were, for a resume.
+    """
 
     recipe: Recipe
     trainer: Trainer
     directory: RunDirectory
     manifest: Manifest
+    lock: RunLock
+    earlier: Sequence[Mapping[str, Any]] = ()
+    proof: Proof = field(default_factory=Proof)
 
 
 def prepare(composed: Composed, command: Sequence[str], display: Display) -> Training:
@@ -69,8 +88,9 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
         recipe = Recipe(
             config=composed.config,
             hydra_files=composed.hydra_files(),
-            source_roots=[configs_dir().parent, *composed.config_dirs],
+            source_roots=source_roots(composed),
             asset=prepare_asset(composed.config, composed.asset_roots),
+            config_dirs=composed.config_dirs,
         )
         return start(recipe, command, display)
 
@@ -94,24 +114,30 @@ def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
             command=command,
             params={"env": config["env"], "agent": agent},
             hydra_files=recipe.hydra_files,
-            source_roots=recipe.source_roots,
+            source_roots=[*recipe.source_roots, *loaded_outside(recipe.source_roots)],
             seed=config["seed"],
             task=config["task"]["name"],
             threads=threads,
             max_patch_mb=run.get("max_patch_mb"),
         )
+        manifest.record(config_dirs=[str(folder) for folder in recipe.config_dirs])
+        sync_folder(directory.path)
     except BaseException:
         if not (directory.path / MANIFEST_NAME).exists():  # nobody could tell what it is
             shutil.rmtree(directory.path, ignore_errors=True)
         raise
-    return Training(recipe, trainer, directory, manifest)
+    for line in [*source_lines(load_source(directory)), *thread_notes(threads)]:
+        display.note(line)
+    return Training(recipe, trainer, directory, manifest, RunLock(directory))
 
 
 def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
     """Build environment and networks; return the trainer, and what the manifest says of threads."""
     config, agent = recipe.config, recipe.config["agent"]
-    env = ManagerBasedRLEnv(config["env"], recipe.asset.output, config["seed"])
-    threads = set_threads(agent, env.scene.sim.nthread)
+    with no_global_draws():
+        env = ManagerBasedRLEnv(config["env"], recipe.asset.output, config["seed"])
+    samples = env.num_envs * int(agent["num_steps_per_env"])
+    threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
     return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"]), threads
 
 
@@ -123,29 +149,47 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
         SimulationFailure: physics or the disk failed.
     """
     trainer, directory = training.trainer, training.directory
-    config = training.recipe.config
-    agent = config["agent"]
+    agent = training.recipe.config["agent"]
     total, started = int(agent["max_iterations"]), time.perf_counter()
-    documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
-    options = RecordingOptions(**config["recording"])
-    with (
-        RunLock(directory),
-        training.manifest.finishing() as results,
-        Outputs(directory, trainer, options, documents) as outputs,
-    ):
+    with training.lock.held(), training.manifest.finishing() as results, _outputs(training) as outputs:
+        results |= _results(training.earlier)
+        if outputs.note:
+            display.note(f"warning: {outputs.note}")
         stop.check()
         for iteration in trainer.learn(until=total):
-            outputs.write(iteration)
+            training.proof.check(iteration.index, outputs.write(iteration))
             display.iteration(iteration, total)
             last = stop.requested or iteration.index + 1 == total
             if last or iteration.index % agent["save_interval"] == 0:
                 results["checkpoint"] = outputs.checkpoint(iteration.index)
             if last:
-                results |= {"iterations": iteration.index + 1, "seconds": time.perf_counter() - started}
-                results |= summary(iteration.scalars)
+                seconds = _seconds(training.earlier) + time.perf_counter() - started
+                results |= {"iterations": iteration.index + 1, "seconds": seconds, **summary(iteration.scalars)}
             stop.check()
         export_policy(directory, trainer, agent)
     return results
+
+
+def _outputs(training: Training) -> Outputs:
+    config = training.recipe.config
+    documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
+    options = RecordingOptions(**config["recording"])
+    return Outputs(training.directory, training.trainer, options, documents, config["agent"].get("logger"))
+
+
+def _results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the results of the iterations that are done already."""
+    if not earlier:
+        return {}
+    done = len(earlier)
+    facts = {"checkpoint": f"model_{done - 1}.pt", "iterations": done, "seconds": _seconds(earlier)}
+    return facts | summary(earlier[-1]["scalars"])
+
+
+def _seconds(earlier: Sequence[Mapping[str, Any]]) -> float:
+    """Return how long earlier iterations took; what a process did beside is not known when it was killed."""
+    times = ("Perf/collection_time", "Perf/learning_time")
+    return sum(float(line["scalars"].get(key, 0.0)) for line in earlier for key in times)
 
 
 def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 
 from wheelleg_exp.managers.face import Env
@@ -37,8 +38,9 @@ class CurriculumManager(ManagerBase):
         return log
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the last returned states and the terms' states."""
-        return {**super().state_dict(), "last": dict(self._state)}
+        """Return the last returned states as plain numbers, and the terms' states."""
+        last = {name: _plain(state) for name, state in self._state.items()}
+        return {**super().state_dict(), "last": last}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -48,6 +50,15 @@ class CurriculumManager(ManagerBase):
     def __str__(self) -> str:
         rows = [(i, name, term.target.rsplit(".", 1)[-1]) for i, (name, term) in enumerate(self._terms.items())]
         return table(f"Curriculum: {len(rows)}", ("index", "name", "term"), rows)
+
+
+def _plain(state: Any) -> Any:
+    """Return what a term returned in a form that a checkpoint takes; arrays become tensors."""
+    if isinstance(state, Mapping):
+        return {str(key): _plain(value) for key, value in state.items()}
+    if isinstance(state, (np.ndarray, np.generic)):
+        return torch.from_numpy(np.array(state))
+    return state.clone() if isinstance(state, torch.Tensor) else state
 
 
 def _number(value: Any) -> Any:

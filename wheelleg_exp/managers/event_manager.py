@@ -111,6 +111,7 @@ class EventManager(ManagerBase):
             "time_left": {k: v.clone() for k, v in self._time_left.items()},
             "last_step": {k: v.clone() for k, v in self._last_step.items()},
             "fired_once": {k: v.clone() for k, v in self._fired_once.items()},
+            "fired": {k: v.clone() for k, v in self.fired.items()},
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -123,6 +124,7 @@ class EventManager(ManagerBase):
         ):
             for name, value in kept.items():
                 own[name].copy_(value)
+        self.fired = {name: value.clone() for name, value in saved["fired"].items()}
 
     def _all_ids(self, env_ids: torch.Tensor | None) -> torch.Tensor:
         return torch.arange(self._num_envs) if env_ids is None else env_ids

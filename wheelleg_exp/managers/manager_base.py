@@ -14,9 +14,10 @@ from rich.table import Table
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers.face import Env
 from wheelleg_exp.managers.term import Term, bind_terms
+from wheelleg_exp.sim.state import Kept
 
 
-class ManagerBase:
+class ManagerBase(Kept):
     """A manager of one section of the config.
 
     Args:
@@ -49,14 +50,12 @@ class ManagerBase:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the manager and of its terms."""
-        return {"terms": {n: t.stateful.state_dict() for n, t in self._terms.items() if t.stateful is not None}}
+        return {"terms": {name: term.state_dict() for name, term in self._terms.items()}}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
-        for name, state in saved["terms"].items():
-            stateful = self._terms[name].stateful
-            if stateful is not None:
-                stateful.load_state_dict(state)
+        for name, term in self._terms.items():
+            term.load_state_dict(saved["terms"][name])
 
     def _reset_terms(self, env_ids: torch.Tensor) -> None:
         for term in self._terms.values():

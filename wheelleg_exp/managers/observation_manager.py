@@ -13,13 +13,14 @@ from wheelleg_exp.managers.face import Env
 from wheelleg_exp.managers.manager_base import table
 from wheelleg_exp.managers.ranges import interval
 from wheelleg_exp.managers.term import Term, bind_terms
+from wheelleg_exp.sim.state import Kept, cloned, made, stateful
 
 _GROUP_KEYS = ("terms", "concatenate_terms", "enable_corruption", "history_length", "flatten_history_dim")
 
 Group = torch.Tensor | dict[str, torch.Tensor]
 
 
-class ObservationTerm:
+class ObservationTerm(Kept):
     """One term of a group: ``func -> modifiers -> noise -> clip -> scale -> history``.
 
     Args:
@@ -48,8 +49,10 @@ class ObservationTerm:
                 expected=f"({env.num_envs}, width)",
             )
         self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[1])
-        for modifier in self._modifiers:
+        for number, modifier in enumerate(self._modifiers):
             modifier.start(sample)
+            made(modifier, f"{term.path}.modifiers[{number}]")
+        self._noise_state = stateful(self._noise, f"{term.path}.noise")
         self.history = HistoryBuffer(env.num_envs, history_length, sample.shape[1:]) if history_length > 0 else None
         self.history_length = history_length
         self.width = int(sample.shape[1])
@@ -97,11 +100,11 @@ class ObservationTerm:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of everything that survives a step."""
-        state: dict[str, Any] = {"modifiers": [m.state_dict() for m in self._modifiers]}
-        if self.term.stateful is not None:
-            state["term"] = self.term.stateful.state_dict()
-        if hasattr(self._noise, "state_dict"):
-            state["noise"] = self._noise.state_dict()
+        state: dict[str, Any] = {
+            "modifiers": [modifier.state_dict() for modifier in self._modifiers],
+            "term": self.term.state_dict(),
+            "noise": self._noise_state.state_dict(),
+        }
         if self.history is not None:
             state["history"] = self.history.state_dict()
         return state
@@ -110,10 +113,8 @@ class ObservationTerm:
         """Restore what ``state_dict`` returned."""
         for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
             modifier.load_state_dict(state)
-        if self.term.stateful is not None:
-            self.term.stateful.load_state_dict(saved["term"])
-        if "noise" in saved and self._noise is not None:
-            self._noise.load_state_dict(saved["noise"])
+        self.term.load_state_dict(saved["term"])
+        self._noise_state.load_state_dict(saved["noise"])
         if self.history is not None:
             self.history.load_state_dict(saved["history"])
 
@@ -149,7 +150,7 @@ class ObservationTerm:
         return torch.tensor(scale, dtype=torch.float32)
 
 
-class ObservationManager:
+class ObservationManager(Kept):
     """Groups of observation terms; ``obs_buf`` holds what ``compute`` returned last.
 
     Args:
@@ -239,14 +240,14 @@ class ObservationManager:
     def state_dict(self) -> dict[str, Any]:
         """Return the state of every term and the last observation."""
         terms = {g: {n: t.state_dict() for n, t in ts.items()} for g, ts in self._groups.items()}
-        return {"groups": terms, "obs_buf": dict(self.obs_buf), "is_first": self._is_first.clone()}
+        return {"groups": terms, "obs_buf": cloned(self.obs_buf), "is_first": self._is_first.clone()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         for group, terms in self._groups.items():
             for name, term in terms.items():
                 term.load_state_dict(saved["groups"][group][name])
-        self.obs_buf = dict(saved["obs_buf"])
+        self.obs_buf = cloned(saved["obs_buf"])
         self._is_first.copy_(saved["is_first"])
         self._any_first = bool(self._is_first.any())
 

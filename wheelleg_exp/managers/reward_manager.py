@@ -26,7 +26,6 @@ class RewardManager(ManagerBase):
                 raise ConfigError("a reward needs a weight", key=f"{term.path}.weight", expected="a number")
         self.step_reward = torch.zeros(len(self._terms), self._num_envs)
         self._episode_sums = torch.zeros_like(self.step_reward)
-        self._configured = {name: term.fields["weight"] for name, term in self._terms.items()}
         self.non_finite: dict[int, list[str]] = {}
 
     def compute(self, dt: float) -> torch.Tensor:
@@ -75,16 +74,20 @@ class RewardManager(ManagerBase):
         return {f"Episode_Reward/{n}": v for n, v in zip(self._terms, means.unbind(), strict=True)}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the episode sums, the weights that a curriculum has changed, and the terms' states."""
-        weights = {n: t.fields["weight"] for n, t in self._terms.items() if t.fields["weight"] != self._configured[n]}
-        return {**super().state_dict(), "episode_sums": self._episode_sums.clone(), "weights": weights}
+        """Return the episode sums, this step's values, and the terms' states."""
+        return {
+            **super().state_dict(),
+            "episode_sums": self._episode_sums.clone(),
+            "step_reward": self.step_reward.clone(),
+            "non_finite": {env_id: list(terms) for env_id, terms in self.non_finite.items()},
+        }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         self._episode_sums.copy_(saved["episode_sums"])
-        for name, weight in saved["weights"].items():
-            self._terms[name].fields["weight"] = weight
+        self.step_reward.copy_(saved["step_reward"])
+        self.non_finite = {env_id: list(terms) for env_id, terms in saved["non_finite"].items()}
 
     def __str__(self) -> str:
         rows = [

@@ -8,6 +8,8 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.sim.state import Kept, NamedStream
+
 
 def stream_seed(seed: int, path: str) -> int:
     """Return the 63-bit seed of the stream ``path``: the first bytes of SHA-256 over ``seed`` and ``path``."""
@@ -15,7 +17,7 @@ def stream_seed(seed: int, path: str) -> int:
     return int.from_bytes(digest[:8], "little") & (2**63 - 1)
 
 
-class Streams:
+class Streams(Kept):
     """The random streams of one environment.
 
     Args:
@@ -24,12 +26,13 @@ class Streams:
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
-        self._generators: dict[str, torch.Generator] = {}
+        self._generators: dict[str, NamedStream] = {}
 
     def get(self, path: str) -> torch.Generator:
         """Return the generator of the stream named by a term's config path."""
         if path not in self._generators:
-            self._generators[path] = torch.Generator().manual_seed(stream_seed(self._seed, path))
+            self._generators[path] = NamedStream()
+            self._generators[path].manual_seed(stream_seed(self._seed, path))
         return self._generators[path]
 
     def reseed(self, seed: int) -> None:
@@ -45,6 +48,6 @@ class Streams:
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
-        self._seed = saved["seed"]
+        self.reseed(saved["seed"])  # a stream that had not been drawn from yet begins anew
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)

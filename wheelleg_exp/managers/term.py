@@ -13,6 +13,7 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.face import Env
+from wheelleg_exp.sim.state import Kept, Settings, Stateful, made, note_class
 from wheelleg_exp.terms import (
     TermNode,
     check_parameters,
@@ -21,25 +22,22 @@ from wheelleg_exp.terms import (
     walk_targets,
 )
 
+_STATEFUL_FIELDS = ("modifiers", "noise")  # their state is saved with the observation's
 
-class TermBase:
-    """A term with state of its own. Subclasses take ``env``, their parameters and, to draw, ``generator``."""
+
+class TermBase(Stateful):
+    """A term with state of its own. Subclasses take ``env``, their parameters and, to draw, ``generator``.
+
+    Its attributes are saved and restored without its help (``sim.state``): tensors always, unless ``settings`` names
+    them, everything else once it has changed.
+    """
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Reset the state of ``env_ids``."""
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return the term's state: by default every tensor that is its own attribute."""
-        return {k: v.clone() for k, v in vars(self).items() if isinstance(v, torch.Tensor)}
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        for name, value in saved.items():
-            getattr(self, name).copy_(value)
-
 
 @dataclass
-class Term:
+class Term(Kept):
     """A bound term: ``func(env, **params)`` for functions, ``func(env)`` for term objects.
 
     Attributes:
@@ -59,6 +57,7 @@ class Term:
     params: dict[str, Any] = field(default_factory=dict)
     fields: dict[str, Any] = field(default_factory=dict)
     generator: torch.Generator | None = None
+    settings: Settings | None = field(default=None, init=False)
 
     def __call__(self, *args: Any) -> Any:
         """Call the term with the environment (and ids); its mistakes are told under its config key."""
@@ -70,10 +69,28 @@ class Term:
             error.add_note(f"in the term {self.path} ({self.target})")
             raise
 
+    def state_dict(self) -> dict[str, Any]:
+        """Return the settings that have changed, and the term object's state."""
+        settings = {} if self.settings is None else self.settings.state_dict()
+        return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        if self.settings is not None:
+            self.settings.load_state_dict(saved["settings"])
+        if self.stateful is not None:
+            self.stateful.load_state_dict(saved["object"])
+
     @property
     def stateful(self) -> TermBase | None:
         """The term object, or None for a plain function."""
         return self.func if isinstance(self.func, TermBase) else None
+
+    def bound(self) -> None:
+        """Note the settings that the config gave: what differs from them later is state."""
+        if self.settings is None:
+            groups = {"fields": self.fields, "params": self.params}
+            self.settings = Settings(groups, self.path, skip=_STATEFUL_FIELDS)
 
 
 def bind_terms(
@@ -119,9 +136,10 @@ def bind_term(kind: str, node: TermNode, env: Env) -> Term:
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Make the term object of a class term; functions are left as they are."""
+    """Make the term object of a class term, and note what every term was made with; functions stay as they are."""
     kind: Any = term.func
     if not inspect.isclass(kind):
+        term.bound()
         return
     if not issubclass(kind, TermBase):
         raise ConfigError(
@@ -129,8 +147,9 @@ def instantiate_term(term: Term, env: Env) -> None:
             key=term.path,
             expected="a subclass of TermBase or a function",
         )
+    note_class(kind)
     try:
-        made: Any = cast(Any, kind)(env=env, **term.params)
+        term_object: Any = cast(Any, kind)(env=env, **term.params)
     except ConfigError as error:
         raise _placed(error, term.path) from error
     except (TypeError, ValueError, KeyError, IndexError) as error:
@@ -139,7 +158,9 @@ def instantiate_term(term: Term, env: Env) -> None:
             key=term.path,
             expected="the parameters that its documentation names",
         ) from error
-    term.func, term.params = made, {}
+    made(term_object, term.path)
+    term.func, term.params = term_object, {}
+    term.bound()
 
 
 def _placed(error: ConfigError, path: str) -> ConfigError:

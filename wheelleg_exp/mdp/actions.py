@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 
@@ -23,6 +22,8 @@ class JointAction(ActionTerm):
         clip: bounds of the processed action by joint expression, [low, high].
         preserve_order: order of the expressions (True) or of the robot (False).
     """
+
+    settings = ("_ids", "_scale", "_offset", "_low", "_high")
 
     def __init__(
         self,
@@ -56,10 +57,6 @@ class JointAction(ActionTerm):
     def reset(self, env_ids: torch.Tensor) -> None:
         """Zero the raw actions of ``env_ids``; processed actions are left, as in Isaac Lab."""
         self.raw_actions[env_ids] = 0.0
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the raw and processed actions."""
-        return {"raw_actions": self.raw_actions.clone(), "processed_actions": self.processed_actions.clone()}
 
     def _spread(self, values: float | Mapping[str, float], default: float, name: str) -> torch.Tensor:
         spread = values_by_name(values, self.joint_names, default, key=name, what="joint")

@@ -55,7 +55,7 @@ class UniformVelocityCommand(CommandTerm):
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
         named = {axis: pair for axis, pair in ranges.items() if pair is not None}
         low, high = bounds(named, (*_AXES, "heading"), "ranges")
-        # A tuple, because tensors among the attributes are state.
+        # A tuple: tensors among the attributes are state.
         self._ranges = (low, high)
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs

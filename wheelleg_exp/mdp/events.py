@@ -203,6 +203,7 @@ class push_by_adding_velocity(TermBase):
     """
 
     adds = True
+    settings = ("_low", "_high")
 
     def __init__(
         self, env: Env, velocity_range: Range, generator: torch.Generator, asset_cfg: SceneEntityCfg = _ROBOT
@@ -219,10 +220,6 @@ class push_by_adding_velocity(TermBase):
         if self.adds:
             velocity += torch.cat((data.root_lin_vel_w[ids], data.root_ang_vel_w[ids]), dim=1)
         self._robot.write_root_com_velocity(ids, velocity[:, :3], velocity[:, 3:])
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return nothing: the ranges are config and the stream is kept by name."""
-        return {}
 
 
 push_by_setting_velocity = push_by_adding_velocity
@@ -246,6 +243,8 @@ class reset_root_state_uniform(TermBase):
         generator: the term's random stream.
         asset_cfg: the robot.
     """
+
+    settings = ("_low", "_high")
 
     def __init__(
         self,
@@ -274,10 +273,6 @@ class reset_root_state_uniform(TermBase):
         """Return the orientations (n, 4) for drawn angles (n, 3)."""
         turn = rotation.quat_from_euler_xyz(*euler.unbind(dim=1))
         return rotation.quat_mul(self._robot.default_root_quat.expand_as(turn), turn)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return nothing: the ranges are config and the stream is kept by name."""
-        return {}
 
 
 class reset_root_state_with_random_orientation(reset_root_state_uniform):

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import torch
 
+from wheelleg_exp.sim.state import Stateful
 
-class Modifier:
-    """A function of the observation, perhaps with a memory."""
+
+class Modifier(Stateful):
+    """A function of the observation, perhaps with a memory: its attributes, which are saved without its help."""
 
     def start(self, sample: torch.Tensor) -> None:
         """Allocate the memory for observations of the sample's shape."""
@@ -20,15 +21,6 @@ class Modifier:
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget the memory of ``env_ids``."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the memory."""
-        return {k: v.clone() for k, v in vars(self).items() if isinstance(v, torch.Tensor)}
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        for name, value in saved.items():
-            getattr(self, name).copy_(value)
 
 
 class Scale(Modifier):
@@ -73,7 +65,7 @@ class DigitalFilter(Modifier):
     """
 
     def __init__(self, A: Sequence[float], B: Sequence[float]) -> None:
-        # A tuple, because tensors among the attributes are state.
+        # A tuple: tensors among the attributes are memory.
         self._coefficients = (torch.tensor(A, dtype=torch.float32), torch.tensor(B, dtype=torch.float32))
 
     def start(self, sample: torch.Tensor) -> None:

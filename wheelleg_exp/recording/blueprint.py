@@ -1,4 +1,7 @@
-"""What the viewer shows when a recording is opened: the robot on the left, plots and texts on the right."""
+"""What the viewer shows when a recording is opened: the robot on the left, plots and texts on the right.
+
+A training opens with its learning curves, a play with the robot's motion, an evaluation with what was measured.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from wheelleg_exp.recording.layout import (
     GROUND,
     OVERLAY,
     SIM_TIME,
+    STEP,
     TRAINING,
     WORLD,
     EnvPaths,
@@ -20,8 +24,23 @@ from wheelleg_exp.recording.layout import (
     join_key,
 )
 
-Purpose = Literal["training", "play"]
+Purpose = Literal["training", "play", "evaluation"]
+FIGURES = "figures"  # the text that holds what was measured
 _BACKGROUND = (30, 33, 38)
+
+# rsl_rl's and Isaac Lab's names; a key that a training does not have is left out.
+_HEADLINES = {
+    "Train/mean_reward": "Return",
+    "Train/mean_episode_length": "Episode length (steps)",
+    "Policy/mean_std": "Action noise",
+    "Loss/learning_rate": "Learning rate",
+}
+_SHARES = {
+    "Episode_Reward": "Reward terms (1/s)",
+    "Episode_Termination": "Ends of episodes (share)",
+    "Episode_Metrics": "Tracking errors (mean of a step)",
+    "Loss": "Losses",
+}
 
 
 @dataclass(frozen=True)
@@ -37,6 +56,7 @@ class EnvLayout:
         sensors: names of the contact sensors.
         joints: whether each joint is held at a position (by stiffness); the others are driven at a velocity.
         rewards: names of the reward terms.
+        observations: names of each group's terms.
     """
 
     label: str
@@ -47,6 +67,7 @@ class EnvLayout:
     sensors: tuple[str, ...]
     joints: Mapping[str, bool]
     rewards: Sequence[str]
+    observations: Mapping[str, Sequence[str]]
 
 
 def blueprint(
@@ -56,20 +77,23 @@ def blueprint(
 
     Args:
         envs: the recorded environments; the eye follows the first.
-        purpose: training curves are shown for ``training``.
+        purpose: what comes first.
         documents: names of the texts so far.
         training: keys of the training scalars so far.
     """
     tabs = [tab for env in envs for tab in _env_tabs(env, several=len(envs) > 1)]
     if purpose == "training":
-        tabs.append(_training(training))
+        tabs.insert(0, _training(training))
+    elif purpose == "evaluation":
+        tabs.insert(0, _metrics(envs[0], FIGURES in documents))
     if documents:
         tabs.append(_documents(documents))
     return rrb.Blueprint(
-        rrb.Horizontal(robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 4]),
+        rrb.Horizontal(robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME),
+        # Segments of a training lie far apart; counted in steps, its curves and its motion share one time line.
+        rrb.TimePanel(state="collapsed", timeline=STEP if purpose == "training" else SIM_TIME),
     )
 
 
@@ -97,7 +121,7 @@ def robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
 
 def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
     tabs = [_motion(env), _joints(env), _actuation(env), *([_contacts(env)] if env.sensors else [])]
-    tabs += [_rewards(env), _episodes(env)]
+    tabs += [_rewards(env), _episodes(env), *([_observations(env)] if env.observations else [])]
     if several:
         return [rrb.Tabs(*tabs, name=env.label, active_tab=0)]
     return tabs
@@ -123,6 +147,10 @@ def _columns(count: int) -> int:
 
 
 def _motion(env: EnvLayout) -> Any:
+    return rrb.Vertical(*_motion_plots(env), name="Motion")
+
+
+def _motion_plots(env: EnvLayout) -> list[Any]:
     def base(name: str) -> str:
         return env.paths.data("base", name)
 
@@ -130,13 +158,12 @@ def _motion(env: EnvLayout) -> Any:
     if env.command is not None:
         forward.append(env.paths.data("commands", env.command, "v_x"))
         turning.append(env.paths.data("commands", env.command, "w_z"))
-    return rrb.Vertical(
+    return [
         _plot("Base height (m)", base("height"), legend=False),
         _plot("Roll and pitch (rad)", base("roll"), base("pitch")),
         _plot("Forward velocity and command (m/s)", *forward),
         _plot("Yaw rate and command (rad/s)", *turning),
-        name="Motion",
-    )
+    ]
 
 
 def _joints(env: EnvLayout) -> Any:
@@ -167,21 +194,53 @@ def _rewards(env: EnvLayout) -> Any:
 
 
 def _episodes(env: EnvLayout) -> Any:
-    log = rrb.TextLogView(name="Episodes and events", contents=[f"+ /{env.paths.data('log')}/**"])
-    return rrb.Vertical(
-        _plot("Terminations", f"{env.paths.data('terminations')}/**"), log, row_shares=[1, 1], name="Episodes"
-    )
+    log = rrb.TextLogView(name="Episodes and events", contents=[f"+ /{env.paths.data('log')}/**", "+ /log/**"])
+    marks = [f"{env.paths.data(name)}/**" for name in ("terminations", "events")]
+    length = _plot("Steps since the reset", env.paths.data("episode", "step"), legend=False)
+    return rrb.Vertical(_plot("Terminations and events", *marks), length, log, name="Episodes")
+
+
+def _observations(env: EnvLayout) -> Any:
+    """One tab a group, one plot a term: what the networks got, in their units."""
+    groups = []
+    for group, terms in env.observations.items():
+        plots = {term: env.paths.data("observations", group, term) for term in terms}
+        groups.append(_small_plots(plots, group))
+    return rrb.Tabs(*groups, name="Observations", active_tab=0)
 
 
 def _training(keys: Sequence[str]) -> Any:
-    """One tab a group of keys, one plot a key."""
+    """What matters first, then one tab a group of keys and one plot a key."""
     groups: dict[str, dict[str, str]] = {}
     for key in keys:
         group, _, rest = key.rpartition("/")
         groups.setdefault(group or TRAINING, {})[rest] = join_key(TRAINING, key)
     if not groups:
-        return _plot("Training", f"{TRAINING}/**")
-    return rrb.Tabs(*(_small_plots(g, name) for name, g in groups.items()), name="Training", active_tab=0)
+        return _plot("Learning", f"{TRAINING}/**")
+    tabs = [_overview(keys), *(_small_plots(g, name) for name, g in groups.items())]
+    return rrb.Tabs(*tabs, name="Learning", active_tab=0)
+
+
+def _overview(keys: Sequence[str]) -> Any:
+    """The curves that tell how the training goes, as far as there are such."""
+    plots = [_plot(title, join_key(TRAINING, key), legend=False) for key, title in _HEADLINES.items() if key in keys]
+    for group, title in _SHARES.items():
+        members = [key for key in keys if key.startswith(f"{group}/") and key not in _HEADLINES]
+        found = [join_key(TRAINING, key) for key in members]
+        if found:
+            plots.append(_plot(title, *found))
+    return rrb.Grid(*plots, grid_columns=_columns(len(plots)), name="Overview")
+
+
+def _metrics(env: EnvLayout, has_figures: bool) -> Any:
+    """What was measured, in words and over time."""
+    plots = [*_motion_plots(env), _plot("Reward (1/s)", env.paths.data("rewards", "total"), legend=False)]
+    plots.append(_plot("Terminations", f"{env.paths.data('terminations')}/**"))
+    grid = rrb.Grid(*plots, grid_columns=2)
+    if not has_figures:
+        return rrb.Vertical(grid, name="Metrics")
+    text = rrb.TextDocumentView(origin=join(DOCUMENTS, FIGURES), name="Figures")
+    return rrb.Vertical(grid, text, row_shares=[3, 2], name="Metrics")
 
 
 def _documents(names: Sequence[str]) -> Any:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
-import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -16,6 +14,7 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 from wheelleg_exp.recording.layout import EnvPaths
 
 VELOCITY_NAMES = ("v_x", "v_y", "w_z")
+_GRAVITY = ("g_x", "g_y", "g_z")
 _FREE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 
@@ -37,8 +36,8 @@ class Channel:
     entities: tuple[str, ...]
 
 
-def channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """Return everything that is recorded of one environment at every control step.
+def robot_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """Return what is recorded of one environment's robot and commands at every control step.
 
     Poses are not among it: they follow from ``qpos``, and are worked out when the frames are sent.
     """
@@ -46,10 +45,7 @@ def channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chann
         *_base(env, env_id, paths),
         *_commands(env, env_id, paths),
         *_joints(env, env_id, paths),
-        *_contacts(env, env_id),
-        *_policy(env, env_id, paths),
-        *_rewards(env, env_id, paths),
-        *_terminations(env, env_id, paths),
+        *_contacts(env, env_id, paths),
     ]
 
 
@@ -67,11 +63,12 @@ def has_forces(sensor: Any) -> bool:
     return hasattr(sensor, "net_forces_w")
 
 
-def _one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+    """Return a channel whose numbers stand in one entity."""
     return Channel(key, tuple(names), read, (entity,))
 
 
-def _row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
     """Return a reader of one environment's row, without a copy."""
     return lambda: read().numpy()[env_id]
 
@@ -85,10 +82,11 @@ def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]
 
     return [
         split("height", ["height"], lambda: data.root_pos_w.numpy()[env_id, 2]),
-        split("lin_vel", ["v_x", "v_y", "v_z"], _row(lambda: data.root_lin_vel_b, env_id)),
-        split("ang_vel", ["w_x", "w_y", "w_z"], _row(lambda: data.root_ang_vel_b, env_id)),
-        _one("qpos", paths.data("state", "qpos"), _coordinates(model, _FREE), lambda: qpos),
-        _one("qvel", paths.data("state", "qvel"), _coordinates(model, _FREE_VELOCITY), lambda: qvel),
+        split("lin_vel", ["v_x", "v_y", "v_z"], row(lambda: data.root_lin_vel_b, env_id)),
+        split("ang_vel", ["w_x", "w_y", "w_z"], row(lambda: data.root_ang_vel_b, env_id)),
+        one("gravity", paths.data("base", "gravity"), _GRAVITY, row(lambda: data.projected_gravity_b, env_id)),
+        one("qpos", paths.data("state", "qpos"), _coordinates(model, _FREE), lambda: qpos),
+        one("qvel", paths.data("state", "qvel"), _coordinates(model, _FREE_VELOCITY), lambda: qvel),
     ]
 
 
@@ -113,14 +111,14 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
     velocity, found = velocity_command(env), []
     for name in env.command_manager.active_terms:
         term = env.command_manager.get_command_term(name)
-        read = _row(lambda term=term: term.command, env_id)  # type: ignore[misc]
+        read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
             entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
             found.append(Channel(f"commands/{name}", names, read, entities))
         else:
             names = tuple(f"{name}[{i}]" for i in range(term.command.shape[1]))
-            found.append(_one(f"commands/{name}", paths.data("commands", name), names, read))
+            found.append(one(f"commands/{name}", paths.data("commands", name), names, read))
     return found
 
 
@@ -132,118 +130,33 @@ def _joints(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channe
         "velocity": lambda: data.joint_vel,
         "velocity_target": lambda: data.joint_vel_target,
         "effort": lambda: data.applied_torque,
+        "effort_computed": lambda: data.computed_torque,
     }
     return [
         Channel(
             f"joints/{kind}",
             tuple(f"{name} target" if kind.endswith("target") else name for name in names),
-            _row(read, env_id),
+            row(read, env_id),
             tuple(paths.data("joints", name, kind) for name in names),
         )
         for kind, read in reads.items()
     ]
 
 
-def _contacts(env: ManagerBasedRLEnv, env_id: int) -> list[Channel]:
+def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """Net forces of the last physics step, and the largest norm within the sensor's history, which terms read."""
     found = []
     for name, sensor in env.scene.sensors.items():
         if not has_forces(sensor):
             continue
         names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
-        read = _flat(lambda sensor=sensor: sensor.net_forces_w, env_id)  # type: ignore[misc]
-        found.append(Channel(f"contacts/{name}", tuple(names), read, ()))
+        read = flat(lambda sensor=sensor: sensor.net_forces_w, env_id)  # type: ignore[misc]
+        found.append(one(f"contacts/{name}", paths.data("contacts", name, "forces"), names, read))
+        peak = row(lambda sensor=sensor: sensor.max_force_norm(), env_id)  # type: ignore[misc]
+        found.append(one(f"peak/{name}", paths.data("contacts", name, "peak"), sensor.body_names, peak))
     return found
 
 
-def _flat(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+def flat(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+    """Return a reader of one environment's numbers in one row, without a copy."""
     return lambda: read().numpy()[env_id].ravel()
-
-
-def _policy(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    actions = _one(
-        "actions/raw",
-        paths.data("actions", "raw"),
-        _action_names(env),
-        _row(lambda: env.action_manager.action, env_id),
-    )
-    return [actions, *_observations(env, env_id, paths)]
-
-
-def _action_names(env: ManagerBasedRLEnv) -> list[str]:
-    names: list[str] = []
-    for name in env.action_manager.active_terms:
-        term = env.action_manager.get_action_term(name)
-        joints = getattr(term, "joint_names", None)
-        if joints is None or len(joints) != term.action_dim:
-            joints = [str(i) for i in range(term.action_dim)]
-        names += [f"{name}[{joint}]" for joint in joints]
-    return names
-
-
-def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """The observation that led to the recorded action; NaN before the first one is computed."""
-    manager, found = env.observation_manager, []
-    for group, terms in manager.active_terms.items():
-        shapes = manager.group_obs_term_dim[group]
-        labels = {t: [f"{t}[{i}]" for i in range(math.prod(s))] for t, s in zip(terms, shapes, strict=True)}
-        if manager.group_obs_concatenate[group]:
-            parts: list[tuple[str | None, list[str]]] = [(None, _group_names(terms, shapes))]
-        else:
-            parts = list(labels.items())
-        for term, names in parts:
-            key = ("observations", group) if term is None else ("observations", group, term)
-            read = _observation(env, env_id, group, term, len(names))
-            found.append(_one("/".join(key), paths.data(*key), names, read))
-    return found
-
-
-def _group_names(terms: Sequence[str], shapes: Sequence[tuple[int, ...]]) -> list[str]:
-    """Return a name for each number of a concatenated group, which may hold history as a leading axis."""
-    leading = shapes[0][:-1]
-    columns = [f"{t}[{i}]" for t, s in zip(terms, shapes, strict=True) for i in range(s[-1])]
-    if not leading:
-        return columns
-    return [f"{column}@{i}" for i in range(leading[0]) for column in columns]
-
-
-def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str | None, width: int) -> Callable[[], Any]:
-    nothing = np.full(width, np.nan)
-
-    def read() -> Any:
-        value: Any = env.observation_manager.obs_buf.get(group)
-        if value is None:
-            return nothing
-        return (value if term is None else value[term]).numpy()[env_id].ravel()
-
-    return read
-
-
-def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    """Each term's weighted value per second, and their sum per second as the learner got it."""
-    names = env.reward_manager.active_terms
-    terms = Channel(
-        "rewards",
-        tuple(names),
-        lambda: env.reward_manager.step_reward.numpy()[:, env_id],
-        tuple(paths.data("rewards", name) for name in names),
-    )
-    total = _one(
-        "total",
-        paths.data("rewards", "total"),
-        ["total"],
-        lambda: env.reward_buf.numpy()[env_id] / env.step_dt,
-    )
-    return [terms, total]
-
-
-def _terminations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
-    manager = env.termination_manager
-    names = manager.active_terms
-    return [
-        Channel(
-            "terminations",
-            tuple(names),
-            lambda: [manager.get_fired(name).numpy()[env_id] for name in names],
-            tuple(paths.data("terminations", name) for name in names),
-        )
-    ]

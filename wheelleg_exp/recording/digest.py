@@ -11,26 +11,31 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from wheelleg_exp.recording.layout import DOCUMENTS
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.recording.contents import Contents, is_component
+from wheelleg_exp.recording.layout import DOCUMENTS, ITERATION, SIM_TIME, STEP, TRAINING
 
 if TYPE_CHECKING:
     from hashlib import _Hash
 
+_TIMELINES = (STEP, SIM_TIME, ITERATION)
+_HIDDEN = "__"  # properties and the journal: names, times and copies
 
-def recording_digest(path: Path, *, without: Iterable[str] = (DOCUMENTS,)) -> str:
+# What tells of a run's place and time: texts, and wall-clock times.
+LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
+
+
+def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
     """Return a sha256 over the content of a recording, to the last bit of every number.
 
     The bytes of two files always differ, by row ids and chunk boundaries; neither is part of the content, nor are
-    the recording's name and id and its layout. Texts are left out unless asked for, because they tell of a run's
-    time and place.
+    the recording's name, id, properties and layout. Texts and wall-clock times are left out unless asked for.
 
     Args:
         path: the recording.
-        without: first parts of the entity paths that are left out.
+        without: entity paths that are left out, with all below them.
 
     Raises:
-        RunDirectoryError: the file is no whole recording.
+        RunDirectoryError: the file is no recording.
     """
     digest = hashlib.sha256()
     for entity, part in entity_digests(path, without=without).items():
@@ -38,31 +43,57 @@ def recording_digest(path: Path, *, without: Iterable[str] = (DOCUMENTS,)) -> st
     return digest.hexdigest()
 
 
-def entity_digests(path: Path, *, without: Iterable[str] = (DOCUMENTS,)) -> dict[str, str]:
-    """Return a sha256 of each entity's content, to tell where two recordings part.
+def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
+    """Return a sha256 of each entity's content, by its path, to tell where two recordings part.
 
     Raises:
-        RunDirectoryError: the file is no whole recording.
+        RunDirectoryError: the file is no recording.
     """
-    recording, left_out = Recording(path), set(without)
-    return {e: _digest(recording, e) for e in recording.entities() if e.split("/")[0] not in left_out}
+    contents, left_out = Contents(path), tuple(without)
+    names = {entity.strip("/"): entity for entity in contents.pieces}
+    return {name: _digest(contents, names[name]) for name in sorted(names) if _counts(name, left_out)}
 
 
-def _digest(recording: Recording, entity: str) -> str:
+def _counts(name: str, left_out: Iterable[str]) -> bool:
+    below = any(name == path or name.startswith(f"{path}/") for path in left_out)
+    return bool(name) and not name.startswith(_HIDDEN) and not below
+
+
+def _digest(contents: Contents, entity: str) -> str:
     digest = hashlib.sha256()
-    for name, array in _columns(recording, entity):
+    for name, array in [*_static(contents, entity), *_rows(contents, entity)]:
         digest.update(f"{name}\0{array.type}\0{len(array)}\0".encode())
         _update(digest, array)
     return digest.hexdigest()
 
 
-def _columns(recording: Recording, entity: str) -> Iterator[tuple[str, pa.Array]]:
-    for name, array in sorted(recording.static_arrays(entity).items()):
-        yield f"static {name}", array
-    if recording.has_rows(entity):
-        table = recording.table(entity)
-        for name in sorted(table.column_names):
-            yield name, table.column(name).combine_chunks()
+def _static(contents: Contents, entity: str) -> Iterator[tuple[str, pa.Array]]:
+    """Yield what holds at all times; what was written last counts."""
+    found: dict[str, pa.Array] = {}
+    for batch in contents.rows(entity, static=True):
+        for field in batch.schema:
+            if is_component(field) and len(batch):
+                found[_short(field.name)] = batch.column(field.name)[-1:]
+    yield from ((f"static {name}", found[name]) for name in sorted(found))
+
+
+def _rows(contents: Contents, entity: str) -> Iterator[tuple[str, pa.Array]]:
+    """Yield the columns over time, by rising step."""
+    tables = []
+    for batch in contents.rows(entity, static=False):
+        kept = [field.name for field in batch.schema if field.name in _TIMELINES or is_component(field)]
+        tables.append(pa.Table.from_batches([batch.select(kept)]).rename_columns([_short(name) for name in kept]))
+    if not tables:
+        return
+    table = pa.concat_tables(tables, promote_options="default")
+    table = table.sort_by([(STEP, "ascending")]) if STEP in table.column_names else table
+    for name in sorted(table.column_names):
+        yield name, table.column(name).combine_chunks()
+
+
+def _short(name: str) -> str:
+    """Return a column's name without its archetype: ``Scalars:scalars`` is ``scalars``."""
+    return name.rsplit(":", 1)[-1]
 
 
 def _update(digest: _Hash, array: pa.Array) -> None:

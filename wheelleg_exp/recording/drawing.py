@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from wheelleg_exp.recording.channels import Channel
 from wheelleg_exp.recording.geometry import Array, xyzw
@@ -18,7 +17,7 @@ COMMANDED, ACTUAL, FORCE = (60, 200, 90), (70, 130, 255), (255, 170, 40)
 
 ANGLES = ("roll", "pitch", "yaw")
 
-Columns = tuple[str, NDArray[np.intp] | None, Any]
+Columns = tuple[str, Any]
 Blocks = Mapping[str, Array]
 
 
@@ -27,10 +26,10 @@ def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
     for channel in channels:
         rows = blocks[channel.key]
         if len(channel.entities) == 1:
-            yield channel.entities[0], None, vector_columns(rows)
+            yield channel.entities[0], vector_columns(rows)
         else:
             for entity, column in zip(channel.entities, rows.T, strict=False):
-                yield entity, None, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
+                yield entity, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
 
 
 def vector_columns(rows: Array) -> Any:
@@ -42,7 +41,7 @@ def vector_columns(rows: Array) -> Any:
 def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
     """Yield roll, pitch and yaw of the base, rad."""
     for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
-        yield paths.data("base", name), None, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
+        yield paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
 
 
 def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
@@ -51,7 +50,6 @@ def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
     for body, entity in bodies.items():
         yield (
             entity,
-            None,
             rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body])),
         )
 
@@ -74,11 +72,11 @@ class Contacts:
         """Yield the force norms, N, and the arrows, from the origin of each body that is touched."""
         force = blocks[f"contacts/{self.sensor}"].reshape(-1, len(self.bodies), 3)
         norm = np.linalg.norm(force, axis=2)
-        yield paths.data("contacts", self.sensor), None, vector_columns(norm)
+        yield paths.data("contacts", self.sensor), vector_columns(norm)
         position = blocks["xpos"][:, list(self.bodies)]
         touching = norm > 0
         arrows = rr.Arrows3D.columns(origins=position[touching], vectors=self.scale * force[touching])
-        yield paths.overlay("contacts", self.sensor), None, arrows.partition(touching.sum(axis=1))
+        yield paths.overlay("contacts", self.sensor), arrows.partition(touching.sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ class VelocityArrows:
         yaw = blocks["orientation"][:, 2]
         for name, velocity in (("command", blocks[self.command]), ("actual", blocks["lin_vel"])):
             vectors = self.scale * in_world(velocity[:, :2], yaw)
-            yield paths.overlay("velocity", name), None, rr.Arrows3D.columns(origins=origin, vectors=vectors)
+            yield paths.overlay("velocity", name), rr.Arrows3D.columns(origins=origin, vectors=vectors)
 
 
 def in_world(planar: Array, yaw: Array) -> Array:
@@ -146,11 +144,10 @@ class Ground:
         )
 
     def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-        """Yield where the patch is, only at the frames at which it moves."""
+        """Yield where the patch is: the multiple of two tiles that is nearest to the base, so that colours stay."""
         del paths
         position = blocks["xpos"][:, self.root, :2]
         step = 2 * self.tile
         snapped = step * np.round(np.nan_to_num(position) / step)
-        moved = np.flatnonzero(np.r_[True, (np.diff(snapped, axis=0) != 0).any(axis=1)])
-        translation = np.column_stack((snapped[moved], np.full(len(moved), self.origin[2])))
-        yield GROUND, moved, rr.Transform3D.columns(translation=translation)
+        translation = np.column_stack((snapped, np.full(len(snapped), self.origin[2])))
+        yield GROUND, rr.Transform3D.columns(translation=translation)

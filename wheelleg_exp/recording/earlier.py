@@ -2,70 +2,179 @@
 
 from __future__ import annotations
 
-import struct
-import tempfile
-import warnings
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
-from rerun.chunk import Chunk, RrdReader
+from rerun.chunk import Chunk
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.recording.layout import DOCUMENTS, STEP
+from wheelleg_exp.recording import layout
+from wheelleg_exp.recording.facts import OWN
+from wheelleg_exp.recording.frames import Stamp
+from wheelleg_exp.recording.messages import (
+    BLUEPRINT_ACTIVATION,
+    END,
+    HEADER_SIZE,
+    MAGIC,
+    RECORDING,
+    ROWS,
+    DamagedMessageError,
+    File,
+    Rows,
+    decode_rows,
+    spans,
+)
+from wheelleg_exp.recording.scalars import JOURNAL, Point
 
-_FILE_HEADER, _MESSAGE_HEADER = 12, struct.Struct("<QQ")
+_PROPERTIES = f"{layout.PROPERTIES}/{OWN}"
+_SCALARS = "Scalars:scalars"
 
 
-def open_reader(path: Path) -> RrdReader:
-    """Return a reader; a file whose writer was killed has no footer, which is no reason to warn."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return RrdReader(path)
+class Earlier:
+    """The rows of an earlier recording up to a control step, and what a recorder needs to go on after them.
 
+    A last message that was cut off by a sudden end is left out; nothing of the file is changed.
 
-def kept_chunks(path: Path, until_step: int) -> Iterator[Chunk]:
-    """Yield the rows up to and including ``until_step``, and the texts.
+    Args:
+        path: the file.
+        until: last control step whose rows are kept.
 
-    A last message that was cut off by a crash is left out.
-
-    Raises:
-        RunDirectoryError: the file is no recording.
+    Attributes:
+        documents: names of the texts, filled by ``chunks`` like all below.
+        keys: keys of the training's scalars.
+        started: when the recording began.
+        last: the last value of each entity of one number, with its step.
     """
+
+    def __init__(self, path: Path, until: int) -> None:
+        self._path, self._until = path, until
+        self.documents: list[str] = []
+        self.keys: list[str] = []
+        self.started: str | None = None
+        self.last: dict[str, tuple[int, float]] = {}
+        self._plotted: dict[str, int] = {}
+        self._rows: list[tuple[Stamp, list[float]]] = []
+
+    def chunks(self) -> Iterator[Chunk]:
+        """Yield what is kept: rows up to the step, and texts.
+
+        Raises:
+            RunDirectoryError: the file is no recording of this layout, or is damaged.
+        """
+        problem = self._problem_of_head()
+        if problem is None:
+            for rows in self._messages():
+                yield from self._kept(rows)
+            problem = None if self.started is not None else "it is of another program or layout"
+        if problem is not None:
+            raise RunDirectoryError(
+                f"cannot go on with the recording '{self._path}': {problem}",
+                expected="a recording of this program's present layout, or no file at this place",
+            )
+
+    def journal_alone(self) -> dict[str, list[Point]]:
+        """Return the training scalars that stand in the journal and not yet in the plots' entities."""
+        found: dict[str, list[Point]] = defaultdict(list)
+        for stamp, values in sorted(self._rows, key=lambda row: row[0].step):
+            for key, value in zip(self.keys, values, strict=False):
+                if not np.isnan(value) and stamp.step > self._plotted.get(key, -1):
+                    found[key].append((stamp, value))
+        return found
+
+    def known_keys(self) -> list[str]:
+        """Return the keys that the kept rows of the journal have."""
+        return self.keys[: max((len(values) for _, values in self._rows), default=0)]
+
+    def _problem_of_head(self) -> str | None:
+        try:
+            file = File(self._path)
+        except OSError as error:
+            return str(error)
+        head = file.read(0, HEADER_SIZE)
+        if not head:
+            return "it is empty"
+        return None if head.startswith(MAGIC) and len(head) == HEADER_SIZE else "it is no rerun recording"
+
+    def _messages(self) -> Iterator[Rows]:
+        file, last = File(self._path), None
+        for span in spans(file):
+            last = span
+            if span.kind != ROWS:
+                continue
+            try:
+                rows = decode_rows(span.payload(file))
+            except DamagedMessageError as error:
+                raise self._damaged(f"it is damaged at byte {span.begin}: {error}") from error
+            if rows.store[0] == RECORDING:
+                yield rows
+        if last is not None and last.kind == END:  # only the place of the index follows, and may be cut off
+            return
+        end = HEADER_SIZE if last is None else last.end
+        kind = int.from_bytes(file.read(end, end + 8), "little")
+        if kind > BLUEPRINT_ACTIVATION and file.size - end >= 8:
+            raise self._damaged(f"it is damaged at byte {end}")
+
+    def _damaged(self, reason: str) -> RunDirectoryError:
+        return RunDirectoryError(
+            f"cannot go on with the recording '{self._path}': {reason}", expected="a recording that was not changed"
+        )
+
+    def _kept(self, rows: Rows) -> Iterator[Chunk]:
+        entity, batch = rows.entity.strip("/"), rows.batch
+        if layout.STEP not in batch.schema.names:
+            yield from self._kept_static(entity, batch)
+            return
+        steps = np.asarray(batch.column(layout.STEP))
+        if len(steps) and steps.max() > self._until:
+            batch = batch.filter(pc.less_equal(batch.column(layout.STEP), self._until))
+        if len(batch):
+            self._note(entity, batch)
+            yield from Chunk.from_record_batch(batch)
+
+    def _kept_static(self, entity: str, batch: pa.RecordBatch) -> Iterator[Chunk]:
+        name = layout.key_below(layout.DOCUMENTS, entity)
+        if name is not None:
+            if name not in self.documents:
+                self.documents.append(name)
+            yield from Chunk.from_record_batch(batch)
+        elif entity == JOURNAL and "keys" in batch.schema.names:
+            self.keys = batch.column("keys")[-1].as_py()
+        elif entity == _PROPERTIES and self._is_ours(batch):
+            self.started = batch.column("started")[-1].as_py()[0]
+
+    def _is_ours(self, batch: pa.RecordBatch) -> bool:
+        names = batch.schema.names
+        if "format_version" not in names or "started" not in names:
+            return False
+        return bool(batch.column("format_version")[-1].as_py() == [layout.FORMAT_VERSION])
+
+    def _note(self, entity: str, batch: pa.RecordBatch) -> None:
+        if _SCALARS not in batch.schema.names:
+            return
+        step = int(np.asarray(batch.column(layout.STEP)).max())
+        if entity == JOURNAL:
+            self._rows += zip(_stamps(batch), batch.column(_SCALARS).to_pylist(), strict=True)
+        elif (key := layout.key_below(layout.TRAINING, entity)) is not None:
+            self._plotted[key] = max(step, self._plotted.get(key, -1))
+        elif entity.endswith(("episode/number", "episode/step")) and step > self.last.get(entity, (-1, 0.0))[0]:
+            row = int(np.asarray(batch.column(layout.STEP)).argmax())
+            self.last[entity] = (step, float(batch.column(_SCALARS)[row].as_py()[0]))
+
+
+def problem_with(path: Path) -> str | None:
+    """Return why a file cannot be gone on with, None when it can."""
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            whole = Path(folder) / "whole.rrd"
-            whole.write_bytes(whole_messages(path.read_bytes()))
-            for chunk in open_reader(whole).stream():
-                yield from _kept(chunk, until_step)
-    except (RuntimeError, ValueError, OSError) as error:
-        raise RunDirectoryError(
-            f"cannot go on with the recording '{path}': {str(error).splitlines()[0]}",
-            expected="a recording, or no file at this place",
-        ) from error
+        for _ in Earlier(path, until=-1).chunks():
+            pass
+    except RunDirectoryError as error:
+        return error.message.rsplit("': ", 1)[-1]
+    return None
 
 
-def whole_messages(data: bytes) -> bytes:
-    """Return the head of an rrd file that ends with its last whole message.
-
-    The file is a header of 12 bytes and messages of a kind (u64), a length (u64) and that many bytes.
-    """
-    end = _FILE_HEADER
-    while end + _MESSAGE_HEADER.size <= len(data):
-        _, length = _MESSAGE_HEADER.unpack_from(data, end)
-        if end + _MESSAGE_HEADER.size + length > len(data):
-            break
-        end += _MESSAGE_HEADER.size + length
-    return data[:end]
-
-
-def _kept(chunk: Chunk, until_step: int) -> Iterator[Chunk]:
-    entity = chunk.entity_path.strip("/")
-    if chunk.is_static:
-        if entity.startswith(f"{DOCUMENTS}/"):
-            yield chunk
-        return
-    batch = chunk.to_record_batch()
-    rows = batch.filter(pc.less_equal(batch.column(STEP), until_step))
-    if len(rows):
-        yield from Chunk.from_record_batch(rows)
+def _stamps(batch: pa.RecordBatch) -> list[Stamp]:
+    columns = (batch.column(n).cast(pa.int64()).to_pylist() for n in (layout.STEP, layout.SIM_TIME, layout.ITERATION))
+    return [Stamp(*values) for values in zip(*columns, strict=True)]

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.recording.geometry import Array, is_plane
+from wheelleg_exp.sim.robot import Robot
 
 
 class Kinematics:
@@ -46,6 +47,17 @@ class Kinematics:
             return 0.1
         centre, radius = self._data.geom_xpos[geoms, 2], self._model.geom_rbound[geoms]
         return max(float((centre + radius).max() - (centre - radius).min()), 0.01)
+
+
+def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
+    """Return the positions (nq,) with every joint at its default; the base is where the model has it.
+
+    Not the present pose: what is drawn in units of the robot's height must not depend on when a recording begins.
+    """
+    qpos: Array = model.qpos0.copy()
+    for joint, position in zip(robot.joint_names, robot.default_joint_pos.flatten().tolist(), strict=True):
+        qpos[model.joint(joint).qposadr[0]] = position
+    return qpos
 
 
 def tree_bodies(model: mujoco.MjModel, root: int) -> list[int]:

@@ -8,19 +8,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import rerun as rr
-
 GROUND = "ground"
 WORLD = "world"
 OVERLAY = "overlay"
 DOCUMENTS = "documents"
 TRAINING = "training"
+JOURNAL = "__journal"  # rerun hides what begins with two underscores
+PROPERTIES = "__properties"
+
+FORMAT_VERSION = 2  # 1 had no properties, and one vector for each observation group
 
 STEP, SIM_TIME, ITERATION = "step", "sim_time", "iteration"
+
+_METRES, _ANGLE, _SPEED, _TURNING, _TORQUE = "m", "rad", "m/s", "rad/s", "N·m"
+_UNITS: dict[tuple[str, ...], str] = {
+    ("base", "height"): _METRES,
+    **{("base", name): _ANGLE for name in ("roll", "pitch", "yaw")},
+    **{("base", name): _SPEED for name in ("v_x", "v_y", "v_z")},
+    **{("base", name): _TURNING for name in ("w_x", "w_y", "w_z")},
+    **{("commands", "*", name): _SPEED for name in ("v_x", "v_y")},
+    ("commands", "*", "w_z"): _TURNING,
+    **{("joints", "*", name): _ANGLE for name in ("position", "position_target")},
+    **{("joints", "*", name): _TURNING for name in ("velocity", "velocity_target")},
+    **{("joints", "*", name): _TORQUE for name in ("effort", "effort_computed")},
+    ("contacts", "*"): "N",
+    ("contacts", "*", "forces"): "N",
+    ("contacts", "*", "peak"): "N",
+    ("rewards", "*"): "1/s",
+    ("episode", "step"): "steps",
+}
 
 
 def join(*parts: str) -> str:
     """Return an entity path whose parts are taken literally, whatever characters they hold."""
+    import rerun as rr  # not at the top: reading a recording needs no more of rerun than this, and not always
+
     return "/".join(rr.escape_entity_path_part(part) for part in parts if part)
 
 
@@ -50,6 +72,17 @@ class EnvPaths:
     def overlay(self, *parts: str) -> str:
         """Return the path of something drawn over the world: arrows, colliders."""
         return join(OVERLAY, self.branch, *parts)
+
+
+def unit(entity: str) -> str | None:
+    """Return the unit of an entity's numbers, None where they have none or several."""
+    parts = entity.strip("/").split("/")
+    if parts[0].startswith("env_") and len(parts) > 2:
+        parts = parts[1:]
+    for pattern, found in _UNITS.items():
+        if len(pattern) == len(parts) and all(p in ("*", q) for p, q in zip(pattern, parts, strict=True)):
+            return found
+    return None
 
 
 def key_below(root: str, entity: str) -> str | None:

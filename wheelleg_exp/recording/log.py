@@ -16,7 +16,7 @@ class Entry:
 
     Attributes:
         stamp: when.
-        kind: ``EPISODES`` or ``EVENTS``.
+        kind: ``EPISODES``, ``EVENTS``, or what else there is to say.
         text: what.
         level: severity by rerun's names.
     """
@@ -39,11 +39,7 @@ def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> Entry | No
     return Entry(stamp, EPISODES, text, "WARN" if failed else "INFO")
 
 
-def interval_events(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> list[Entry]:
-    """Return the interval events that fired when they were last due; ``stamp`` is that step's."""
-    entries = []
-    for name, fired in env.event_manager.fired.items():
-        # A timer that all environments share has one flag.
-        if fired.numpy()[env_id if len(fired) > 1 else 0]:
-            entries.append(Entry(stamp, EVENTS, f"env {env_id}: {name}", "INFO"))
-    return entries
+def fired(env: ManagerBasedRLEnv, env_id: int) -> list[str]:
+    """Return the interval events that fired for the environment when they were last due."""
+    # A timer that all environments share has one flag.
+    return [name for name, due in env.event_manager.fired.items() if due.numpy()[env_id if len(due) > 1 else 0]]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -13,22 +12,25 @@ import rerun as rr
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.recording import layout, log
+from wheelleg_exp.recording import facts, layout, size
 from wheelleg_exp.recording.blueprint import EnvLayout, Purpose, blueprint
-from wheelleg_exp.recording.earlier import kept_chunks
+from wheelleg_exp.recording.earlier import Earlier
 from wheelleg_exp.recording.frames import Stamp
 from wheelleg_exp.recording.layout import EnvPaths
+from wheelleg_exp.recording.marks import Marks
+from wheelleg_exp.recording.scalars import JOURNAL, Scalars
 from wheelleg_exp.recording.sink import Sink
 from wheelleg_exp.recording.track import Track
 
+ROWS_TOGETHER = 16  # fewer frames may wait for more: small chunks are mostly description
 _US = 1e6
 
 
 class Recorder:
     """Writes the motion, numbers and words of some environments to a rerun file.
 
-    Nothing is drawn and no state is changed: a rollout is the same to the bit with and without a recorder. Frames
-    are kept in memory until ``flush``. Append ``capture`` to ``env.observers``.
+    Nothing is drawn and no state is changed: a rollout is the same to the bit with and without a recorder. Append
+    ``capture`` to ``env.observers``; frames are kept in memory until they are flushed.
 
     Timelines: ``step`` (the environment's control steps), ``sim_time`` (step times step duration) and, where an
     iteration was given, ``iteration``.
@@ -39,9 +41,11 @@ class Recorder:
         recording_id: identity of the recording, such as the run's id.
         name: what the viewer shows.
         env_ids: environments that are recorded.
-        purpose: ``training`` has training curves in its layout.
+        purpose: decides what the layout shows.
+        about: what the property ``wheelleg`` says besides what the environment tells: run id, task, checkpoint.
         keep_until: go on with an existing file: keep its rows up to and including this control step, and
             drop the rest. None refuses an existing file.
+        flush_every: frames after which everything is brought into the file; None leaves that to ``flush``.
 
     Raises:
         RunDirectoryError: the file exists and is not to be gone on with, or cannot be read or written.
@@ -57,70 +61,81 @@ class Recorder:
         name: str,
         env_ids: Sequence[int],
         purpose: Purpose,
+        about: Mapping[str, Any] | None = None,
         keep_until: int | None = None,
+        flush_every: int | None = None,
     ) -> None:
         self.path = Path(path)
         self.iteration: int | None = None
         self.captured = 0
-        self._env = env
-        self._purpose: Purpose = purpose
+        self._env, self._purpose, self._flush_every = env, purpose, flush_every
         require_env_ids(env_ids, env.num_envs)
         several = len(env_ids) > 1
         self._tracks = [
             Track(env, i, EnvPaths(f"env_{i}" if several else ""), place) for place, i in enumerate(env_ids)
         ]
-        self._active, self._limit = False, 0
-        self._stamps: list[Stamp] = []
-        self._entries: list[tuple[Track, log.Entry]] = []
-        self._training: dict[str, list[tuple[Stamp, float]]] = defaultdict(list)
+        self._marks = Marks(env, [(track.env_id, track.paths) for track in self._tracks], self._stamp)
+        self._scalars = Scalars()
         self._documents: list[str] = []
-        self._keys: list[str] = []
-        self._stale_layout = False
+        self._active, self._capturing, self._stale = False, False, False
+        self._limit, self._last_words = -1, ""
+        self._stamps: list[Stamp] = []
+        self._about = facts.own_facts(env, list(env_ids), purpose, {"run_id": recording_id, **(about or {})})
         go_on = keep_until is not None and self.path.exists()
         self._sink = Sink(self.path, recording_id=recording_id, name=name, aside=go_on)
         try:
-            self._open(keep_until if go_on else None)
+            self._open(Earlier(self.path, int(keep_until or 0)) if go_on else None)
         except BaseException:
             self._sink.abandon()
             raise
 
-    def start(self, iteration: int | None = None, steps: int | None = None) -> None:
+    def frames_within(self, megabytes: float) -> int:
+        """Return how many frames surely fit into a file of that size."""
+        room = megabytes * size.MEGABYTE - size.surroundings(self._env.scene.model, len(self._tracks))
+        frame = size.total(track.cost for track in self._tracks).frame(ROWS_TOGETHER)
+        return max(int(room / frame), 0)
+
+    def start(
+        self, iteration: int | None = None, steps: int | None = None, *, captured: int = 0, last_words: str = ""
+    ) -> None:
         """Begin a segment: from now on ``capture`` captures.
 
         Args:
             iteration: the training iteration that frames carry; set ``iteration`` to change it on the way.
             steps: frames after which the segment ends by itself; None is no end.
+            captured: frames of the segment that stand in the file already.
+            last_words: what is said in the recording when it ends by itself.
         """
-        self.iteration = iteration
-        self.captured = 0
-        self._active, self._limit = True, -1 if steps is None else steps
+        self.iteration, self.captured = iteration, captured
+        self._limit, self._last_words = -1 if steps is None else steps, last_words
+        self._active = steps is None or captured < steps
 
     def stop(self) -> None:
-        """End the segment and send it."""
+        """End the segment and bring it into the file."""
         self._active = False
         self.flush()
 
     def capture(self) -> None:
         """Take up the state after a control step; outside a segment, do nothing."""
+        step = self._env.common_step_counter
+        self._marks.look_back(step - 1)
         if not self._active:
             return
-        stamp = self._stamp(self._env.common_step_counter)
-        self._stamps.append(stamp)
-        for track in self._tracks:
-            track.frames.append()
-            self._say(track, stamp)
-        self.captured += 1
-        if self.captured == self._limit:
-            self.stop()
+        self._capturing = True
+        try:
+            self._take(self._stamp(step))
+        finally:
+            self._capturing = False
 
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
         """Take up the scalars of a training iteration; ``a/b`` stands at ``training/a/b``."""
-        stamp = self._stamp(self._env.common_step_counter, iteration)
-        for key, value in values.items():
-            self._training[key].append((stamp, float(value)))
-            if key not in self._keys:
-                self._keys.append(key)
-                self._stale_layout = True
+        if self._scalars.add(self._stamp(self._env.common_step_counter, iteration), values):
+            self._sink.static(JOURNAL, rr.AnyValues(keys=self._scalars.keys))
+            self._stale = True
+
+    def say(self, text: str, level: str = "WARN") -> None:
+        """Note what happened to the recording itself."""
+        self._marks.say(text, level, self._stamp(self._env.common_step_counter))
 
     def document(self, name: str, text: str) -> None:
         """Put a markdown text at ``documents/<name>``; a later text of the same name replaces it."""
@@ -128,20 +143,33 @@ class Recorder:
         self._sink.static(layout.join(layout.DOCUMENTS, name), archetype)
         if name not in self._documents:
             self._documents.append(name)
-            self._stale_layout = True
+            self._stale = True
 
-    def flush(self) -> None:
+    def has_document(self, name: str) -> bool:
+        """Return whether there is a text of that name, an earlier recording's included."""
+        return name in self._documents
+
+    def flush(self, *, everything: bool = True) -> None:
         """Send what is buffered and wait until it is in the file.
+
+        Args:
+            everything: the plots of training scalars as well, which are otherwise written some iterations at a time
+                while the journal has every one, and the last few frames, which otherwise wait for more.
 
         Raises:
             SimulationFailure: the disk is full or broken.
         """
-        self._send_frames()
-        self._send_words()
-        self._send_training()
-        if self._stale_layout:
-            self._sink.blueprint(self._blueprint())
-            self._stale_layout = False
+        if not self._capturing:
+            self._marks.look_back(self._env.common_step_counter)
+        if everything or len(self._stamps) >= ROWS_TOGETHER:
+            self._send_frames()
+        row = self._scalars.row()
+        for piece in (*self._marks.pieces(), *([row] if row else []), *self._scalars.pieces(everything=everything)):
+            entity, stamps, columns = piece
+            self._sink.columns(entity, times(stamps), columns)
+        if self._stale:
+            self._sink.blueprint(self.blueprint())
+            self._stale = False
         self._sink.flush()
 
     def close(self) -> None:
@@ -157,6 +185,16 @@ class Recorder:
             finally:
                 self._sink.close()
 
+    def blueprint(self) -> Any:
+        """Return the layout of what is recorded so far."""
+        layouts, purpose, documents, training = self.layout_state()
+        return blueprint(layouts, purpose, documents=documents, training=training)
+
+    def layout_state(self) -> tuple[list[EnvLayout], Purpose, list[str], list[str]]:
+        """Return what the layout is made from: environments, purpose, names of texts, keys of training scalars."""
+        layouts = [track.layout for track in self._tracks]
+        return layouts, self._purpose, list(self._documents), list(self._scalars.keys)
+
     def __enter__(self) -> Self:
         return self
 
@@ -165,10 +203,13 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def _open(self, keep_until: int | None) -> None:
-        """Write what an earlier file keeps, and what never changes: shapes, names of numbers, the layout."""
-        if keep_until is not None:
-            self._sink.chunks(self._noted(chunk) for chunk in kept_chunks(self.path, keep_until))
+    def _open(self, earlier: Earlier | None) -> None:
+        """Write what an earlier file keeps, and what never changes: properties, shapes, names, the layout."""
+        if earlier is not None:
+            self._sink.chunks(earlier.chunks())
+            self._restore(earlier)
+        self._sink.property(facts.OWN, self._about)
+        self._sink.property(facts.ROBOT, facts.robot_facts(self._env, self._tracks[0].layout))
         self._sink.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         seen: set[str] = set()
         for track in self._tracks:
@@ -177,60 +218,47 @@ class Recorder:
             _require_unique([e for channel in track.frames.channels for e in channel.entities], seen)
         for entity, archetypes in self._tracks[0].surroundings():
             self._sink.static(entity, *archetypes)
-        self._sink.blueprint(self._blueprint())
-        self._stale_layout = False
+        self._stale = True
         self._sink.take_place()
 
-    def _noted(self, chunk: Any) -> Any:
-        """Return a kept chunk, after noting the text or training scalar that it holds for the layout."""
-        entity = chunk.entity_path.strip("/")
-        for root, known in ((layout.DOCUMENTS, self._documents), (layout.TRAINING, self._keys)):
-            key = layout.key_below(root, entity)
-            if key is not None and key not in known:
-                known.append(key)
-        return chunk
+    def _restore(self, earlier: Earlier) -> None:
+        self._about["started"] = earlier.started
+        self._documents = list(earlier.documents)
+        keys = earlier.known_keys()
+        self._scalars.restore(keys, earlier.journal_alone())
+        if keys:
+            self._sink.static(JOURNAL, rr.AnyValues(keys=keys))
+        for track in self._tracks:
+            number, step = (earlier.last.get(track.paths.data("episode", name)) for name in ("number", "step"))
+            if number is not None and step is not None:
+                track.episodes.restore(int(number[1]), step[0], int(step[1]))
 
-    def _blueprint(self) -> Any:
-        envs: list[EnvLayout] = [track.layout for track in self._tracks]
-        return blueprint(envs, self._purpose, documents=self._documents, training=self._keys)
+    def _take(self, stamp: Stamp) -> None:
+        self._stamps.append(stamp)
+        for track in self._tracks:
+            track.capture(stamp.step, int(self._env.episode_length_buf.numpy()[track.env_id]))
+        self._marks.captured(stamp)
+        self.captured += 1
+        if self.captured == self._limit:
+            if self._last_words:
+                self.say(self._last_words)
+            self.stop()
+        elif self._flush_every is not None and len(self._stamps) >= self._flush_every:
+            self.flush()
 
     def _stamp(self, step: int, iteration: int | None = None) -> Stamp:
         iteration = self.iteration if iteration is None else iteration
         return Stamp(step, 1000 * round(step * self._env.step_dt * _US), -1 if iteration is None else iteration)
 
-    def _say(self, track: Track, stamp: Stamp) -> None:
-        # Interval events come after a step's capture, so that they are seen here one step later.
-        before = self._stamp(stamp.step - 1)
-        self._entries += [(track, e) for e in log.interval_events(self._env, track.env_id, before)]
-        end = log.episode_end(self._env, track.env_id, stamp)
-        if end is not None:
-            self._entries.append((track, end))
-
     def _send_frames(self) -> None:
         if not self._stamps:
             return
+        moments = times(self._stamps)
         for track in self._tracks:
-            for entity, rows, columns in track.columns():
-                stamps = self._stamps if rows is None else [self._stamps[i] for i in rows]
-                self._sink.columns(entity, times(stamps), columns)
+            for entity, columns in track.columns():
+                self._sink.columns(entity, moments, columns)
             track.frames.clear()
         self._stamps.clear()
-
-    def _send_words(self) -> None:
-        for entity, entries in _by_entity(self._entries):
-            texts, levels = [e.text for e in entries], [e.level for e in entries]
-            self._sink.columns(entity, times([e.stamp for e in entries]), rr.TextLog.columns(text=texts, level=levels))
-        self._entries.clear()
-
-    def _send_training(self) -> None:
-        for key, points in self._training.items():
-            values = np.array([value for _, value in points])
-            self._sink.columns(
-                layout.join_key(layout.TRAINING, key),
-                times([stamp for stamp, _ in points]),
-                rr.Scalars.columns(scalars=values),
-            )
-        self._training.clear()
 
 
 def times(stamps: Sequence[Stamp]) -> list[Any]:
@@ -242,13 +270,6 @@ def times(stamps: Sequence[Stamp]) -> list[Any]:
     if all(s.iteration >= 0 for s in stamps):
         columns.append(rr.TimeColumn(layout.ITERATION, sequence=np.array([s.iteration for s in stamps])))
     return columns
-
-
-def _by_entity(entries: Sequence[tuple[Track, log.Entry]]) -> Iterator[tuple[str, list[log.Entry]]]:
-    found: dict[str, list[log.Entry]] = defaultdict(list)
-    for track, entry in entries:
-        found[track.paths.data("log", entry.kind)].append(entry)
-    yield from found.items()
 
 
 def require_env_ids(env_ids: Sequence[int], num_envs: int) -> None:

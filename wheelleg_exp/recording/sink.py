@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
@@ -13,6 +14,7 @@ from typing import Any
 import rerun as rr
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
+from wheelleg_exp.recording.finishing import finish
 from wheelleg_exp.run.files import for_people
 
 APPLICATION = "wheelleg"
@@ -39,10 +41,11 @@ class Sink:
         self._is_broken = False
         self._written = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp") if aside else path
         _claim(self._written)
-        # No start time of its own: a recording holds nothing that depends on the wall clock.
+        # Without rerun's own start time: only a property, which no digest looks at, depends on the wall clock.
         self.stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, send_properties=False)
         with self._guarded():
-            self.stream.save(self._written)
+            # An index of every chunk, kept until the end, would take more memory than it is worth: 4 kB a chunk.
+            self.stream.save(self._written, write_footer=False)
         self.is_open = True
         self.stream.send_recording_name(name)
 
@@ -50,6 +53,11 @@ class Sink:
         """Log what holds at all times."""
         with self._guarded():
             self.stream.log(entity, *archetypes, static=True)
+
+    def property(self, name: str, values: dict[str, Any]) -> None:
+        """Set a property of the recording."""
+        with self._guarded():
+            self.stream.send_property(name, rr.AnyValues(**values))
 
     def columns(self, entity: str, times: Iterable[Any], columns: Iterable[Any]) -> None:
         """Send whole columns."""
@@ -62,11 +70,13 @@ class Sink:
             self.stream.send_chunks(chunks)
 
     def take_place(self) -> None:
-        """Move the file to its path, over what stood there."""
+        """Move the file to its path, over what stood there; after a loss of power it is the old file or the new."""
         self.flush()
         if self._written != self.path:
             with for_people(self.path):
+                _sync(self._written)
                 self._written.replace(self.path)
+                _sync(self.path.parent)
             self._written = self.path
 
     def abandon(self) -> None:
@@ -90,7 +100,7 @@ class Sink:
             self.stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
 
     def close(self) -> None:
-        """Finish the file; further calls do nothing."""
+        """Finish the file: put its pieces together and write an index; further calls do nothing."""
         if not self.is_open:
             return
         self.is_open = False
@@ -99,6 +109,8 @@ class Sink:
                 self.flush()
         finally:
             self._disconnect()
+        if not self._is_broken:
+            finish(self.path)
 
     def _disconnect(self) -> None:
         if not self._is_broken:
@@ -117,6 +129,15 @@ class Sink:
         except RuntimeError as error:
             self._is_broken = True
             raise _failure(self.path, error) from error
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _claim(path: Path) -> None:

@@ -11,12 +11,16 @@ import rerun as rr
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.recording import drawing, kinematics
 from wheelleg_exp.recording.blueprint import EnvLayout
-from wheelleg_exp.recording.channels import channels, has_forces, velocity_command
+from wheelleg_exp.recording.channels import has_forces, robot_channels, velocity_command
+from wheelleg_exp.recording.channels_learning import learning_channels
 from wheelleg_exp.recording.drawing import Columns, Contacts, Ground, VelocityArrows
+from wheelleg_exp.recording.episodes import Episodes
+from wheelleg_exp.recording.facts import interval_terms, joint_statics, term_statics
 from wheelleg_exp.recording.frames import Frames
 from wheelleg_exp.recording.geometry import Array, body_geoms, geom_name, is_plane, shape
 from wheelleg_exp.recording.kinematics import Kinematics
 from wheelleg_exp.recording.layout import GROUND, EnvPaths
+from wheelleg_exp.recording.size import Cost
 
 # Arrow lengths in units of how tall the robot stands, so that they fit a robot of any size.
 _HEIGHTS_PER_WEIGHT = 0.6
@@ -25,6 +29,7 @@ _LIFT = 0.45
 
 _LIGHT, _DARK = (92, 98, 108, 255), (74, 79, 88, 255)
 _TILES = 40
+_EVENT = (235, 235, 235)
 _PALETTE = (
     (86, 156, 255),
     (255, 159, 64),
@@ -61,9 +66,13 @@ class Track:
         self._bodies = {b: paths.body(self._model.body(b).name or f"body_{b}") for b in range(1, self._model.nbody)}
         self._origin: Array = env.scene.env_origins[env_id].double().numpy().copy()
         self._solver = Kinematics(self._model)
-        self._size = self._solver.height(self._root, env.scene.sim.view("qpos")[env_id].numpy())
+        self._size = self._solver.height(self._root, kinematics.default_pose(self._robot, self._model))
         self._offset = np.array([0.0, 3.0 * self._size * place, 0.0])
-        self.frames = Frames(channels(env, env_id, paths))
+        self.episodes = Episodes()
+        learning = learning_channels(env, env_id, paths, self.episodes)
+        self.frames = Frames([*robot_channels(env, env_id, paths), *learning])
+        self._events = interval_terms(env)
+        self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
         self._dry_run()
         self._draw(env)
         self._place = place
@@ -76,7 +85,22 @@ class Track:
             sensors=tuple(contact.sensor for contact in self._contacts),
             joints=_held(env),
             rewards=tuple(env.reward_manager.active_terms),
+            observations={group: tuple(terms) for group, terms in env.observation_manager.active_terms.items()},
         )
+
+    @property
+    def cost(self) -> Cost:
+        """What a frame takes in the file."""
+        entities = {entity for channel in self.frames.channels for entity in channel.entities}
+        numbers = sum(len(channel.names) for channel in self.frames.channels)
+        sensed = sum(len(contact.bodies) for contact in self._contacts)
+        drawn = 3 + 2 * len(self._contacts) + 2  # angles, norms and arrows, velocities
+        return Cost(len(entities) + drawn, numbers + 4 * sensed + 6, len(self._bodies))
+
+    def capture(self, step: int, episode_step: int) -> None:
+        """Take up the state after a control step."""
+        self.episodes.advance(step, episode_step)
+        self.frames.append()
 
     def statics(self) -> Iterator[tuple[str, list[Any]]]:
         """Yield what never changes: places, shapes, names of numbers, colours of arrows."""
@@ -85,6 +109,7 @@ class Track:
                 yield path, [rr.Transform3D(translation=self._offset)]
         for body, entity in self._bodies.items():
             yield from self._shapes(body, entity)
+        yield from self._reading
         yield from self._series()
         yield from self._arrow_styles()
 
@@ -159,6 +184,8 @@ class Track:
                     yield entity, [series([name], first=i)]
         for i, name in enumerate(drawing.ANGLES):
             yield self.paths.data("base", name), [series([name], first=i)]
+        for name in self._events:
+            yield self.paths.data("events", name), [rr.SeriesPoints(names=[name], colors=[_EVENT], marker_sizes=[4.0])]
         for contact in self._contacts:
             names = [self._model.body(b).name for b in contact.bodies]
             yield self.paths.data("contacts", contact.sensor), [series(names)]

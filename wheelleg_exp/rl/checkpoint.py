@@ -13,7 +13,8 @@ import torch
 
 from wheelleg_exp.errors import RunDirectoryError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+_READABLE = (1, FORMAT_VERSION)  # version 1 lacks what a resume needs, but holds the same networks
 _NEEDED = ("format_version", "iter", "actor_state_dict", "critic_state_dict")
 
 
@@ -49,13 +50,22 @@ def load(path: Path) -> dict[str, Any]:
             key=str(path),
             expected="a model_<iteration>.pt of a run",
         )
-    if state["format_version"] != FORMAT_VERSION:
+    if state["format_version"] not in _READABLE:
         raise RunDirectoryError(
             f"has format version {state['format_version']}",
             key=str(path),
             expected=f"version {FORMAT_VERSION}",
         )
     return state
+
+
+def require_resumable(state: Mapping[str, Any]) -> None:
+    """Raise RunDirectoryError when a checkpoint's networks can be used, but its training cannot go on."""
+    if state["format_version"] != FORMAT_VERSION:
+        raise RunDirectoryError(
+            f"the checkpoint has format version {state['format_version']}: it can be played, not resumed",
+            expected=f"version {FORMAT_VERSION}, which holds all that a training depends on",
+        )
 
 
 def _rebuilt(value: Any) -> Any:

@@ -40,12 +40,15 @@ class EpisodeLog:
             self._return[ids] = 0.0
             self._length[ids] = 0.0
 
-    def collect(self) -> dict[str, float]:
-        """Return the scalars since the last call: means over the reset batches, and over the last episodes."""
+    def _take_pending(self) -> None:
         for log in self._pending:
             for key, value in log.items():
                 self._values[key].append(float(value))
         self._pending.clear()
+
+    def collect(self) -> dict[str, float]:
+        """Return the scalars since the last call: means over the reset batches, and over the last episodes."""
+        self._take_pending()
         scalars = {key: sum(values) / len(values) for key, values in self._values.items()}
         self._values.clear()
         scalars |= {f"Diagnostics/non_finite_reward/{term}": float(n) for term, n in self._non_finite.items()}
@@ -56,12 +59,15 @@ class EpisodeLog:
         return scalars
 
     def state_dict(self) -> dict[str, Any]:
-        """Return running sums and the last episodes."""
+        """Return running sums, the last episodes, and what has not been collected yet."""
+        self._take_pending()
         return {
             "return": self._return.clone(),
             "length": self._length.clone(),
             "returns": list(self._returns),
             "lengths": list(self._lengths),
+            "values": {key: list(values) for key, values in self._values.items()},
+            "non_finite": dict(self._non_finite),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -70,3 +76,6 @@ class EpisodeLog:
         self._length.copy_(saved["length"])
         self._returns = deque(saved["returns"], maxlen=_EPISODES)
         self._lengths = deque(saved["lengths"], maxlen=_EPISODES)
+        self._values = defaultdict(list, {key: list(values) for key, values in saved["values"].items()})
+        self._pending.clear()
+        self._non_finite = Counter(saved["non_finite"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import logging
 import warnings
@@ -13,18 +12,18 @@ import torch
 from rsl_rl.models import MLPModel
 
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.rl.torchscript import serialize
 
 FORMAT_VERSION = 1
 _OPSET = 18
 
 
 def torchscript(policy: MLPModel) -> bytes:
-    """Return the deterministic policy as TorchScript: observations (B, O) to actions (B, A)."""
-    buffer = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.jit.save(torch.jit.script(policy.as_jit().eval()), buffer)
-    return buffer.getvalue()
+    """Return the deterministic policy as TorchScript: observations (B, O) to actions (B, A).
+
+    Equal policies give equal bytes, in whatever process.
+    """
+    return serialize(policy.as_jit().eval())
 
 
 def onnx(policy: MLPModel) -> bytes:
@@ -50,7 +49,18 @@ def onnx(policy: MLPModel) -> bytes:
     finally:
         logger.setLevel(level)
     assert program is not None
-    return program.model_proto.SerializeToString()
+    proto = program.model_proto
+    _forget_making(proto)
+    return proto.SerializeToString(deterministic=True)
+
+
+def _forget_making(proto: Any) -> None:
+    """Drop the notes on how each part came about: they tell places of this disk, and no runtime reads them."""
+    graph = proto.graph
+    for part in (proto, graph, *graph.node, *graph.initializer, *graph.input, *graph.output, *graph.value_info):
+        part.ClearField("metadata_props")
+        if part is not proto:
+            part.ClearField("doc_string")
 
 
 def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int) -> str:

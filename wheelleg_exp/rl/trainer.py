@@ -16,15 +16,19 @@ from rsl_rl.algorithms import PPO
 from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
 
-from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.projects import make_classes_importable
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.algorithm_state import load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION
 from wheelleg_exp.rl.episode_log import EpisodeLog
+from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.rl.one_thread import one_thread
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 # Keys of the agent section that are this program's, not rsl_rl's.
-OWN_KEYS = ("device", "torch_threads", "max_iterations", "save_interval", "clip_actions")
+OWN_KEYS = ("device", "torch_threads", "max_iterations", "save_interval", "clip_actions", "logger")
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,8 @@ class Trainer:
         self.algorithm.train_mode()
         while self.iteration < until:
             start = time.perf_counter()
-            self._collect()
+            with no_global_draws("numpy", "python"):
+                self._collect()
             collected = time.perf_counter()
             losses = self.algorithm.update()
             self._require_sane(losses)
@@ -98,12 +103,14 @@ class Trainer:
         observations = self.env.get_observations().to(self.device)
         for _ in range(self.num_steps):
             actions = self.algorithm.act(observations)
-            observations, rewards, dones, extras = self.env.step(actions.to("cpu"))
+            with no_global_draws("torch"):
+                observations, rewards, dones, extras = self.env.step(actions.to("cpu"))
             self._require_finite(observations, rewards)
             self.log.step(rewards, dones, extras)
             observations, rewards, dones = (x.to(self.device) for x in (observations, rewards, dones))
             self.algorithm.process_env_step(observations, rewards, dones, extras)
-        self.algorithm.compute_returns(observations)
+        with one_thread():
+            self.algorithm.compute_returns(observations)
 
     def _require_finite(self, observations: TensorDict, rewards: torch.Tensor) -> None:
         bad = [f"observation group '{g}'" for g, value in observations.items() if not value.isfinite().all()]
@@ -129,18 +136,46 @@ class Trainer:
             "iter": self.iteration - 1,
             "infos": None,
             **self.algorithm.save(),
+            "unsaved": unsaved_state(self.algorithm),
             "env": self.env.env.state_dict(),
             "log": self.log.state_dict(),
-            "rng": {"torch": torch.get_rng_state()},
+            "rng": self._random_state(),
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; the random state comes last, because building draws."""
-        self.algorithm.load(dict(saved), None, True)
-        self.env.env.load_state_dict(saved["env"])
-        self.log.load_state_dict(saved["log"])
+        """Restore what ``state_dict`` returned; the random state comes last, because building draws.
+
+        Raises:
+            RunDirectoryError: it is the state of other networks, or of another environment.
+        """
+        checkpoint.require_resumable(saved)
+        try:
+            self.algorithm.load(dict(saved), None, True)
+            load_unsaved_state(self.algorithm, saved["unsaved"])
+            self.env.env.load_state_dict(saved["env"])
+            self.log.load_state_dict(saved["log"])
+        except (RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise RunDirectoryError(
+                f"the saved state does not fit: {reason[:200]}",
+                expected="the state of the same networks, terms, robot and number of environments",
+            ) from error
         self.iteration = saved["iter"] + 1
         torch.set_rng_state(saved["rng"]["torch"])
+        if "device" in saved["rng"]:
+            torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
+
+    def set_learning_rate(self, value: float) -> None:
+        """Set the learning rate of the coming updates; an adaptive schedule goes on from it."""
+        self.algorithm.learning_rate = value
+        for group in self.algorithm.optimizer.param_groups:
+            group["lr"] = value
+
+    def _random_state(self) -> dict[str, torch.Tensor]:
+        state = {"torch": torch.get_rng_state()}
+        if torch.device(self.device).type not in ("cpu", "meta"):
+            state["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
+        return state
 
 
 def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:

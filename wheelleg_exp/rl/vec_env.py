@@ -30,6 +30,11 @@ class RslRlVecEnv(VecEnv):
         env.reset()
 
     @property
+    def unwrapped(self) -> ManagerBasedRLEnv:
+        """The environment itself; rsl_rl's RND asks it for its step duration."""
+        return self.env
+
+    @property
     def episode_length_buf(self) -> torch.Tensor:
         """Control steps of each present episode, (N,)."""
         return self.env.episode_length_buf

@@ -19,7 +19,8 @@ from wheelleg_exp.run.timestamps import folder_moment, folder_text
 LATEST = "latest"
 AGENTS = "agents"
 SWEEPS = "sweeps"
-_NOT_TASKS = (AGENTS, SWEEPS, LATEST)
+REPLAYS = "replays"
+_NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, LATEST)
 
 _NAME = re.compile(NAME)
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
@@ -48,7 +49,7 @@ class RunDirectory(os.PathLike[str]):
     ) -> RunDirectory:
         """Make ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``, in local time, for this caller alone.
 
-        A taken name gets ``-2``, ``-3``. With ``section`` (``agents``) it is made below that folder of the
+        A taken name gets ``-2``, ``-3``. With ``section`` (``agents``, ``replays``) it is made below that folder of the
         root, where ``latest`` and the listing do not look.
 
         Raises:
@@ -97,7 +98,7 @@ class RunDirectory(os.PathLike[str]):
     def root(self) -> Path:
         """The folder of all runs that this one stands in."""
         above = self.path.parent.parent
-        return above.parent if above.name == AGENTS else above
+        return above.parent if above.name in (AGENTS, REPLAYS) else above
 
     @property
     def params(self) -> Path:
@@ -216,7 +217,7 @@ def create_exclusively(parent: Path, name: str) -> Path:
 
 def run_folders(root: Path) -> list[Path]:
     """Return the folders below ``root`` that have a manifest, over all tasks, by name."""
-    return sorted(path.parent for task in _task_folders(root) for path in task.glob(f"*/{MANIFEST_NAME}"))
+    return sorted(path.parent for task in task_folders(root) for path in task.glob(f"*/{MANIFEST_NAME}"))
 
 
 def start_moment(folder: Path) -> datetime:
@@ -235,7 +236,8 @@ def _numbered(parent: Path, name: str) -> Iterator[Path]:
         number += 1
 
 
-def _task_folders(root: Path) -> list[Path]:
+def task_folders(root: Path) -> list[Path]:
+    """Return the folders below ``root`` that hold the runs of one task each."""
     if not root.is_dir():
         return []
     with for_people(root, "read"):

@@ -5,19 +5,21 @@ Nothing here imports torch or MuJoCo: versions come from the installed metadata.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import wheelleg_exp
-from wheelleg_exp.run.secrecy import without_credentials
+from wheelleg_exp.run.secrecy import secret_content, without_credentials
+from wheelleg_exp.threads import cpu_quota
 
 # The distributions whose version can change a number or a file of a run.
 _DISTRIBUTIONS = (
@@ -36,12 +38,17 @@ _DISTRIBUTIONS = (
     "onnx",
 )
 
-# The variables that change floating-point results, threads or devices.
-_VARIABLES = re.compile(
-    r"(MKL|OMP|GOMP|KMP|OPENBLAS|BLIS|VECLIB|NUMEXPR|ATEN|ONEDNN|DNNL|TORCH|PYTORCH|CUDA|CUBLAS|MUJOCO|WHEELLEG)_\w+"
-    r"|PYTHONHASHSEED|LD_PRELOAD|CUDA_VISIBLE_DEVICES"
+# The variables that change floating-point results, threads, devices, which code is found, or how it runs.
+_PREFIXES = (
+    *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
+    *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "TRITON", "RSL_RL"),
+    *("CUDA", "CUBLAS", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
+    *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
 )
-_PRIVATE = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|API_?KEY", re.IGNORECASE)
+_VARIABLES = re.compile(rf"({'|'.join(_PREFIXES)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+")
+_PRIVATE = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY", re.IGNORECASE)
+
+_ASKED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
 
 _CPU_FLAGS = re.compile(r"(avx|fma|amx|f16c|sse4|bf16|asimd|sve)\w*")
 
@@ -61,13 +68,14 @@ def versions() -> dict[str, str | None]:
 def hardware() -> dict[str, Any]:
     """Return the CPU's model, its vector instructions, cores and memory, and the platform.
 
-    ``cores_usable`` are those that this process may run on. ``torch_cpu_capability`` is there only when
-    torch has been imported already.
+    ``cores_usable`` are those that this process may run on, ``cpu_quota`` is how many of them a container's limit pays
+    (None: no limit). ``torch_cpu_capability`` is there only when torch has been imported already.
     """
     facts: dict[str, Any] = {
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "cores_usable": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cpu_quota": cpu_quota(),
         "memory_gib": _memory_gib(),
         "machine": platform.machine(),
         "platform": platform.platform(),
@@ -80,10 +88,36 @@ def hardware() -> dict[str, Any]:
     return facts
 
 
-def variables(environ: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the environment variables that change numbers, sorted; those that hold secrets are left out."""
+def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
+    """Return the environment variables that change results, sorted; those that hold secrets are left out.
+
+    Args:
+        environ: the variables, by default the process's own.
+        also: names that count as well, such as those that a config asks for.
+    """
     environ = os.environ if environ is None else environ
-    return {k: environ[k] for k in sorted(environ) if _VARIABLES.fullmatch(k) and not _PRIVATE.search(k)}
+    wanted = set(also)
+    chosen = [k for k in sorted(environ) if (_VARIABLES.fullmatch(k) or k in wanted) and not _PRIVATE.search(k)]
+    return {k: environ[k] for k in chosen if secret_content(os.fsencode(environ[k])) is None}
+
+
+def variables_asked_for(texts: Iterable[str]) -> list[str]:
+    """Return the names of the environment variables that configs ask for with ``${oc.env:NAME}``, sorted."""
+    return sorted({name for text in texts for name in _ASKED.findall(text)})
+
+
+@contextlib.contextmanager
+def as_recorded(wanted: Mapping[str, str]) -> Iterator[None]:
+    """Let environment variables be what they were, while the body runs."""
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
 
 
 def distributions() -> list[str]:

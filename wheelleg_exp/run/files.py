@@ -60,7 +60,7 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-    _sync_folder(path.parent)
+    _sync(path.parent)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -162,10 +162,18 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _sync_folder(folder: Path) -> None:
-    # So that the new name survives a power cut as well; not every file system can, and none must.
+def sync_folder(folder: Path) -> None:
+    """Bring every file below a folder, and the names that lead to it, to the disk: it outlives a power cut."""
+    for path in sorted(folder.rglob("*")):
+        _sync(path)
+    for place in (folder, folder.parent, folder.parent.parent):
+        _sync(place)
+
+
+def _sync(path: Path) -> None:
+    # Not every file system can sync a folder, and none must.
     with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)
         finally:

@@ -41,6 +41,21 @@ _SETTINGS = {
     "gc.auto": "0",
 }
 
+# What a folder that is in no repository holds beside its sources.
+_LEFTOVERS = (
+    "__pycache__/",
+    "*.py[co]",
+    ".ipynb_checkpoints/",
+    ".mypy_cache/",
+    ".pytest_cache/",
+    ".ruff_cache/",
+    ".nox/",
+    ".tox/",
+    "node_modules/",
+    "*.egg-info/",
+    ".DS_Store",
+)
+
 
 class GitError(Exception):
     """git is missing, or said no; the text is git's own."""
@@ -53,10 +68,12 @@ class Repository:
     Args:
         top: the working tree's top folder.
         environ: variables beside the process's own, such as another index.
+        settings: git's settings for these commands alone, before those of the repository and the user.
     """
 
     top: Path
     environ: dict[str, str] = field(default_factory=dict)
+    settings: dict[str, str] = field(default_factory=dict)
 
     def run(self, *arguments: str, stdin: bytes = b"") -> bytes:
         """Run one git command in the working tree and return what it prints.
@@ -64,7 +81,7 @@ class Repository:
         Raises:
             GitError: git is missing, fails, or takes too long.
         """
-        return run_git(self.top, *arguments, stdin=stdin, environ=self.environ)
+        return run_git(self.top, *arguments, stdin=stdin, environ=self.environ, settings=self.settings)
 
     def text(self, *arguments: str) -> str:
         """Run one git command and return its output as text without the last newline."""
@@ -98,15 +115,22 @@ class Repository:
         return found
 
 
-def run_git(folder: Path, *arguments: str, stdin: bytes = b"", environ: dict[str, str] | None = None) -> bytes:
+def run_git(
+    folder: Path,
+    *arguments: str,
+    stdin: bytes = b"",
+    environ: dict[str, str] | None = None,
+    settings: dict[str, str] | None = None,
+) -> bytes:
     """Run git in ``folder`` (see ``Repository.run``)."""
-    settings = [word for key, value in _SETTINGS.items() for word in ("-c", f"{key}={value}")]
+    chosen = {**_SETTINGS, **(settings or {})}
+    words = [word for key, value in chosen.items() for word in ("-c", f"{key}={value}")]
     kept = {k: v for k, v in os.environ.items() if k not in _MISLEADING}
     kept.update({"LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"})
     kept.update(environ or {})
     try:
         done = subprocess.run(
-            ["git", *settings, *arguments],
+            ["git", *words, *arguments],
             cwd=folder,
             input=stdin,
             capture_output=True,
@@ -138,7 +162,7 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
     """Yield the same working tree with a copy of its index and an object store of its own.
 
     Whatever is added there, the user's index and the contents of the object store stay as they are. Both
-    copies are gone afterwards.
+    copies are gone afterwards. No filter program runs: what is added is what stands on the disk.
     """
     index = repository.top / repository.text("rev-parse", "--git-path", "index")
     objects = repository.top / repository.text("rev-parse", "--git-path", "objects")
@@ -151,7 +175,33 @@ def scratch_index(repository: Repository) -> Iterator[Repository]:
             # With its times: git takes an entry for unchanged by comparing them with the index's own.
             shutil.copy2(index, scratch / "index")
         environ = {"GIT_INDEX_FILE": str(scratch / "index"), "GIT_OBJECT_DIRECTORY": str(scratch / "objects")}
-        yield Repository(repository.top, {**repository.environ, **environ})
+        settings = {**repository.settings, **_without_filters(filters(repository))}
+        yield Repository(repository.top, {**repository.environ, **environ}, settings)
+
+
+def filters(repository: Repository) -> list[str]:
+    """Return the names of the filter programs that git would run on files (``filter.<name>.clean``)."""
+    output = repository.maybe("config", "--name-only", "--get-regexp", r"^filter\..*\.(clean|process)$") or ""
+    return sorted({line.removeprefix("filter.").rpartition(".")[0] for line in output.splitlines()})
+
+
+def _without_filters(names: Iterable[str]) -> dict[str, str]:
+    off = {"clean": "", "smudge": "", "process": "", "required": "false"}
+    return {f"filter.{name}.{key}": value for name in names for key, value in off.items()}
+
+
+@contextmanager
+def borrowed_folder(folder: Path) -> Iterator[Repository]:
+    """Yield a plain folder as the working tree of an empty repository that stands elsewhere and is gone afterwards.
+
+    The folder itself is only read. Its own ``.gitignore`` files hold; what tools leave behind is ignored as well.
+    """
+    with tempfile.TemporaryDirectory(prefix="wheelleg-git-") as scratch:
+        store = Path(scratch) / "git"
+        run_git(Path(scratch), "init", "--quiet", "--bare", "--template=", str(store))
+        (store / "info").mkdir(exist_ok=True)
+        (store / "info" / "exclude").write_text("\n".join(_LEFTOVERS) + "\n", encoding="utf-8")
+        yield Repository(folder, {"GIT_DIR": str(store), "GIT_WORK_TREE": str(folder)}, {"core.bare": "false"})
 
 
 def _complaint(stderr: bytes) -> str:

@@ -24,15 +24,20 @@ class FileRecord(TypedDict):
 
 @dataclass
 class FileFindings:
-    """How a run's files differ from what its manifest recorded, as sorted relative paths."""
+    """How a run's files differ from what its manifest recorded, as sorted relative paths.
+
+    ``links`` are symbolic links that the manifest does not name; one in place of a recorded file is ``missing``.
+    """
 
     missing: list[str] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
     unlisted: list[str] = field(default_factory=list)
+    unreadable: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)
 
     def __bool__(self) -> bool:
         """Return whether anything differs."""
-        return bool(self.missing or self.changed or self.unlisted)
+        return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
 
 
 def inventory(directory: Path) -> dict[str, FileRecord]:
@@ -55,12 +60,16 @@ def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord
 
 def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFindings:
     """Hold the files of ``directory`` against their records."""
-    present = inventory(directory)
-    return FileFindings(
-        missing=sorted(set(recorded) - set(present)),
-        changed=sorted(name for name, entry in recorded.items() if name in present and present[name] != entry),
-        unlisted=sorted(set(present) - set(recorded)),
-    )
+    present = {relative_name(directory, path) for path in _files(directory)}
+    found = FileFindings(missing=sorted(set(recorded) - present), unlisted=sorted(present - set(recorded)))
+    for name in sorted(present & set(recorded)):
+        try:
+            if _record(directory / name) != recorded[name]:
+                found.changed.append(name)
+        except RunDirectoryError:
+            found.unreadable.append(name)
+    found.links.extend(name for name in sorted(_links(directory)) if name not in recorded)
+    return found
 
 
 def relative_name(directory: Path, path: Path) -> str:
@@ -89,6 +98,10 @@ def _record(path: Path) -> FileRecord:
     digest = sha256(path)
     with for_people(path, "read"):
         return {"sha256": digest, "size": path.stat().st_size}
+
+
+def _links(directory: Path) -> Iterator[str]:
+    return (path.relative_to(directory).as_posix() for path in directory.rglob("*") if path.is_symlink())
 
 
 def _files(directory: Path) -> Iterator[Path]:

@@ -1,27 +1,64 @@
-"""All the runs there are, with what became of them."""
+"""All the runs there are, with what became of them. Nothing is hashed, and of growing files only the end is read."""
 
 from __future__ import annotations
 
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.directory import run_folders, start_moment
+from wheelleg_exp.run.directory import SWEEPS, run_folders, start_moment, task_folders
+from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.process import is_alive
+from wheelleg_exp.run.sweep import SWEEP_NAME, SweepIndex
+from wheelleg_exp.run.timestamps import folder_moment, parse_utc, utc_now
 
 CRASHED = "crashed"
 DAMAGED = "damaged"
+
+_CHECKPOINT = re.compile(r"model_(\d+)\.pt")
+_FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
+_TOTAL = re.compile(r"^max_iterations:\s*(\d+)", re.MULTILINE)
+_TAIL_BYTES = 65536  # of which the last whole line is one iteration
+# What is told of a training, by the names of its scalars.
+FIGURES = {
+    "return": "Train/mean_reward",
+    "episode_length": "Train/mean_episode_length",
+    "time_out": "Episode_Termination/time_out",
+}
 
 
 @dataclass(frozen=True)
 class RunSummary:
     """One line of the list of runs.
 
-    ``status`` is the manifest's, or ``crashed`` (it says running, and its process is gone), or ``damaged``
-    (the manifest cannot be read; ``problem`` says why).
+    Attributes:
+        id: the folder's name.
+        task: the task's name.
+        status: the manifest's (``running``, ``finished``, ``interrupted``, ``failed``), or ``crashed`` (it says
+            running, and its process is gone), or ``damaged`` (the manifest cannot be read; ``problem`` says why).
+        path: the folder.
+        started: when it began.
+        ended: when it ended, as text; None while it runs, and where nobody wrote it down.
+        seeds: its seeds.
+        results: the manifest's results.
+        problem: why it failed or is damaged.
+        name: ``run.name``.
+        iterations: how many are done.
+        max_iterations: how many it shall have.
+        checkpoint: iteration of the last checkpoint.
+        resumable: whether ``resume`` has something to go on from and something left to do.
+        resumes: how often it has been resumed.
+        figures: mean return and length of the last episodes, share of them that ran to their time limit.
+        played: results of the last play.
+        seconds: how long it took, or has taken up to its last iteration; times between resumes count.
+        bytes: size of the files in its folder's top, without later additions.
     """
 
     id: str
@@ -33,12 +70,22 @@ class RunSummary:
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
     problem: str | None = None
+    name: str | None = None
+    iterations: int | None = None
+    max_iterations: int | None = None
+    checkpoint: int | None = None
+    resumable: bool = False
+    resumes: int = 0
+    figures: dict[str, float] = field(default_factory=dict)
+    played: dict[str, Any] = field(default_factory=dict)
+    seconds: float | None = None
+    bytes: int | None = None
 
 
 def list_runs(root: str | Path) -> list[RunSummary]:
     """Return a summary of every run below ``root``, the newest first; no root is no runs."""
-    summaries = [summarize(folder) for folder in run_folders(Path(root))]
-    return sorted(summaries, key=lambda s: (s.started, s.id), reverse=True)
+    folders = [*run_folders(Path(root)), *_without_manifest(Path(root))]
+    return sorted(map(summarize, folders), key=lambda s: (s.started, s.id), reverse=True)
 
 
 def summarize(folder: Path) -> RunSummary:
@@ -47,17 +94,31 @@ def summarize(folder: Path) -> RunSummary:
         manifest = Manifest.load(folder)
     except RunDirectoryError as error:
         return RunSummary(folder.name, folder.parent.name, DAMAGED, folder, start_moment(folder), problem=str(error))
-    data = manifest.data
+    data, status = manifest.data, effective_status(manifest)
+    checkpoint, size = _top(folder)
+    done, scalars = _progress(folder, data["results"])
+    total = _total(folder)
+    left = total is None or done is None or done < total
     return RunSummary(
         id=folder.name,
         task=data["task"],
-        status=effective_status(manifest),
+        status=status,
         path=folder,
         started=manifest.started,
         ended=data["ended"],
         seeds=tuple(data.get("seeds", ())),
         results=manifest.results,
         problem=(data.get("error") or {}).get("message"),
+        name=_name(folder.name),
+        iterations=done,
+        max_iterations=total,
+        checkpoint=checkpoint,
+        resumable=checkpoint is not None and left and status != "running",
+        resumes=len(data["resumes"]),
+        figures={name: scalars[key] for name, key in FIGURES.items() if isinstance(scalars.get(key), (int, float))},
+        played=_played(data["additions"]),
+        seconds=_seconds(folder, manifest.started, data["ended"], status),
+        bytes=size,
     )
 
 
@@ -66,3 +127,123 @@ def effective_status(manifest: Manifest) -> str:
     if manifest.status == "running" and is_alive(manifest.data.get("process") or {}) is False:
         return CRASHED
     return manifest.status
+
+
+@dataclass(frozen=True)
+class SweepSummary:
+    """One line of the list of sweeps; ``jobs`` counts the jobs by status."""
+
+    id: str
+    status: str
+    path: Path
+    started: datetime
+    ended: str | None = None
+    jobs: dict[str, int] = field(default_factory=dict)
+    swept: tuple[str, ...] = ()
+    problem: str | None = None
+
+
+def list_sweeps(root: str | Path) -> list[SweepSummary]:
+    """Return a summary of every sweep below ``root``, the newest first."""
+    found = [_sweep(path.parent) for path in (Path(root) / SWEEPS).glob(f"*/{SWEEP_NAME}")]
+    return sorted(found, key=lambda s: (s.started, s.id), reverse=True)
+
+
+def _sweep(folder: Path) -> SweepSummary:
+    moment = folder_moment(folder.name) or datetime.min.replace(tzinfo=UTC)
+    try:
+        data = SweepIndex.load(folder).data
+        crashed = data["status"] == "running" and is_alive(data.get("process") or {}) is False
+        jobs: dict[str, int] = {}
+        for job in data["jobs"]:
+            jobs[job["status"]] = jobs.get(job["status"], 0) + 1
+        swept = tuple(dict.fromkeys(word.split("=")[0] for job in data["jobs"] for word in job["swept"]))
+        status = CRASHED if crashed else data["status"]
+        return SweepSummary(folder.name, status, folder, parse_utc(data["started"]), data["ended"], jobs, swept)
+    except (RunDirectoryError, KeyError, TypeError, ValueError) as error:
+        return SweepSummary(folder.name, DAMAGED, folder, moment, problem=str(error))
+
+
+def _without_manifest(root: Path) -> Iterator[Path]:
+    """Yield the folders that are named like runs and have no manifest: they were killed as they began."""
+    for task in task_folders(root):
+        for folder in task.iterdir():
+            if _FOLDER.fullmatch(folder.name) and folder.is_dir() and not (folder / MANIFEST_NAME).exists():
+                yield folder
+
+
+def _name(folder: str) -> str | None:
+    match = _FOLDER.fullmatch(folder)
+    return match["name"] if match else None
+
+
+def _top(folder: Path) -> tuple[int | None, int]:
+    """Return the iteration of the last checkpoint, and the size of the files in the folder's top."""
+    newest, size = None, 0
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            match = _CHECKPOINT.fullmatch(entry.name)
+            if match is not None:
+                newest = max(newest or 0, int(match[1]))
+            if entry.is_file(follow_symlinks=False):
+                size += entry.stat(follow_symlinks=False).st_size
+    return newest, size
+
+
+def _progress(folder: Path, results: Mapping[str, Any]) -> tuple[int | None, Mapping[str, Any]]:
+    """Return how many iterations are done and the scalars of the last one."""
+    last = _last_line(folder / "iterations.jsonl")
+    if last is not None:
+        return last["iteration"] + 1, last["scalars"]
+    done = results.get("iterations")
+    return (done if isinstance(done, int) else None), results
+
+
+def _last_line(path: Path) -> dict[str, Any] | None:
+    """Return the last whole line of ``iterations.jsonl``, without reading what stands before."""
+    try:
+        with path.open("rb") as file:
+            end = file.seek(0, os.SEEK_END)
+            file.seek(max(0, end - _TAIL_BYTES))
+            lines = file.read().split(b"\n")[:-1]  # what no newline ends was cut off
+    except OSError:
+        return None
+    for line in reversed(lines):
+        try:
+            value = json.loads(line)
+        except ValueError:
+            continue
+        if (
+            isinstance(value, dict)
+            and isinstance(value.get("iteration"), int)
+            and isinstance(value.get("scalars"), dict)
+        ):
+            return value
+    return None
+
+
+def _total(folder: Path) -> int | None:
+    try:
+        match = _TOTAL.search((folder / "params" / "agent.yaml").read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return None
+    return int(match[1]) if match else None
+
+
+def _played(additions: list[dict[str, Any]]) -> dict[str, Any]:
+    plays = [entry for entry in additions if entry.get("kind") == "play"]
+    found = plays[-1].get("results") if plays else None
+    return found if isinstance(found, dict) else {}
+
+
+def _seconds(folder: Path, started: datetime, ended: str | None, status: str) -> float | None:
+    if ended is not None:
+        moment = parse_utc(ended)
+    elif status == "running":
+        moment = utc_now()
+    else:
+        try:
+            moment = datetime.fromtimestamp((folder / "iterations.jsonl").stat().st_mtime, UTC)
+        except OSError:
+            return None
+    return max(0.0, (moment - started).total_seconds())

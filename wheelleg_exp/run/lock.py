@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any
@@ -66,6 +67,16 @@ class RunLock:
             os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
         self._descriptor = None
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the lock while the body runs; one that was taken before is given back behind it as well."""
+        if self._descriptor is None:
+            self.acquire()
+        try:
+            yield
+        finally:
+            self.release()
 
     def __enter__(self) -> RunLock:
         self.acquire()

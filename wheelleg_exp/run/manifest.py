@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -13,18 +14,20 @@ from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run import environment
-from wheelleg_exp.run.files import read_json, write_json
+from wheelleg_exp.run.files import json_plain, read_json, write_json, write_text
 from wheelleg_exp.run.inventory import (
     MANIFEST_NAME,
     FileFindings,
     FileRecord,
     compare_files,
     inventory,
+    is_inside,
     record_files,
 )
 from wheelleg_exp.run.lock import MANIFEST_LOCK, RunLock
 from wheelleg_exp.run.manifest_format import FORMAT, STATUSES, require_manifest
 from wheelleg_exp.run.process import this_process
+from wheelleg_exp.run.seal import sealed
 from wheelleg_exp.run.timestamps import parse_utc, utc_now, utc_text
 
 Ended = Literal["finished", "interrupted", "failed"]
@@ -46,6 +49,7 @@ _OF_ONE_PROCESS = (
 )
 
 _LOCK_TIMEOUT_S = 20.0
+_PENDING = "files_to_write"  # of a resume that has not written its changed files yet
 
 
 @dataclass
@@ -102,7 +106,7 @@ class Manifest:
             "additions": [],
             "files": inventory(directory),
         }
-        write_json(path, manifest.data)
+        write_json(path, sealed(manifest.data))
         return manifest
 
     @classmethod
@@ -180,7 +184,13 @@ class Manifest:
         self._update(change)
 
     def restart(
-        self, *, command: Sequence[str], threads: Mapping[str, Any], now: datetime | None = None, **facts: Any
+        self,
+        *,
+        command: Sequence[str],
+        threads: Mapping[str, Any],
+        now: datetime | None = None,
+        texts: Mapping[str, str] | None = None,
+        **facts: Any,
     ) -> None:
         """Write that the run goes on: status ``running``, in this process, with this machine's facts.
 
@@ -191,19 +201,41 @@ class Manifest:
             command: the command line that resumes it.
             threads: the thread policy of this process.
             now: the time of the resume, by default the present.
+            texts: files of the snapshot that the resume's overrides change, by relative name: their new content.
             facts: what else the resume knows, such as the iteration that it starts from.
         """
+        texts = dict(texts or {})
 
         def change(data: dict[str, Any]) -> None:
             before = {key: data.get(key) for key in _OF_ONE_PROCESS}
-            entry = {"when": utc_text(now or utc_now()), "command": list(command), **facts, "before": before}
+            entry = {"when": utc_text(now or utc_now()), "command": list(command), **json_plain(facts)}
+            entry |= {"before": before, **({_PENDING: texts} if texts else {})}
             data["resumes"].append(entry)
             data.update(status="running", error=None, ended=None, process=this_process(), threads=dict(threads))
             data.update(versions=environment.versions(), hardware=environment.hardware())
             data["environment_variables"] = environment.variables()
             data["files"] = {k: v for k, v in data["files"].items() if k.startswith(_FIXED)}
+            data["files"] |= {name: _text_record(text) for name, text in texts.items()}
 
         self._update(change)
+        self.settle()
+
+    def settle(self) -> None:
+        """Write the changed files of the last resume, unless that has been done: a crash may have come between."""
+        entry = self.data["resumes"][-1] if self.data["resumes"] else {}
+        if _PENDING in entry:
+            for name, text in entry[_PENDING].items():
+                if is_inside(name):
+                    write_text(self.directory / name, text)
+            self._update(lambda data: data["resumes"][-1].pop(_PENDING, None))
+
+    def amend_resume(self, **facts: Any) -> None:
+        """Record what the last resume has learnt since it began."""
+        self._update(lambda data: data["resumes"][-1].update(json_plain(facts)))
+
+    def record(self, **facts: Any) -> None:
+        """Record what a command knows about the whole run, by key, such as the run that it repeats."""
+        self._update(lambda data: data.update(facts))
 
     def add(
         self,
@@ -283,8 +315,14 @@ class Manifest:
         with RunLock(self.directory, name=MANIFEST_LOCK, timeout_s=_LOCK_TIMEOUT_S):
             data = Manifest.load(self.directory).data
             change(data)
+            data = sealed(data)
             write_json(self.path, data)
             self.data = data
+
+
+def _text_record(text: str) -> FileRecord:
+    content = text.encode("utf-8")
+    return {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
 
 
 def _describe(error: BaseException | str | None) -> dict[str, str] | None:

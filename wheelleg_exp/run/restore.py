@@ -2,29 +2,85 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 import secrets
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.run.files import for_people, read_json
 from wheelleg_exp.run.git import GitError, Repository, run_git
+from wheelleg_exp.run.inventory import is_inside
 from wheelleg_exp.run.source import FORMAT, RECORD_NAME
+
+# Git's ids are 40 hexadecimal digits, or 64 in a repository of sha256.
+_ID = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
+_FULL_DISK = re.compile("no space left|quota exceeded", re.IGNORECASE)
+_ROOM_BYTES = 1 << 16
+_PATCH = re.compile(r"source(_[0-9]+)?\.patch")
+
+# Bytes as recorded: no line ends of this user's, no download of big files (their pointers stay).
+_SETTINGS = {
+    "core.autocrlf": "false",
+    "core.eol": "lf",
+    "core.hooksPath": os.devnull,
+    "filter.lfs.smudge": "",
+    "filter.lfs.clean": "",
+    "filter.lfs.process": "",
+    "filter.lfs.required": "false",
+}
 
 
 def load_source(directory: os.PathLike[str]) -> dict[str, Any]:
     """Return the content of a run's ``source/git.json``.
 
     Raises:
-        RunDirectoryError: it is missing, broken, or of a format that is not known here.
+        RunDirectoryError: it is missing, broken, of a format that is not known here, or names what no record names.
     """
     path = Path(directory) / "source" / RECORD_NAME
     record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise RunDirectoryError("this describes no source tree", where=str(path), expected=f"format {FORMAT}")
+    for entry in (record, *record.get("others", ())):
+        _require_plain(entry, str(path))
     return record
+
+
+def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
+    """Return the record of each source folder of a run, the package's own first (raises as ``load_source``)."""
+    content = load_source(directory)
+    return [content, *content["others"]]
+
+
+def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
+    """Return the first folder whose repository holds a record's commit; None when it needs no repository.
+
+    Raises:
+        RunDirectoryError: none does; it tells how to get the commit.
+    """
+    commit = record["commit"]
+    if commit is None:
+        return None
+    complaints = []
+    for folder in dict.fromkeys(candidates):
+        try:
+            run_git(folder, "cat-file", "-e", f"{commit}^{{commit}}")
+        except GitError as error:
+            known = "does not hold it" if "Not a valid object name" in str(error) else str(error)
+            complaints.append(f"{folder}: {known}")
+        else:
+            return folder
+    remote = record.get("remote") or {}
+    fetch = f"git fetch {remote.get('url') or '<the repository it came from>'} {commit}"
+    looked = "; ".join(complaints) or "none to look in"
+    raise RunDirectoryError(
+        f"no repository here holds commit {commit} of '{record['root']}' ({looked})",
+        expected=f"--repository with a clone that holds it; inside a clone, '{fetch}' gets it",
+    )
 
 
 def restore_source(
@@ -32,8 +88,9 @@ def restore_source(
 ) -> str:
     """Make the recorded tree of a run in the new folder ``destination`` and return its tree id.
 
-    The user's repository is read, never written: ``destination`` becomes a clone that borrows its objects.
-    It is there only when its tree is the recorded one.
+    The user's repository is read, never written: ``destination`` becomes a repository of its own that borrows the
+    other's objects. It is there only when its tree is the recorded one, and nothing is written outside of it,
+    whatever the patch says.
 
     Args:
         directory: the run directory.
@@ -42,19 +99,17 @@ def restore_source(
         which: 0 for the main repository, 1 for the first of the others.
 
     Raises:
-        RunDirectoryError: the source was not kept, the commit is not there, the result is not the recorded
-            tree, or the folder exists.
+        RunDirectoryError: the source was not kept, the patch is not the recorded one, the commit is not there, the
+            result is not the recorded tree, or the folder exists.
+        SimulationFailure: the disk is full.
     """
-    content = load_source(directory)
-    record = [content, *content["others"]][which]
+    record = source_records(directory)[which]
     if record["patch"] is None:
         raise RunDirectoryError(f"the source was not kept ({record['status']}): {record['note']}")
     if destination.exists():
         raise RunDirectoryError(f"'{destination}' exists already", expected="a new folder")
-    patch = Path(directory) / "source" / record["patch"]
-    with for_people(patch, "read"):
-        change = patch.read_bytes()
-    origin = repository or Path(record["root"])
+    change = _patch(Path(directory) / "source" / record["patch"], record)
+    origin = find_origin(record, [repository or Path(record["root"])])
     unfinished = destination.with_name(f".{destination.name}.{secrets.token_hex(6)}.tmp")
     try:
         _rebuild(record, origin, unfinished, change)
@@ -65,31 +120,71 @@ def restore_source(
     return record["tree"]
 
 
-def _rebuild(record: dict[str, Any], origin: Path, folder: Path, change: bytes) -> None:
-    with for_people(folder):
-        folder.parent.mkdir(parents=True, exist_ok=True)
+def _require_plain(entry: Any, where: str) -> None:
+    """Refuse a record whose names could lead git or a reader elsewhere."""
+    if not isinstance(entry, dict):
+        raise RunDirectoryError("broken record of the source", where=where)
+    for key in ("commit", "base", "tree"):
+        if entry.get(key) is not None and not _ID.fullmatch(str(entry[key])):
+            raise RunDirectoryError(f"broken record of the source: {key} is {entry[key]!r}", where=where)
+    if entry.get("patch") is not None and not _PATCH.fullmatch(str(entry["patch"])):
+        raise RunDirectoryError(f"broken record of the source: patch is {entry['patch']!r}", where=where)
+    outside = [name for name in entry.get("folders", ()) if not is_inside(str(name))]
+    if outside:
+        raise RunDirectoryError(f"the record of the source names '{outside[0]}', outside its tree", where=where)
+
+
+def _patch(path: Path, record: dict[str, Any]) -> bytes:
+    with for_people(path, "read"):
+        change = path.read_bytes()
+    if hashlib.sha256(change).hexdigest() != record["patch_sha256"]:
+        raise RunDirectoryError(
+            "the patch has been changed since the run recorded it",
+            where=str(path),
+            expected=f"the recorded sha256 {record['patch_sha256']}",
+        )
+    return change
+
+
+def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: bytes) -> None:
     try:
-        clone = _clone(origin, folder, record["commit"])
+        clone = _borrowing(origin, folder, record["tree"])
+        if record["commit"]:
+            clone.run("update-ref", "--no-deref", "HEAD", record["commit"])
+            clone.run("read-tree", record["commit"])
         if change:
-            # Into the index, where no setting about line ends or white space can change a byte.
+            # Into the index, where no setting about line ends or white space can change a byte, and no path can
+            # leave the tree.
             clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
         tree = clone.text("write-tree")
+        if tree != record["tree"]:
+            raise RunDirectoryError(f"the restored tree is {tree}", expected=f"the recorded {record['tree']}")
         clone.run("checkout-index", "--all", "--force")
     except GitError as error:
-        commit = record["commit"]
-        raise RunDirectoryError(
-            f"the source cannot be restored from '{origin}': {error}",
-            expected=f"a repository that holds commit {commit}" if commit else "an empty repository",
-        ) from error
-    if tree != record["tree"]:
-        raise RunDirectoryError(f"the restored tree is {tree}", expected=f"the recorded {record['tree']}")
+        where = f" from '{origin}'" if origin else ""
+        # Of a file that it cannot write git does not say why.
+        if _FULL_DISK.search(str(error)) or shutil.disk_usage(folder).free < _ROOM_BYTES:
+            raise SimulationFailure(
+                f"the source cannot be restored: {error}", expected="room on a working disk"
+            ) from error
+        raise RunDirectoryError(f"the source cannot be restored{where}: {error}") from error
 
 
-def _clone(origin: Path, folder: Path, commit: str | None) -> Repository:
-    where = str(folder.absolute())
-    run_git(origin, "clone", "--quiet", "--shared", "--no-checkout", "--", str(origin.resolve()), where)
+def _borrowing(origin: Path | None, folder: Path, tree: str) -> Repository:
+    """Make an empty repository that reads objects from another; nothing of that one's settings comes along."""
+    with for_people(folder):
+        folder.mkdir(parents=True)
+    kind = "sha256" if len(tree) > 40 else "sha1"
+    run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
     clone = Repository(folder.absolute())
-    if commit:
-        clone.run("update-ref", "--no-deref", "HEAD", commit)
-        clone.run("read-tree", commit)
+    for key, value in _SETTINGS.items():
+        clone.run("config", key, value)
+    if origin is not None:
+        objects = origin.resolve() / os.fsdecode(run_git(origin, "rev-parse", "--git-path", "objects")).removesuffix(
+            "\n"
+        )
+        alternates = folder / ".git" / "objects" / "info" / "alternates"
+        with for_people(alternates):
+            alternates.parent.mkdir(parents=True, exist_ok=True)
+            alternates.write_bytes(os.fsencode(objects.resolve()) + b"\n")
     return clone

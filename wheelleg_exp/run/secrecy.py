@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterator, Mapping
 from fnmatch import fnmatch
+from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 _KEY_FILES = (
@@ -28,11 +31,30 @@ _KEY_FILES = (
     "*.keystore",
     "*.kdbx",
     "*.ppk",
+    "*.pkcs12",
+    "*_rsa",
+    "*_ed25519",
+    "*.ovpn",
+    ".pgpass",
+    ".my.cnf",
+    ".s3cfg",
+    ".boto",
+    ".dockercfg",
+    ".authinfo",
+    ".vault_pass*",
+    "kubeconfig",
+    "*.kubeconfig",
+    "rclone.conf",
+    "secring.*",
+    "service_account*.json",
 )
+# Folders that hold nothing else.
+_KEY_FOLDERS = (".ssh", ".gnupg", ".aws", ".azure", ".kube", ".docker", ".gcloud")
+
 _EXAMPLES = (".env.example", ".env.sample", ".env.template", "*.pub")
 
 # A word in a name says little about program text (tokenizer.py), and much about data (token.txt).
-_WORDS = ("token", "secret", "credential", "password", "passwd", "api_key", "apikey")
+_WORDS = ("token", "secret", "credential", "password", "passwd", "passphrase", "api_key", "apikey", "access_key")
 _PROGRAM_TEXT = (".py", ".pyi", ".c", ".cc", ".cpp", ".cu", ".h", ".hpp", ".rs", ".js", ".ts", ".md", ".rst")
 
 _KEY_CONTENT = re.compile(
@@ -42,7 +64,18 @@ _KEY_CONTENT = re.compile(
     rb"|\bgithub_pat_[A-Za-z0-9_]{22,}"
     rb"|\bglpat-[A-Za-z0-9_-]{20}"
     rb"|\bhf_[A-Za-z0-9]{34}\b"
-    rb"|\bAKIA[0-9A-Z]{16}\b"
+    rb"|\bA(KIA|SIA)[0-9A-Z]{16}\b"
+    rb"|\bAIza[0-9A-Za-z_-]{35}"
+    rb"|\bxox[abeoprs]-[0-9A-Za-z-]{20,}"
+    rb"|\bsk-(ant|proj|svcacct)-[0-9A-Za-z_-]{20,}"
+    rb"|\bnpm_[0-9A-Za-z]{36}\b"
+    rb"|\bpypi-AgE[0-9A-Za-z_-]{50,}"
+    rb"|\beyJ[0-9A-Za-z_-]{10,}\.eyJ[0-9A-Za-z_-]{10,}\.[0-9A-Za-z_-]{10,}"
+    rb"|\bAGE-SECRET-KEY-1[0-9A-Z]{58}"
+)
+
+_SECRET_KEY = re.compile(
+    r"(.*_)?(token|password|passwd|passphrase|secret|api_?key|access_?key|private_?key|credentials?)"
 )
 
 
@@ -50,9 +83,12 @@ def secret_name(path: str) -> str | None:
     """Return why a file's name says that it holds a key or a token, or None.
 
     Args:
-        path: path with forward slashes; its last part decides.
+        path: path with forward slashes; its last part decides, and folders that hold keys alone.
     """
-    name = path.rsplit("/", 1)[-1].lower()
+    *folders, name = path.lower().split("/")
+    folder = next((part for part in folders if part in _KEY_FOLDERS), None)
+    if folder is not None:
+        return f"it lies in {folder}"
     if any(fnmatch(name, pattern) for pattern in _EXAMPLES):
         return None
     for pattern in _KEY_FILES:
@@ -67,6 +103,22 @@ def secret_name(path: str) -> str | None:
 def secret_content(content: bytes) -> str | None:
     """Return why a file's content says that it holds a key or a token, or None."""
     return "it holds a private key or an access token" if _KEY_CONTENT.search(content) else None
+
+
+def secret_keys(tree: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the path and the reason of every text in a plain tree that is, or by its key must be, a key or a token."""
+    if isinstance(tree, Mapping):
+        for key, value in tree.items():
+            yield from secret_keys(value, f"{path}.{key}" if path else str(key))
+    elif isinstance(tree, list):
+        for index, value in enumerate(tree):
+            yield from secret_keys(value, f"{path}.{index}")
+    elif isinstance(tree, str) and tree:
+        reason = secret_content(os.fsencode(tree))
+        if reason is not None:
+            yield path, reason
+        elif _SECRET_KEY.fullmatch(path.rsplit(".", 1)[-1].lower()):
+            yield path, "its name says that it holds a secret"
 
 
 def without_credentials(url: str) -> str:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.environment import environment_text
+from wheelleg_exp.run.environment import environment_text, variables, variables_asked_for
 from wheelleg_exp.run.files import write_text
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.options import RunOptions
 from wheelleg_exp.run.params import write_params
+from wheelleg_exp.run.secrecy import secret_content, secret_keys
 from wheelleg_exp.run.source import snapshot_source
 
 _HYDRA_NAME = re.compile(r"[A-Za-z0-9_-]+(\.yaml)?")
@@ -51,19 +53,63 @@ def begin(
         The manifest, to be finished by the caller.
 
     Raises:
+        ConfigError: a key or a token would get into the run (nothing has been written).
         RunDirectoryError: a parameter is not plain, or the directory holds a run already.
     """
-    cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
+    _refuse_secrets(command, params, hydra_files)
     hydra_paths = {directory.hydra / _hydra_name(name): text for name, text in hydra_files.items()}
     manifest = Manifest.begin(directory.path, task=task, seed=seed, command=command, threads=threads)
     with manifest.failing():
         write_params(directory.path, params)
         for path, text in hydra_paths.items():
             write_text(path, text)
-        source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
-        write_text(directory.environment, environment_text(threads))
-        manifest.snapshot_taken({key: source[key] for key in _SUMMARY})
+        complete(directory, manifest, hydra_files, source_roots, threads, max_patch_mb)
     return manifest
+
+
+def complete(
+    directory: RunDirectory,
+    manifest: Manifest,
+    hydra_files: Mapping[str, str],
+    source_roots: Sequence[Path],
+    threads: Mapping[str, Any],
+    max_patch_mb: float | None = None,
+) -> None:
+    """Write the rest of the snapshot, behind parameters and configs: source, distributions, what the configs ask for.
+
+    A run that was killed before this was done has computed nothing, and can be completed when it is gone on with.
+    """
+    cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
+    source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
+    write_text(directory.environment, environment_text(threads))
+    manifest.record(config_variables=_config_variables(hydra_files))
+    manifest.snapshot_taken({key: source[key] for key in _SUMMARY})
+
+
+def _config_variables(hydra_files: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment variables that the config asks for and that are set.
+
+    The config is kept as it is written, ``${oc.env:NAME}`` included; with these it gives the same values again.
+    """
+    asked = variables_asked_for(hydra_files.values())
+    told = variables(also=asked)
+    return {name: told[name] for name in asked if name in told}
+
+
+def _refuse_secrets(
+    command: Sequence[str], params: Mapping[str, dict[str, Any]], hydra_files: Mapping[str, str]
+) -> None:
+    """Refuse to write down what looks like a key or a token: run directories are handed on."""
+    found = [*secret_keys(dict(params))]
+    texts = {"the command line": "\n".join(command), **hydra_files}
+    found += [(name, reason) for name, text in texts.items() if (reason := secret_content(os.fsencode(text)))]
+    if found:
+        key, reason = found[0]
+        raise ConfigError(
+            f"this would be kept in the run directory, and {reason}",
+            key=key,
+            expected="no keys or tokens in a config; let the code that needs one read it from the environment",
+        )
 
 
 def _hydra_name(name: str) -> str:

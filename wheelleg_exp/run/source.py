@@ -2,7 +2,8 @@
 
 ``git.json`` describes the repository of each root, the main one first; ``source.patch`` (``source_2.patch``
 for a second repository) makes the recorded tree from the recorded commit, untracked and binary files
-included. Ignored files, the folder of runs, and files that look like keys or tokens are left out.
+included. A folder that is in no repository is kept the same way, as a patch from nothing, and so is every submodule
+that is checked out. Ignored files, the folder of runs, and files that look like keys or tokens are left out.
 """
 
 from __future__ import annotations
@@ -10,24 +11,43 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from wheelleg_exp.run import worktree
-from wheelleg_exp.run.files import sha256, write_bytes, write_json
-from wheelleg_exp.run.git import GitError, Repository, run_git, scratch_index
+from wheelleg_exp.run.files import write_bytes, write_json
+from wheelleg_exp.run.git import GitError, Repository, borrowed_folder, run_git, scratch_index
+from wheelleg_exp.run.installed import content_digest, distribution, is_installed
 from wheelleg_exp.run.secrecy import without_credentials
 
 FORMAT = 1
 PATCH_NAME = "source.patch"
 RECORD_NAME = "git.json"
 
-# The first two come with a patch that restores the tree; the others with a note that says why not.
+# The first three come with a patch that restores the tree; every other record has a note that says why not.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
-_INSTALL_FOLDERS = ("site-packages", "dist-packages")
 _BIG_FILES_SHOWN = 20
+
+
+@dataclass
+class _Place:
+    """A working tree, or a plain folder, whose files matter.
+
+    Attributes:
+        top: its top folder.
+        repository: None where git knows none.
+        why: why it is no repository.
+        inside: the roots in it, as seen from the top.
+        files: the files that matter; all when empty.
+    """
+
+    top: Path
+    repository: Repository | None = None
+    why: str = ""
+    inside: list[str] = field(default_factory=lambda: ["."])
+    files: list[str] = field(default_factory=list)
 
 
 def snapshot_source(
@@ -38,7 +58,8 @@ def snapshot_source(
     Whatever git says, the run goes on: a source that cannot be kept is recorded with a status and a note.
 
     Args:
-        roots: folders whose source matters, the package's own first; roots of one repository count once.
+        roots: folders whose source matters, the package's own first, and single files; roots of one repository count
+            once.
         folder: the run's ``source`` folder.
         runs_root: folder of the runs, whose untracked files are left out.
         max_patch_mb: largest patch, and largest sum of untracked files, in megabytes (10^6 bytes).
@@ -48,17 +69,17 @@ def snapshot_source(
         RunDirectoryError: the folder cannot be written.
     """
     records: list[dict[str, Any]] = []
-    for place, inside in _group(roots):
-        patch = None
-        if isinstance(place, Repository):
-            record, patch = _snapshot_repository(place, runs_root, int(max_patch_mb * 1e6))
-        else:
-            record = place
-        record["folders"] = inside
+    waiting = _group(roots)
+    while waiting:
+        place = waiting.pop(0)
+        record, patch = (
+            (place, None) if isinstance(place, dict) else _snapshot(place, runs_root, int(max_patch_mb * 1e6))
+        )
         if patch is not None:
             record["patch"] = PATCH_NAME if not records else f"source_{len(records) + 1}.patch"
             write_bytes(folder / record["patch"], patch)
         records.append(record)
+        waiting += _checked_out(record, [*records, *map(_as_record, waiting)])
     if not records:
         records.append(_record("no_repository", None, "no source folder was given"))
     content = {"format": FORMAT, **records[0], "others": records[1:]}
@@ -66,75 +87,98 @@ def snapshot_source(
     return content
 
 
-def _group(roots: Iterable[Path]) -> list[tuple[Repository | dict[str, Any], list[str]]]:
-    """Return each repository once with its roots inside it, or a root's record where there is none."""
-    groups: dict[Path, tuple[Repository | dict[str, Any], list[str]]] = {}
+def _group(roots: Iterable[Path]) -> list[_Place | dict[str, Any]]:
+    """Return each repository and each plain folder once with its roots inside it, or an installed root's record."""
+    groups: dict[Path, _Place | dict[str, Any]] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
         place = _place(root)
-        if isinstance(place, Repository):
-            inside = root.relative_to(place.top.resolve()).as_posix()
-            groups.setdefault(place.top, (place, []))[1].append(inside)
-        else:
-            groups[root] = (place, ["."])
+        if isinstance(place, dict):
+            groups[root] = place
+            continue
+        known = groups.setdefault(place.top, place)
+        if isinstance(known, _Place) and known is not place:
+            known.inside += place.inside
+            known.files = [*known.files, *place.files] if known.files and place.files else []
     return list(groups.values())
 
 
-def _place(root: Path) -> Repository | dict[str, Any]:
-    """Return the repository that ``root`` is worked on in, or a record that says why there is none."""
+def _place(root: Path) -> _Place | dict[str, Any]:
+    """Return where ``root`` is worked on, or a record that says why its files are not kept."""
     folder = root if root.is_dir() else root.parent
     try:
         top = os.fsdecode(run_git(folder, "rev-parse", "--show-toplevel")).removesuffix("\n")
     except GitError as error:
-        return _without_repository(root, str(error))
+        if is_installed(root):
+            return _installed(root)
+        if "git is not installed" in str(error):
+            return _record("no_git", root, "git is not installed, so the source is not kept")
+        return _plain(root, str(error))
     repository = Repository(Path(top))
-    return _installed(root) if _is_installed(root, repository) else repository
-
-
-def _without_repository(root: Path, complaint: str) -> dict[str, Any]:
-    if any(part in _INSTALL_FOLDERS for part in root.parts):
+    if is_installed(root, repository.top.resolve()):
         return _installed(root)
-    if "not a git repository" in complaint:
-        note = f"'{root}' is in no git repository, so its source is not kept; 'git init' there changes that"
-        return _record("no_repository", root, note)
-    if "git is not installed" in complaint:
-        return _record("no_git", root, "git is not installed, so the source is not kept")
-    return _record("failed", root, f"git: {complaint}")
+    if root != repository.top.resolve() and repository.maybe("check-ignore", "--", str(root)) is not None:
+        return _plain(root, f"'{root}' is ignored by the repository around it")
+    return _Place(repository.top, repository, inside=[root.relative_to(repository.top.resolve()).as_posix()])
 
 
-def _is_installed(root: Path, repository: Repository) -> bool:
-    """Return whether ``root`` only happens to lie in a repository: in an environment, or ignored by it."""
-    top = repository.top.resolve()
-    if root == top:
-        return False
-    if any(part in _INSTALL_FOLDERS for part in root.relative_to(top).parts):
-        return True
-    return repository.maybe("check-ignore", "--", str(root)) is not None
+def _plain(root: Path, why: str) -> _Place:
+    """Return the place of a root that git does not look after."""
+    if "not a git repository" in why:
+        why = f"'{root}' is in no git repository"
+    elif "dubious ownership" in why:
+        why = f"git refuses the repository of '{root}', which belongs to another user"
+    if root.is_dir():
+        return _Place(root, why=why)
+    return _Place(root.parent, why=why, inside=[root.name], files=[root.name])
 
 
 def _installed(root: Path) -> dict[str, Any]:
-    note = f"'{root}' is installed outside a repository, or ignored by the one around it: its digest is kept"
-    return {**_record("installed", root, note), "content_sha256": content_digest(root)}
+    name = distribution(root)
+    note = f"'{root}' is installed{f' ({name})' if name else ''}: its digest is kept, not its files"
+    return {**_record("installed", root, note), "distribution": name, "content_sha256": content_digest(root)}
 
 
-def content_digest(folder: Path) -> str:
-    """Return one sha256 over names and contents of the readable files below ``folder``, bytecode left out."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts and os.access(path, os.R_OK):
-            digest.update(os.fsencode(path.relative_to(folder)) + b"\0" + sha256(path).encode() + b"\n")
-    return digest.hexdigest()
+def _checked_out(record: dict[str, Any], known: Sequence[dict[str, Any]]) -> list[_Place]:
+    """Return the submodules of a record that are checked out and not among those known."""
+    tops = {entry["root"] for entry in known}
+    found = [Path(record["root"]) / entry["path"] for entry in record["submodules"]]
+    return [_Place(top, Repository(top)) for top in found if (top / ".git").exists() and str(top) not in tops]
 
 
-def _snapshot_repository(
-    repository: Repository, runs_root: Path | None, cap: int
-) -> tuple[dict[str, Any], bytes | None]:
-    record = _record("ok", repository.top, None)
+def _as_record(place: _Place | dict[str, Any]) -> dict[str, Any]:
+    return place if isinstance(place, dict) else {"root": str(place.top)}
+
+
+def _snapshot(place: _Place, runs_root: Path | None, cap: int) -> tuple[dict[str, Any], bytes | None]:
+    """Return the record of a place and its patch, None where there is none."""
+    record = _record("ok" if place.repository else "no_repository", place.top, None)
+    record["folders"] = place.inside
+    if place.repository is None:
+        return record, _capture_folder(place, record, runs_root, cap)
     try:
-        _describe_commit(repository, record)
-        return record, _capture(repository, record, runs_root, cap)
+        _describe_commit(place.repository, record)
+        return record, _capture(place.repository, record, runs_root, cap)
     except GitError as error:
-        record.update(status="failed", note=f"git: {error}")
-        return record, None
+        whole = _Place(place.top, why=f"git cannot read the repository of '{place.top}' ({error})")
+        record = {**_record("no_repository", place.top, None), "folders": place.inside}
+        return record, _capture_folder(whole, record, runs_root, cap)
+
+
+def _capture_folder(place: _Place, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
+    """Do the same for a plain folder, by way of an empty repository elsewhere."""
+    try:
+        with borrowed_folder(place.top) as repository:
+            record["base"] = repository.text("hash-object", "-t", "tree", os.devnull)
+            patch = _capture(repository, record, runs_root, cap, place.files)
+    except GitError as error:
+        record.update(status="failed", note=f"{place.why}, and its files cannot be kept: {error}")
+        return None
+    if patch is not None:
+        notes = [f"{place.why}; its files are kept as a patch from nothing", _left_out(record)]
+        record["note"] = "; ".join(filter(None, notes))
+    else:
+        record["note"] = f"{place.why}; {record['note']}"
+    return patch
 
 
 def _describe_commit(repository: Repository, record: dict[str, Any]) -> None:
@@ -143,25 +187,32 @@ def _describe_commit(repository: Repository, record: dict[str, Any]) -> None:
     record["base"] = commit or repository.text("hash-object", "-t", "tree", os.devnull)
     record["branch"] = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
     record["remote"] = _remote(repository, record["branch"])
+    record["shallow"] = repository.text("rev-parse", "--is-shallow-repository") == "true"
     if commit is None:
         record["status"] = "no_commits"
 
 
-def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
+def _capture(
+    repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int, only: Sequence[str] = ()
+) -> bytes | None:
     """Fill the record with the tree and return the patch; None when it would be too large."""
     untracked, refused = worktree.untracked_files(repository, runs_root)
+    if only:
+        untracked = [path for path in untracked if path in only]
+        refused = [entry for entry in refused if entry.path in only]
     record["refused"] = [asdict(entry) for entry in refused]
     sizes = worktree.file_sizes(repository, untracked)
     if sum(sizes.values()) > cap:
         _refuse_patch(record, sizes, "the untracked files have", sum(sizes.values()), cap)
         return None
     with scratch_index(repository) as scratch:
-        worktree.add_everything(scratch, untracked)
+        refused += worktree.add_everything(scratch, untracked)
         changes = worktree.changes_from(scratch, record["base"])
         refused += worktree.refuse_secrets(scratch, changes)
         left_out = {entry.path for entry in refused}
         record["refused"] = [asdict(entry) for entry in refused]
         record["untracked"] = [path for path in untracked if path not in left_out]
+        record["changed"] = [change.path for change in changes if change.path not in left_out]
         record["dirty"] = bool(changes or refused)
         record["submodules"] = worktree.submodules(scratch)
         record["tree"] = scratch.text("write-tree")
@@ -184,16 +235,19 @@ def _record(status: Status, root: Path | None, note: str | None) -> dict[str, An
         "commit": None,
         "branch": None,
         "remote": None,
+        "shallow": None,
         "base": None,
         "tree": None,
         "dirty": None,
         "untracked": [],
+        "changed": [],
         "refused": [],
         "submodules": [],
         "big_files": [],
         "patch": None,
         "patch_bytes": None,
         "patch_sha256": None,
+        "distribution": None,
         "content_sha256": None,
     }
 
@@ -224,8 +278,14 @@ def _note(record: dict[str, Any]) -> str | None:
     notes = []
     if record["commit"] is None:
         notes.append("the repository has no commit; the patch makes the tree from nothing")
-    if record["refused"]:
-        notes.append("left out: " + ", ".join(entry["path"] for entry in record["refused"]))
-    if record["submodules"]:
-        notes.append("submodules are recorded by their commit alone")
-    return "; ".join(notes) or None
+    notes.append(_left_out(record) or "")
+    top = Path(record["root"])
+    absent = [entry["path"] for entry in record["submodules"] if not (top / entry["path"] / ".git").exists()]
+    if absent:
+        notes.append("submodules that are not checked out: " + ", ".join(absent))
+    return "; ".join(filter(None, notes)) or None
+
+
+def _left_out(record: dict[str, Any]) -> str | None:
+    names = ", ".join(entry["path"] for entry in record["refused"])
+    return f"left out: {names}" if names else None

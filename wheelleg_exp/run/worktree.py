@@ -6,8 +6,12 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from wheelleg_exp.run.git import Repository, join_nul
+from wheelleg_exp.run.git import GitError, Repository, filters, join_nul, split_nul
 from wheelleg_exp.run.secrecy import secret_content, secret_name
+
+# A filter that only moves content elsewhere: with it off, git keeps the content itself.
+_HARMLESS_FILTERS = ("lfs",)
+_VIRTUAL_ENVIRONMENT = "pyvenv.cfg"
 
 _GITLINK = "160000"
 _NONE = "000000"
@@ -38,14 +42,22 @@ class Change:
 
 
 def untracked_files(repository: Repository, runs_root: Path | None) -> tuple[list[str], list[Refused]]:
-    """Return the untracked files to keep, and those refused; ignored files and runs are in neither."""
+    """Return the untracked files to keep, and those refused; ignored files and runs are in neither.
+
+    A virtual environment is refused as a whole.
+    """
     kept: list[str] = []
-    refused: list[Refused] = []
     runs = _relative_to_top(repository, runs_root)
-    for path in repository.paths("ls-files", "--others", "--exclude-standard", "-z"):
+    paths = repository.paths("ls-files", "--others", "--exclude-standard", "-z")
+    environments = {p.removesuffix(_VIRTUAL_ENVIRONMENT) for p in paths if p.endswith(f"/{_VIRTUAL_ENVIRONMENT}")}
+    refused = [Refused(folder, "it is a virtual environment") for folder in sorted(environments)]
+    filtered = _filtered(repository, paths)
+    for path in paths:
         if runs is not None and Path(path).is_relative_to(runs):
             continue
-        reason = _reason_against(repository, path)
+        if any(path.startswith(folder) for folder in environments):
+            continue
+        reason = _reason_against(repository, path) or filtered.get(path)
         if reason is None:
             kept.append(path)
         else:
@@ -64,12 +76,27 @@ def file_sizes(repository: Repository, paths: list[str]) -> dict[str, int]:
     return sizes
 
 
-def add_everything(scratch: Repository, untracked: list[str]) -> None:
-    """Bring a scratch index to the state of the working tree."""
+def add_everything(scratch: Repository, untracked: list[str]) -> list[Refused]:
+    """Bring a scratch index to the state of the working tree; return the changed files that git cannot read."""
     _forget_promises(scratch)
-    scratch.run("add", "-u")
+    refused = _add_tracked(scratch)
     # --remove, because a file may be gone again by now.
     scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=join_nul(untracked))
+    return refused
+
+
+def _add_tracked(scratch: Repository) -> list[Refused]:
+    try:
+        scratch.run("add", "-u")
+    except GitError:
+        try:
+            scratch.run("add", "-u", "--ignore-errors")
+        except GitError as error:
+            left = scratch.paths("diff-files", "--name-only", "-z")
+            if not left:
+                raise
+            return [Refused(path, f"git cannot read it: {error}") for path in left]
+    return []
 
 
 def changes_from(scratch: Repository, base: str) -> list[Change]:
@@ -88,11 +115,12 @@ def refuse_secrets(scratch: Repository, changes: list[Change]) -> list[Refused]:
     Both sides of a change count, because a removed line stands in a patch as well.
     """
     contents = scratch.blobs([blob for change in changes for blob in change.blobs()])
+    filtered = _filtered(scratch, [change.path for change in changes])
     refused: list[Refused] = []
     lines = []
     for change in changes:
         shown = (secret_content(contents[blob]) for blob in change.blobs())
-        reason = secret_name(change.path) or next(filter(None, shown), None)
+        reason = secret_name(change.path) or filtered.get(change.path) or next(filter(None, shown), None)
         if reason is not None:
             refused.append(Refused(change.path, reason))
             # Mode 0 removes the path from the index.
@@ -134,6 +162,20 @@ def _relative_to_top(repository: Repository, folder: Path | None) -> Path | None
         return None
     full, top = folder.resolve(), repository.top.resolve()
     return full.relative_to(top) if full != top and full.is_relative_to(top) else None
+
+
+def _filtered(repository: Repository, paths: list[str]) -> dict[str, str]:
+    """Return why files that pass through a filter program on their way into git are refused.
+
+    Such a program may encrypt them, or drop what must not be seen.
+    """
+    programs = [name for name in filters(repository) if name not in _HARMLESS_FILTERS]
+    if not programs or not paths:
+        return {}
+    output = repository.run("check-attr", "-z", "--stdin", "filter", stdin=join_nul(paths))
+    parts = split_nul(output)
+    found = zip(parts[::3], parts[2::3], strict=True)
+    return {path: f"the filter '{name}' stands between it and git" for path, name in found if name in programs}
 
 
 def _reason_against(repository: Repository, path: str) -> str | None:

@@ -10,6 +10,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.names import match_names, values_by_name
+from wheelleg_exp.sim.state import Stateful
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.data import RobotData
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 PerJoint = float | Mapping[str, float]
 
 
-class ActuatorBase:
-    """A group of joints driven by one model.
+class ActuatorBase(Stateful):
+    """A group of joints driven by one model. What a model remembers are its attributes (``sim.state``).
 
     Each number is a scalar or a mapping of joint expressions to values.
 
@@ -31,6 +32,8 @@ class ActuatorBase:
             clipped to it, and joints beyond it are reported.
         armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
     """
+
+    settings = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
 
     def __init__(
         self,

@@ -11,6 +11,7 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.simulation import Simulation
+from wheelleg_exp.sim.state import Kept
 
 _FOUND, _FORCE, _NORMAL = (
     1 << int(getattr(mujoco.mjtConDataField, name))
@@ -19,7 +20,7 @@ _FOUND, _FORCE, _NORMAL = (
 _WIDTH = 7  # found 1, force 3 (contact frame, normal first), normal 3 (world)
 
 
-class ContactSensor:
+class ContactSensor(Kept):
     """Sum of the normal contact forces on each body, world axes, over the last physics step; friction excluded.
 
     Args:

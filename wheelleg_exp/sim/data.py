@@ -9,6 +9,7 @@ import torch
 
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.simulation import Simulation
+from wheelleg_exp.sim.state import Kept
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -27,7 +28,7 @@ def _derived(compute: Callable[[RobotData], torch.Tensor]) -> property:
     return property(get, doc=compute.__doc__)
 
 
-class RobotData:
+class RobotData(Kept):
     """The robot's state: float32, N environments, joints and bodies in the robot's order; always fresh.
 
     ``_w`` is world axes, ``_b`` axes of the root link. Root linear velocities are of the root body's centre of

@@ -20,7 +20,7 @@ class SimOptions:
         ls_iterations: most line-search iterations of one solver iteration.
         tolerance: solver tolerance at which iterations end early.
         impratio: frictional to normal constraint impedance.
-        nthread: physics threads; 0 takes every processor. It never changes a result.
+        nthread: physics threads; 0 takes one for each core that the process may use. It never changes a result.
     """
 
     dt: float = field(metadata={"above": 0.0})

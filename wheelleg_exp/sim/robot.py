@@ -17,9 +17,21 @@ from wheelleg_exp.sim.data import RobotData
 from wheelleg_exp.sim.names import match_names, require_numbers, values_by_name
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.simulation import Simulation
+from wheelleg_exp.sim.state import Kept, cloned, made, same
+
+# Tensors that come from the config and the model, and that an event may change.
+_SETTINGS = (
+    "default_joint_pos",
+    "default_joint_vel",
+    "joint_pos_limits",
+    "soft_joint_pos_limits",
+    "soft_joint_vel_limits",
+    "joint_effort_limits",
+    "com_b",
+)
 
 
-class Robot:
+class Robot(Kept):
     """The robot of the scene: names, limits, actuators, and writing of state, targets and wrenches.
 
     Args:
@@ -71,6 +83,9 @@ class Robot:
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].unflatten(1, (2, 3)).mT
         sim.view("actuator_force")
         self.stale = torch.zeros(sim.num_envs, dtype=torch.bool)
+        self._made = self._settings()
+        for name, actuator in self.actuators.items():
+            made(actuator, f"env.robot.actuators.{name}")
         self._wrench_bodies: torch.Tensor | None = None
         self._wrench = torch.zeros(sim.num_envs, len(self.body_names), 3, 2)
 
@@ -200,14 +215,19 @@ class Robot:
             "joint_pos_target": data.joint_pos_target.clone(),
             "joint_vel_target": data.joint_vel_target.clone(),
             "joint_effort_target": data.joint_effort_target.clone(),
-            "default_joint_pos": data.default_joint_pos.clone(),
-            "com_b": data.com_b.clone(),
+            "settings": {n: v for n, v in self._settings().items() if not same(v, self._made[n])},
+            "actuators": {name: actuator.state_dict() for name, actuator in self.actuators.items()},
             "motion_before": data._before.clone(),
             "torque_valid": data._torque_valid.clone(),
             "applied_torque": data.applied_torque.clone(),
             "wrench": self._wrench.clone(),
             "wrench_bodies": [] if bodies is None else bodies.tolist(),
+            "stale": self.stale.clone(),
         }
+
+    def _settings(self) -> dict[str, torch.Tensor]:
+        roots = {"default_root_pos": self.default_root_pos, "default_root_quat": self.default_root_quat}
+        return cloned({**{name: getattr(self.data, name) for name in _SETTINGS}, **roots})
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
@@ -215,14 +235,17 @@ class Robot:
         data.joint_pos_target.copy_(saved["joint_pos_target"])
         data.joint_vel_target.copy_(saved["joint_vel_target"])
         data.joint_effort_target.copy_(saved["joint_effort_target"])
-        data.default_joint_pos.copy_(saved["default_joint_pos"])
-        data.com_b.copy_(saved["com_b"])
+        for name, value in {**self._made, **saved["settings"]}.items():
+            getattr(data if name in _SETTINGS else self, name).copy_(value)
+        for name, actuator in self.actuators.items():
+            actuator.load_state_dict(saved["actuators"][name])
         data._before.copy_(saved["motion_before"])
         data._torque_valid.copy_(saved["torque_valid"])
         data.applied_torque.copy_(saved["applied_torque"])
         self._wrench.copy_(saved["wrench"])
-        if saved["wrench_bodies"]:
-            self._wrench_bodies = torch.tensor(saved["wrench_bodies"])
+        bodies = saved["wrench_bodies"]
+        self._wrench_bodies = torch.tensor(bodies) if bodies else None
+        self.stale.copy_(saved["stale"])
         data.invalidate()
 
     def _order(self, found: list[str]) -> list[str]:

@@ -19,13 +19,14 @@ from wheelleg_exp.sim.names import require_numbers
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import Robot
 from wheelleg_exp.sim.simulation import Simulation
+from wheelleg_exp.sim.state import Kept
 
 GROUND = "ground"
 _ROBOT_PRIORITY = 1
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
 
 
-class Scene:
+class Scene(Kept):
     """Ground plane, robot and sensors of N environments.
 
     Members are found by name, as in Isaac Lab: ``scene["robot"]``, ``scene["contact_forces"]``. Until ``play``

@@ -11,6 +11,8 @@ import torch
 from mujoco.batch import Batch, SimulationError
 
 from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.sim.state import Kept, cloned
+from wheelleg_exp.threads import usable_cores
 
 _STAGE_NONE = mujoco.mjtStage.mjSTAGE_NONE.value
 _STAGE_VEL = mujoco.mjtStage.mjSTAGE_VEL.value
@@ -20,7 +22,7 @@ _UNSTABLE = [
 ]
 
 
-class Simulation:
+class Simulation(Kept):
     """N simulations of one model.
 
     State rows are always current. Position- and velocity-dependent outputs are computed for the new state once
@@ -30,16 +32,18 @@ class Simulation:
     Args:
         model: the compiled scene.
         num_envs: number of simulations, N.
-        nthread: physics threads (0: all processors); no result depends on it.
+        nthread: physics threads (0: one for each core that the process may use); no result depends on it.
     """
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
         _keep_log_out_of_files()
         self.model = model
         self.num_envs = num_envs
-        self.batch = Batch(model, num_envs, nthread=nthread)
+        self.batch = Batch(model, num_envs, nthread=nthread or usable_cores())
         self._views: dict[str, torch.Tensor] = {}
         self._expanded: dict[str, torch.Tensor] = {}
+        self._unedited: dict[str, torch.Tensor] = {}
+        self._at_set_const: dict[str, torch.Tensor] | None = None
         self.state = torch.from_numpy(self.batch.state)
         self._current: set[str] = set()
         self._warnings = torch.from_numpy(self.batch.warning)[:, min(_UNSTABLE) : max(_UNSTABLE) + 1, 1]
@@ -85,11 +89,13 @@ class Simulation:
         """
         if name not in self._expanded:
             self._expanded[name] = torch.from_numpy(self.batch.expand(name))
+            self._unedited[name] = self._expanded[name].clone()
         return self._expanded[name]
 
     def set_const(self) -> None:
         """Recompute the constants that MuJoCo derives from the model fields of each simulation."""
         self.batch.set_const()
+        self._at_set_const = cloned(self._expanded)
 
     def step(self) -> None:
         """Advance every simulation by one physics step.
@@ -132,14 +138,33 @@ class Simulation:
             "state": self.state.clone(),
             "warning": torch.from_numpy(self.batch.warning.copy()),
             "model_fields": fields,
+            "at_set_const": None if self._at_set_const is None else self._edited_since(self._at_set_const),
         }
+
+    def _edited_since(self, then: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Return the model fields that derived constants were computed from, where they have been edited since."""
+        before = {**self._unedited, **then}
+        return {n: before[n].clone() for n, now in sorted(self._expanded.items()) if not torch.equal(before[n], now)}
+
+    def _restore_fields(self, fields: dict[str, torch.Tensor], then: dict[str, torch.Tensor] | None) -> None:
+        """Write model fields, and let MuJoCo derive its constants from what it derived them from."""
+        for name in fields:
+            self.expand(name)
+        now = {**self._unedited, **fields}
+        if then is not None or self._at_set_const is not None:
+            self._write_fields(self._unedited if then is None else {**now, **then})
+            self.set_const()
+        self._write_fields(now)
+        if then is None:
+            self._at_set_const = None
+
+    def _write_fields(self, fields: dict[str, torch.Tensor]) -> None:
+        for name, values in fields.items():
+            self._expanded[name].copy_(values)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
-        for name, values in saved["model_fields"].items():
-            self.expand(name).copy_(values)
-        if saved["model_fields"]:
-            self.set_const()
+        self._restore_fields(saved["model_fields"], saved["at_set_const"])
         self.state.copy_(saved["state"])
         self.batch.warning[...] = saved["warning"].numpy()
         self.forward()

@@ -1,0 +1,55 @@
+"""``wheelleg list runs`` and ``list sweeps``."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+
+import pytest
+from jobs.small import wheelleg
+
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.manifest import Manifest
+
+LONG = "a_rather_long_name_that_somebody_gave_to_a_run_so_that_nobody_forgets_what_it_was_about"
+
+
+@pytest.fixture
+def root(tmp_path):
+    for number, (status, name) in enumerate((("finished", None), ("failed", LONG), ("interrupted", "b"))):
+        now = datetime(2026, 1, 1, number, tzinfo=UTC)
+        run = RunDirectory.create(tmp_path / "runs", "stand", number, name, now)
+        Manifest.begin(run.path, task="stand", seed=number, command=["wheelleg"], threads={}, now=now)
+        scalars = {"Train/mean_reward": -1234.567, "Train/mean_episode_length": 300.0}
+        scalars["Episode_Termination/time_out"] = 0.5
+        (run.path / "iterations.jsonl").write_text(json.dumps({"iteration": 9999, "scalars": scalars}) + "\n")
+        (run.path / "params").mkdir()
+        (run.path / "params" / "agent.yaml").write_text("max_iterations: 12000\n")
+        (run.path / "model_9950.pt").write_bytes(b"")
+        error = "the disk is full" if status == "failed" else None
+        run.manifest().finish(status, {}, error, now=datetime(2026, 1, 1, 10, tzinfo=UTC))
+        run.manifest().add("play", results={"survival": 0.987})
+    return tmp_path / "runs"
+
+
+def test_the_table_tells_how_each_run_went_and_fits_a_terminal(root):
+    lines = wheelleg("list", "runs", "--root", root).out.splitlines()
+    assert max(map(len, lines[:4])) <= 120
+    assert " ".join(lines[0].split()) == "id task status iterations return steps time-out played took resume"
+    assert " ".join(lines[3].split()[2:]) == "finished 10000/12000 -1234.57 300 50% 99% 10h00m from 9950"
+    assert "…" in lines[2]
+    assert lines[4].endswith(": the disk is full")
+
+
+def test_json_tells_everything(root):
+    newest = json.loads(wheelleg("list", "runs", "--root", root, "--json").out)[0]
+    assert newest["status"] == "interrupted"
+    assert (newest["name"], newest["iterations"], newest["checkpoint"], newest["resumable"]) == ("b", 10000, 9950, True)
+    assert newest["seeds"] == [2]
+    assert newest["played"] == {"survival": 0.987}
+    assert newest["started"] == "2026-01-01T02:00:00.000000Z"
+
+
+def test_no_sweep_is_an_empty_list(root):
+    assert json.loads(wheelleg("list", "sweeps", "--root", root, "--json").out) == []
+    assert wheelleg("list", "sweeps", "--root", root).out.split() == ["id", "status", "jobs", "swept", "took"]

@@ -1,0 +1,122 @@
+"""``wheelleg verify`` on runs that were really trained: exit status, words, JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from jobs.small import SMALL, Trained, cache_of, copied, trained_once, wheelleg
+
+from wheelleg_exp.run.directory import RunDirectory
+
+pytestmark = pytest.mark.train
+
+SHORT = [*SMALL, "agent.max_iterations=2"]
+
+
+@pytest.fixture(scope="module")
+def others(tmp_path_factory: pytest.TempPathFactory) -> dict[str, RunDirectory]:
+    """Trainings that differ from the shared one in one thing each."""
+    runs = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        for name, words in {
+            "again": SMALL,
+            "seed": [*SHORT, "seed=1"],
+            "weight": [*SHORT, "env.rewards.alive.weight=4.0"],
+        }.items():
+            root = tmp_path_factory.mktemp(name) / "runs"
+            said = wheelleg("train", *words, f"run.root={root}")
+            assert said.status == 0, said.err
+            (path,) = (root / "stand").iterdir()
+            runs[name] = RunDirectory.open(path, root)
+    return runs
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return trained_once(tmp_path_factory)
+
+
+@pytest.fixture
+def run(trained, tmp_path, monkeypatch):
+    """A copy that may be damaged, below ``runs`` of the working folder."""
+    monkeypatch.chdir(tmp_path)
+    return copied(trained, tmp_path)
+
+
+def verify(*words: str | Path) -> tuple[int, dict]:
+    """Exit status and JSON document; the words for people must end with the same verdict."""
+    said, told = wheelleg("verify", *words, "--json"), wheelleg("verify", *words)
+    document = json.loads(said.out)
+    assert said.err == told.err == ""
+    assert said.status == told.status
+    assert told.out.splitlines()[-1].startswith(document["verdict"] + ": ")
+    return said.status, document
+
+
+def test_a_training_is_sound_and_its_checkpoints_agree_with_its_log(run):
+    status, found = verify("latest")
+    assert (status, found["verdict"]) == (0, "sound")
+    states = {check["name"]: check["state"] for check in found["checks"]}
+    assert states == dict.fromkeys(states, "ok"), found
+    (checkpoints,) = [check for check in found["checks"] if check["name"] == "checkpoints"]
+    assert checkpoints["text"].startswith("3 load; 3 agree")
+
+
+def test_a_changed_byte_is_exit_status_1(run):
+    data = bytearray((run.path / "model_1.pt").read_bytes())
+    data[len(data) // 2] ^= 1
+    (run.path / "model_1.pt").write_bytes(data)
+    status, found = verify(run.path)
+    assert (status, found["verdict"]) == (1, "damaged")
+
+
+def test_the_same_training_twice_is_identical(trained, others):
+    status, found = verify(trained.run.path, others["again"].path)
+    assert (status, found["verdict"], found["first_divergence"]) == (0, "identical", None)
+    states = {name: part["state"] for name, part in found["parts"].items()}
+    assert states == dict.fromkeys(states, "equal"), found["parts"]
+
+
+def test_another_seed_is_different_from_the_first_iteration_on(trained, others):
+    status, found = verify(trained.run.path, others["seed"].path)
+    assert (status, found["verdict"]) == (1, "different")
+    first = found["first_divergence"]
+    assert (first["part"], first["name"]) == ("settings", "seed")
+    assert first["details"]["numbers"]["iteration"] == 0
+    assert {"parameters", "environment", "streams"} <= set(first["details"]["numbers"]["details"]["digests"])
+
+
+def test_another_weight_is_told_by_its_key(trained, others):
+    status, found = verify(trained.run.path, others["weight"].path)
+    assert (status, found["verdict"]) == (1, "different")
+    first = found["first_divergence"]
+    assert (first["name"], first["a"], first["b"]) == ("env.rewards.alive.weight", 5.0, 4.0)
+
+
+def test_the_first_iterations_alone_can_be_compared(trained, others, run):
+    lines = run.iterations.read_text().splitlines()
+    run.iterations.write_text("".join(line + "\n" for line in lines[:2]))
+    assert verify(run.path, others["again"].path)[0] == 1
+    assert verify(run.path, others["again"].path, "--common")[0] == 0
+    assert verify(run.path, others["again"].path, "--iterations", "2")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["nothing"], "there is no run 'nothing'"),
+        (["."], "it has no manifest.json"),
+        (["latest", "latest"], "both are the run"),
+        (["latest", "--common"], "one was given"),
+        (["latest", "latest", "--iterations", "0"], "nothing to compare"),
+        ([], "RUN"),
+    ],
+)
+def test_what_cannot_be_verified_is_exit_status_2_and_one_line(run, words, expected):
+    said = wheelleg("verify", *words)
+    assert (said.status, said.out) == (2, "")
+    (line,) = said.err.splitlines()
+    assert expected in line

@@ -1,0 +1,305 @@
+"""No state is forgotten: a walk over all objects finds the same in an environment and in one restored from it."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import io
+
+import pytest
+import torch
+from managers import spies
+from sim.small_envs import ACTUATORS, env_config
+
+from env.crawler import Crawl, differing
+from env.test_determinism import SECTIONS, E, O
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import ActionTerm, CommandTerm, TermBase
+from wheelleg_exp.mdp import actions, commands, curriculums, events, modifiers, noise, observations, rewards
+from wheelleg_exp.mdp import terminations as terminations_module
+from wheelleg_exp.sim import actuators
+from wheelleg_exp.sim.contact import ContactSensor
+
+M = "wheelleg_exp.mdp.modifiers."
+N = "wheelleg_exp.mdp.noise."
+A = "wheelleg_exp.mdp.actions."
+
+# What may differ right after loading, because nothing reads it before it is computed anew.
+DERIVED = frozenset(
+    {
+        "._views['sensordata']",  # results of the last solve: sensors take them up behind each step
+        "._views['actuator_force']",
+        ".sensors['contact']._data",
+        ".sensors['contact']._pressures",
+        ".sensors['contact']._normals",
+        "._views['xmat']",  # outputs that are kept current from the first time on that a term asks for one
+        "._sim._current",
+        ".robot.data._cache",  # quantities derived from the state, computed when they are asked for
+        ".sensors['contact']._norms",
+    }
+)
+
+
+def everything() -> dict:
+    """Every class of the term library, and the stateful settings of the managers."""
+    sections = copy.deepcopy(SECTIONS)
+    joint = {"joint_names": [".*_hip"]}
+    sections["actions"] = {
+        "position": {"_target_": A + "JointPositionAction", **joint, "scale": 0.2, "clip": {".*": [-1.0, 1.0]}},
+        "relative": {"_target_": A + "RelativeJointPositionAction", **joint, "scale": 0.1},
+        "velocity": {"_target_": A + "JointVelocityAction", "joint_names": [".*_axle"], "scale": 2.0},
+        "effort": {"_target_": A + "JointEffortAction", "joint_names": [".*_axle"], "scale": 0.1},
+    }
+    sections["events"] |= {
+        "set": {
+            "_target_": E + "set_root_velocity",
+            "mode": "interval",
+            "interval_range_s": [0.2, 0.5],
+            "velocity_range": {"yaw": [-1.0, 1.0]},
+        },
+        "orientation": {
+            "_target_": E + "reset_root_state_with_random_orientation",
+            "mode": "reset",
+            "min_step_count_between_reset": 20,
+            "pose_range": {"z": [0.0, 0.1]},
+            "velocity_range": {},
+        },
+    }
+    uniform = {"_target_": N + "UniformNoise", "n_min": -0.01, "n_max": 0.01}
+    sections["observations"]["policy"]["terms"] |= {
+        "modified": {
+            "_target_": O + "base_lin_vel",
+            "modifiers": [
+                {"_target_": M + "Scale", "multiplier": 2.0},
+                {"_target_": M + "Bias", "value": 0.1},
+                {"_target_": M + "Clip", "bounds": [-3.0, 3.0]},
+                {"_target_": M + "Integrator", "dt": 0.02},
+                {"_target_": M + "DigitalFilter", "A": [0.5], "B": [0.5, 0.2]},
+            ],
+            "noise": {"_target_": N + "ConstantNoise", "bias": 0.5},
+        },
+        "biased": {
+            "_target_": O + "joint_vel",
+            "noise": {
+                "_target_": N + "NoiseModelWithAdditiveBias",
+                "noise_cfg": uniform,
+                "bias_noise_cfg": {**uniform, "operation": "abs"},
+            },
+            "clip": [-5.0, 5.0],
+            "scale": 0.5,
+        },
+    }
+    sections["observations"]["critic"] = {"terms": {"v": {"_target_": O + "base_lin_vel"}}, "history_length": 2}
+    sections["robot"] = {"actuators": copy.deepcopy(env_config()["robot"]["actuators"])}
+    sections["robot"]["actuators"]["axles"]["_target_"] = ACTUATORS + "IdealPDActuator"
+    sections["rewards"]["ended"] = {"_target_": "wheelleg_exp.mdp.rewards.is_terminated_term", "weight": -1.0}
+    return sections
+
+
+@pytest.fixture
+def make(make_env):
+    def build(seed=0, **changes):
+        return make_env(seed=seed, **everything() | changes)
+
+    return build
+
+
+def act(env, steps, start=0):
+    """Step with actions that depend on the step's number alone; return what each step gave."""
+    given = []
+    for k in range(start, start + steps):
+        action = torch.randn(env.num_envs, env.action_manager.total_action_dim, generator=_generator(k))
+        obs, reward, terminated, time_outs, extras = env.step(action)
+        log = {name: float(value) for name, value in extras.get("log", {}).items()}
+        given.append(copy.deepcopy((obs, reward, terminated, time_outs, log)))
+    return given
+
+
+def _generator(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def restored(env, make, lived=0):
+    """Return a new environment of another seed, which has lived for some steps, with the state of ``env``."""
+    file = io.BytesIO()
+    torch.save(env.state_dict(), file)
+    other = make(seed=91)
+    other.reset()
+    act(other, lived, start=1000)
+    file.seek(0)
+    other.load_state_dict(torch.load(file, weights_only=True))
+    return other
+
+
+@pytest.mark.parametrize(("steps", "lived"), [(0, 0), (1, 9), (37, 0), (37, 60)])
+def test_a_restored_environment_is_the_same_wherever_one_looks(make, steps, lived):
+    env = make()
+    env.reset()
+    act(env, steps)
+    other = restored(env, make, lived)
+    assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
+    assert _equal(act(env, 40, steps), act(other, 40, steps))
+    assert differing(Crawl(env), Crawl(other)) == []
+
+
+def _equal(a, b):
+    if isinstance(a, torch.Tensor):
+        return torch.equal(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(_equal(a[k], b[k]) for k in a)
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(map(_equal, a, b))
+    return a == b
+
+
+def _classes(module, *bases):
+    found = [c for _, c in inspect.getmembers(module, inspect.isclass) if c.__module__ == module.__name__]
+    return {c for c in found if issubclass(c, bases) and not c.__name__.startswith("_")} if bases else set(found)
+
+
+def test_the_walk_meets_every_class_that_may_have_state(make):
+    env = make()
+    env.reset()
+    found = Crawl(env).classes
+    library = {ContactSensor, *_classes(actuators, actuators.ActuatorBase), *_classes(noise)}
+    library |= _classes(modifiers, modifiers.Modifier)
+    for module in (actions, commands, curriculums, events, observations, rewards, terminations_module):
+        library |= _classes(module, TermBase)
+    abstract = {actuators.ActuatorBase, modifiers.Modifier, actions.JointAction, TermBase, ActionTerm, CommandTerm}
+    assert {c.__qualname__ for c in library - abstract - found} == set()
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda env: env.episode_length_buf.add_(1),
+        lambda env: env.command_manager.get_command_term("v").time_left.add_(0.1),
+        lambda env: env.event_manager._last_step["wrench"].add_(1),
+        lambda env: env.observation_manager._groups["policy"]["modified"]._modifiers[3]._integral.add_(1e-6),
+        lambda env: env.scene.robot.data._before.add_(1e-12),
+        lambda env: env.scene.sim.expand("body_mass").mul_(1.0 + 1e-12),
+        lambda env: env.scene.sensors["contact"]._times["last_air_time"].add_(1e-6),
+        lambda env: env.streams.get("env.commands.v").manual_seed(1),
+        lambda env: setattr(env, "common_step_counter", env.common_step_counter + 1),
+        lambda env: env.reward_manager.get_term("alive").fields.update(weight=1.5),
+    ],
+)
+def test_the_walk_notices_any_of_them(make, spoil):
+    env = make()
+    env.reset()
+    act(env, 20)
+    other = restored(env, make)
+    spoil(other)
+    assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) != []
+
+
+# --- what users' own terms may keep ---
+
+OWN = {
+    "list": spies.HERE + "RemembersInAList",
+    "numbers": spies.HERE + "RemembersNumbers",
+    "helper": spies.HERE + "RemembersInAHelper",
+    "generator": spies.HERE + "RemembersGenerators",
+}
+
+
+@pytest.mark.parametrize("kind", OWN)
+def test_a_terms_own_state_is_saved_without_its_help(make, kind):
+    own = {"rewards": everything()["rewards"] | {"own": {"_target_": OWN[kind], "weight": 1.0}}}
+
+    def build(seed=0):
+        return make(seed=seed, **own)
+
+    env = build()
+    env.reset()
+    act(env, 15)
+    other = restored(env, build, lived=8)
+    assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
+    assert _equal(act(env, 10, 15), act(other, 10, 15))
+
+
+def test_an_actuators_own_memory_is_saved(make):
+    robot = everything()["robot"]
+    robot["actuators"]["hips"]["_target_"] = spies.HERE + "Delayed"
+
+    def build(seed=0):
+        return make(seed=seed, robot=robot)
+
+    env = build()
+    env.reset()
+    act(env, 15)
+    assert not _equal([g[0] for g in act(build(), 5)], [g[0] for g in act(make(), 5)])
+    other = restored(env, build, lived=8)
+    assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
+    assert _equal(act(env, 10, 15), act(other, 10, 15))
+
+
+@pytest.mark.parametrize("kind", ["RemembersInAnIterator", "RemembersInAFile"])
+def test_state_that_cannot_be_saved_is_refused_when_the_term_is_made(make, kind):
+    own = everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}}
+    with pytest.raises(ConfigError) as caught:
+        make(rewards=own)
+    assert caught.value.key == "env.rewards.own"
+    assert "cannot be saved" in str(caught.value)
+
+
+@pytest.mark.parametrize(("kind", "word"), [("RemembersLater", "Later"), ("RemembersInItsClass", "class attribute")])
+def test_state_that_comes_later_is_refused_when_it_is_saved(make, kind, word):
+    own = everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}}
+    env = make(rewards=own)
+    env.reset()
+    env.state_dict()
+    act(env, 1)
+    with pytest.raises(ConfigError, match=word):
+        env.state_dict()
+
+
+def test_settings_that_a_curriculum_changed_are_state(make):
+    """Of every manager: fields and parameters, a number in place of a number and a list changed in place."""
+    env = make()
+    env.reset()
+    env.reward_manager.get_term("track").params["std"] = 0.75
+    env.event_manager.get_term("joints").params["position_range"][1] = 0.2
+    env.termination_manager.get_term("tilt").params["limit_angle"] = 0.9
+    env.observation_manager.terms("policy")["c"].term.fields["scale"] = 3.0
+    act(env, 5)
+    other = restored(env, make)
+    assert differing(Crawl(env, DERIVED | {".cfg"}), Crawl(other, DERIVED | {".cfg"})) == []
+    assert other.event_manager.get_term("joints").params["position_range"] == [-0.1, 0.2]
+
+
+def test_a_setting_that_the_config_changes_wins_over_one_that_a_curriculum_has_changed(make):
+    env = make()
+    env.reset()
+    env.reward_manager.get_term("track").fields["weight"] = 7.0
+    changed = everything()["rewards"]
+    changed["track"]["weight"] = 3.0
+    other = make(rewards=changed)
+    other.load_state_dict(env.state_dict())
+    assert other.reward_manager.get_term("track").fields["weight"] == 3.0
+
+
+def test_a_setting_that_the_config_changes_is_not_undone_by_loading(make):
+    env = make()
+    env.reset()
+    act(env, 5)
+    sections = everything()
+    sections["events"]["push"]["velocity_range"] = {"x": [9.0, 9.0]}
+    sections["commands"]["v"]["ranges"]["lin_vel_x"] = [5.0, 5.0]
+    sections["actions"]["position"]["scale"] = 0.7
+    other = make(**sections)
+    other.load_state_dict(env.state_dict())
+    assert other.event_manager.get_term("push").func._high[0] == 9.0
+    assert other.command_manager.get_command_term("v")._ranges[0][0] == 5.0
+    assert other.action_manager.get_action_term("position")._scale[0] == pytest.approx(0.7)
+
+
+def test_model_fields_that_were_edited_after_the_constants_were_derived_go_round(make):
+    """An edit without ``set_const`` does not move MuJoCo's derived constants; nor may loading."""
+    env = make()
+    env.reset()
+    act(env, 3)
+    env.scene.sim.expand("body_ipos")[:, 1] += 0.02
+    env.scene.sim.expand("dof_armature")[:, 6:] += 0.01
+    other = restored(env, make, lived=4)
+    assert _equal(act(env, 20, 3), act(other, 20, 3))

@@ -1,0 +1,198 @@
+"""Every draw of the environment comes from the stream of its term: no global generator moves, no term moves another."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+
+import pytest
+import torch
+
+from wheelleg_exp.config.library import library
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.terms import resolve_target
+
+E = "wheelleg_exp.mdp.events."
+O = "wheelleg_exp.mdp.observations."
+N = "wheelleg_exp.mdp.noise."
+BASE = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": ["base"]}
+SPAN = {"x": [-0.1, 0.1], "yaw": [-0.3, 0.3]}
+JOINTS = {"position_range": [0.9, 1.1], "velocity_range": [-0.1, 0.1]}
+# Every event of the library that draws.
+EVENTS = {
+    "material": {
+        "_target_": E + "randomize_rigid_body_material",
+        "mode": "startup",
+        "static_friction_range": [0.2, 1.2],
+        "dynamic_friction_range": [0.2, 1.0],
+        "restitution_range": [0.0, 0.1],
+        "num_buckets": 16,
+    },
+    "mass": {
+        "_target_": E + "randomize_rigid_body_mass",
+        "mode": "startup",
+        "mass_distribution_params": [0.8, 1.3],
+        "operation": "scale",
+    },
+    "com": {
+        "_target_": E + "randomize_rigid_body_com_cumulative",
+        "mode": "reset",
+        "com_range": {"x": [-0.1, 0.1]},
+        "asset_cfg": BASE,
+    },
+    "wrench": {
+        "_target_": E + "set_permanent_body_wrench",
+        "mode": "reset",
+        "force_range": [-0.1, 0.1],
+        "torque_range": [-0.01, 0.01],
+        "asset_cfg": BASE,
+    },
+    "push": {
+        "_target_": E + "push_by_adding_velocity",
+        "mode": "interval",
+        "interval_range_s": [0.02, 0.05],
+        "velocity_range": SPAN,
+    },
+    "shove": {
+        "_target_": E + "set_root_velocity",
+        "mode": "interval",
+        "interval_range_s": [0.02, 0.05],
+        "is_global_time": True,
+        "velocity_range": SPAN,
+    },
+    "place": {
+        "_target_": E + "reset_root_state_uniform",
+        "mode": "reset",
+        "pose_range": SPAN,
+        "velocity_range": SPAN,
+    },
+    "turn": {
+        "_target_": E + "reset_root_state_with_random_orientation",
+        "mode": "reset",
+        "pose_range": {"x": [-0.1, 0.1]},
+        "velocity_range": SPAN,
+    },
+    "scale": {"_target_": E + "reset_joints_by_scale", "mode": "reset", **JOINTS},
+    "offset": {"_target_": E + "reset_joints_by_offset", "mode": "reset", **JOINTS},
+}
+COMMANDS = {
+    name: {
+        "_target_": "wheelleg_exp.mdp.commands.UniformVelocityCommand",
+        "resampling_time_range": [0.02, 0.05],
+        "rel_standing_envs": 0.3,
+        "heading_command": True,
+        "rel_heading_envs": 0.5,
+        "ranges": {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0], "heading": [-3.0, 3.0]},
+    }
+    for name in ("v", "w")
+}
+OBSERVATIONS = {
+    "uniform": {"_target_": O + "base_ang_vel", "noise": {"_target_": N + "UniformNoise"}},
+    "gaussian": {"_target_": O + "projected_gravity", "noise": {"_target_": N + "GaussianNoise"}},
+    "bias": {
+        "_target_": O + "joint_pos",
+        "noise": {
+            "_target_": N + "NoiseModelWithAdditiveBias",
+            "noise_cfg": {"_target_": N + "GaussianNoise"},
+            "bias_noise_cfg": {"_target_": N + "UniformNoise", "operation": "abs"},
+        },
+    },
+}
+TERMINATIONS = {"time_out": {"_target_": "wheelleg_exp.mdp.terminations.time_out", "time_out": True}}
+DRAWING = [f"events.{name}" for name in EVENTS]
+DRAWING += [f"commands.{name}" for name in COMMANDS]
+DRAWING += [f"observations.policy.terms.{name}" for name in OBSERVATIONS]
+
+
+def sections():
+    group = {"terms": OBSERVATIONS, "enable_corruption": True}
+    parts = {"events": EVENTS, "commands": COMMANDS, "observations": {"policy": group}, "terminations": TERMINATIONS}
+    return copy.deepcopy(parts)
+
+
+def lived(env):
+    """The environment after resets and steps in which every term has drawn; none of its episodes ends in between."""
+    for _ in range(2):
+        env.reset()
+        for _ in range(4):
+            env.step(torch.zeros(env.num_envs, env.action_manager.total_action_dim))
+    return env
+
+
+def streams(env):
+    return {path: state.tolist() for path, state in lived(env).streams.state_dict()["generators"].items()}
+
+
+@pytest.fixture
+def make(make_env):
+    return lambda parts: make_env(num_envs=4, episode_length_s=60.0, seed=5, **parts)
+
+
+@pytest.fixture
+def reference(make):
+    return streams(make(sections()))
+
+
+def reversed_order(parts):
+    for section in (parts["events"], parts["commands"], parts["observations"]["policy"]["terms"]):
+        entries = list(section.items())
+        section.clear()
+        section.update(reversed(entries))
+    return parts
+
+
+def test_every_drawing_term_of_the_library_is_here():
+    draws = {t.target for t in library() if "generator" in inspect.signature(resolve_target(t.target, "")).parameters}
+    assert draws == {node["_target_"] for node in (*EVENTS.values(), *COMMANDS.values())}
+
+
+def test_no_global_generator_moves_while_an_environment_is_built_reset_and_stepped(make):
+    with no_global_draws():
+        env = lived(make(sections()))
+    moved = [p for p, s in env.streams.state_dict()["generators"].items() if not torch.equal(s, fresh(env, p))]
+    missing = [path for path in DRAWING if not any(name.startswith(f"env.{path}") for name in moved)]
+    assert not missing, "a term that has not drawn proves nothing"
+
+
+def fresh(env, path):
+    streams = type(env.streams)(5)
+    return streams.get(path).get_state()
+
+
+@pytest.mark.parametrize("removed", DRAWING)
+def test_without_one_term_every_other_draws_the_same(make, reference, removed):
+    parts = sections()
+    *above, name = removed.split(".")
+    section = parts
+    for key in above:
+        section = section[key]
+    del section[name]
+    left = streams(make(parts))
+    assert left == {path: state for path, state in reference.items() if not path.startswith(f"env.{removed}")}
+    assert len(left) < len(reference)
+
+
+def test_the_order_of_terms_changes_no_draw(make, reference):
+    assert streams(make(reversed_order(sections()))) == reference
+
+
+@pytest.mark.parametrize(
+    ("draw", "name"),
+    [
+        (lambda: torch.rand(1), "torch"),
+        (lambda: torch.empty(3).uniform_(), "torch"),
+        (lambda: __import__("numpy").random.rand(), "numpy"),
+        (lambda: __import__("random").random(), "python"),
+    ],
+)
+def test_a_draw_from_a_global_generator_is_named(draw, name):
+    with pytest.raises(ConfigError, match=f"global generator of {name};"), no_global_draws():
+        draw()
+
+
+def test_a_global_generator_that_is_not_watched_may_move_and_a_stream_as_well():
+    with no_global_draws("numpy", "python"):
+        torch.rand(1)
+    with no_global_draws():
+        torch.rand(1, generator=torch.Generator().manual_seed(0))

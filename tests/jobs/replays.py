@@ -1,0 +1,105 @@
+"""Runs of a small clone of this project, for replays: a checkout with changes, trained in processes of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import wheelleg_exp
+from jobs.small import SMALL
+from wheelleg_exp.paths import assets_dir, configs_dir
+from wheelleg_exp.run.inventory import inventory
+
+ITERATIONS = 3
+
+# What a user has in the working tree and not committed: a task with a term of its own, in the program's own folders.
+LEANING = """# @package _global_
+defaults:
+  - stand
+  - _self_
+task: {name: leaning}
+env: {rewards: {leaning: {_target_: wheelleg_exp.mdp.leaning.leaning, weight: 1.0}}}
+"""
+TERM = """import torch
+
+from wheelleg_exp.managers import Env
+
+
+def leaning(env: Env) -> torch.Tensor:
+    \"\"\"Some reward that depends on what happens.\"\"\"
+    return 1.25 * env.scene["robot"].data.root_lin_vel_b[:, 0]
+"""
+
+
+def git(folder: Path, *arguments: str, stdin: bytes = b"") -> str:
+    """Run plain git, as a user with no settings of their own."""
+    environ = {**os.environ, "GIT_CONFIG_GLOBAL": os.devnull, "GIT_CONFIG_NOSYSTEM": "1"}
+    for role in ("AUTHOR", "COMMITTER"):
+        environ |= {f"GIT_{role}_NAME": "someone", f"GIT_{role}_EMAIL": "someone@example.org"}
+    command = ["git", *arguments]
+    done = subprocess.run(command, cwd=folder, input=stdin, capture_output=True, check=True, env=environ)
+    return done.stdout.decode().strip()
+
+
+def make_checkout(folder: Path) -> Path:
+    """Make a repository of this program as it is now, committed."""
+    if shutil.which("git") is None:
+        pytest.skip("git is not installed")
+    left_out = shutil.ignore_patterns("__pycache__", "*.pyc", "configs", "assets")
+    package = Path(wheelleg_exp.__file__).parent
+    shutil.copytree(package, folder / "wheelleg_exp", ignore=left_out)
+    for source in (configs_dir(), assets_dir()):
+        shutil.copytree(source, folder / source.name, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / ".gitignore").write_text("__pycache__/\nruns/\n")
+    commit(folder)
+    return folder
+
+
+def commit(folder: Path) -> None:
+    """Commit everything in a folder, as a new repository if it is none."""
+    git(folder, "init", "-q", "-b", "main")
+    git(folder, "add", "-A")
+    git(folder, "commit", "-q", "-m", "all of it")
+
+
+def train(checkout: Path, *overrides: str, root: Path, options: tuple[str, ...] = (), path: Path | None = None) -> Path:
+    """Train with a checkout's code in a process of its own and return the run directory.
+
+    ``path`` is one more folder of modules.
+    """
+    command = [sys.executable, "-P", "-m", "wheelleg_exp.cli.main", "train", *SMALL, *overrides, f"run.root={root}"]
+    environ = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, filter(None, (checkout, path))))}
+    done = subprocess.run(
+        [*command, *options], cwd=checkout, env=environ, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (path,) = root.glob("*/*/manifest.json")
+    return path.parent
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """Return the sha256 of every file below a folder, locks and bytecode aside."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and "__pycache__" not in path.parts and not path.name.endswith(".lock")
+    }
+
+
+def change_manifest(run: Path, **changes: object) -> None:
+    """Change a manifest as if the run had written it so: with the digests and the seal of what is there now."""
+    path = run / "manifest.json"
+    data = json.loads(path.read_text()) | changes
+    data["files"] = {name: record for name, record in inventory(run).items() if name in data["files"]}
+    if "sha256" in data:
+        from wheelleg_exp.run.seal import sealed
+
+        data = sealed(data)
+    path.write_text(json.dumps(data))

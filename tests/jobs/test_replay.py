@@ -1,0 +1,311 @@
+"""``wheelleg replay``: the run again from its snapshot alone, with the code that it was made with, wherever it is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from jobs.replays import ITERATIONS, LEANING, TERM, change_manifest, commit, digests, git, make_checkout, train
+from jobs.small import Words, cache_of, wheelleg
+from wheelleg_exp.run.source import RECORD_NAME
+
+pytestmark = pytest.mark.train
+
+PROJECT = """[project]
+name = "lab"
+version = "0.1.0"
+[project.entry-points."wheelleg_exp.packages"]
+lab_terms = "lab_terms"
+"""
+PROJECT_TASK = LEANING.replace("leaning}", "lab_stand}").replace(
+    "wheelleg_exp.mdp.leaning.leaning", "lab_terms.leaning"
+)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a run of a dirty tree, handed over; the tree is gone, a fresh clone of its commit is there."""
+    place = tmp_path_factory.mktemp("replay")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        checkout = make_checkout(place / "theirs")
+        (checkout / "configs" / "task" / "leaning.yaml").write_text(LEANING)
+        (checkout / "wheelleg_exp" / "mdp" / "leaning.py").write_text(TERM)
+        with (checkout / "configs" / "task" / "stand.yaml").open("a") as file:
+            file.write("# a note\n")
+        run = train(checkout, "task=leaning", "run.name=first", root=checkout / "runs")
+    git(place, "clone", "-q", str(checkout), str(place / "mine"))
+    shutil.move(run, place / "handed_over")
+    shutil.rmtree(checkout)
+    return place
+
+
+@pytest.fixture
+def clone(place):
+    return place / "mine"
+
+
+@pytest.fixture
+def run(place, tmp_path):
+    """A copy of the run that a test may change."""
+    return Path(shutil.copytree(place / "handed_over", tmp_path / "copied"))
+
+
+@pytest.fixture(autouse=True)
+def scratch(tmp_path, monkeypatch):
+    """The folder of temporary files, which must be empty again."""
+    folder = tmp_path / "scratch"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    return folder
+
+
+def replay(run: Path, *words: str | Path) -> tuple[Words, dict]:
+    said = wheelleg("replay", run, "--json", *words)
+    return said, json.loads(said.out) if said.out else {}
+
+
+def manifest_of(run: Path | str) -> dict:
+    return json.loads((Path(run) / "manifest.json").read_text())
+
+
+def lines_of(run: Path) -> list[str]:
+    return (run / "iterations.jsonl").read_text().splitlines(keepends=True)
+
+
+# --- the promise ---
+
+
+def test_a_run_of_a_dirty_tree_repeats_to_the_bit_on_a_fresh_clone_elsewhere(place, clone, tmp_path, scratch):
+    """A changed tracked file, an untracked config and untracked code; the recorded folder is no longer there."""
+    run = place / "handed_over"
+    before = digests(run), digests(clone)
+    said, found = replay(run, "--repository", clone)
+    assert said.status == 0, said.err
+    assert (found["verdict"], found["iterations"], found["all_iterations"]) == ("identical", ITERATIONS, True)
+    assert said.err.startswith("replay runs the code of commit ")
+    assert "plus the run's patch" in said.err.splitlines()[0]
+    assert f"training {ITERATIONS}/{ITERATIONS}" in said.err
+    assert found["composed"] == {"equal": True, "difference": None}
+    assert found["asset"] == {"converted": True, "note": None}
+    assert (digests(run), digests(clone)) == before
+    assert not list(scratch.glob("wheelleg*"))
+
+    new = Path(found["replay"])
+    assert new.parent == tmp_path / "runs" / "replays" / "leaning"
+    assert new.name.endswith("_0_first_replay")
+    for k in range(ITERATIONS):
+        assert (new / f"model_{k}.pt").read_bytes() == (run / f"model_{k}.pt").read_bytes(), k
+    old, manifest = manifest_of(run), manifest_of(new)
+    assert manifest["status"] == "finished"
+    assert manifest["replay_of"] == old["id"]
+    assert manifest["replay"]["snapshot"]["source/source.patch"] == old["files"]["source/source.patch"]["sha256"]
+    assert manifest["replay"]["asset"] == found["asset"]
+    assert manifest["replay"]["composed"] == found["composed"]
+    assert manifest["additions"][-1]["results"]["verdict"] == "identical"
+    records = [json.loads((folder / "source" / RECORD_NAME).read_text()) for folder in (run, new)]
+    assert records[0]["tree"] == records[1]["tree"]
+    assert "configs/task/leaning.yaml" in records[0]["untracked"]
+
+
+def test_other_code_in_the_patch_is_found(run, clone, tmp_path, scratch):
+    """Somebody changes a number in the patch and makes record, manifest and tree agree with it.
+
+    The robot's source is not the recorded one either.
+    """
+    patch = run / "source" / "source.patch"
+    forged = patch.read_bytes().replace(b"1.25", b"1.75")
+    assert forged != patch.read_bytes()
+    other = tmp_path / "other"
+    git(tmp_path, "clone", "-q", str(clone), str(other))
+    git(other, "apply", "--cached", "-", stdin=forged)
+    record = json.loads((run / "source" / RECORD_NAME).read_text())
+    record |= {"tree": git(other, "write-tree"), "patch_sha256": hashlib.sha256(forged).hexdigest()}
+    (run / "source" / RECORD_NAME).write_text(json.dumps(record))
+    patch.write_bytes(forged)
+    identity = json.loads((run / "asset" / "asset.json").read_text())
+    identity["sources"] = dict.fromkeys(identity["sources"], "0" * 64)
+    (run / "asset" / "asset.json").write_text(json.dumps(identity))
+    change_manifest(run)
+    said, found = replay(run, "--repository", clone, "--iterations", "2", "--keep")
+    assert said.status == 1, said.err
+    assert (found["verdict"], found["iterations"], found["all_iterations"]) == ("different", 2, False)
+    assert found["comparison"]["first_divergence"]["iteration"] == 0
+    assert found["asset"]["converted"] is False
+    assert "is not the recorded one: the run's kept MJCF is simulated" in said.err
+    assert manifest_of(found["replay"])["status"] == "interrupted"
+    kept = Path(found["kept"])
+    assert kept.parent.parent == scratch
+    (code,) = kept.glob("*/*/wheelleg_exp/mdp/leaning.py")
+    assert "1.75" in code.read_text()
+    assert [path.name for path in kept.parent.iterdir()] == ["source"]
+
+
+def test_a_killed_run_is_replayed_as_far_as_it_came(run, clone):
+    """Two whole iterations and a piece of the third, by another torch."""
+    text = "".join(lines_of(run)[:2]) + lines_of(run)[2][:40]
+    (run / "iterations.jsonl").write_text(text)
+    for name in ("model_2.pt", "exported", "recording.rrd"):
+        path = run / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    manifest = manifest_of(run)
+    snapshot = (".hydra/", "params/", "source/", "asset/", "environment.txt")
+    change_manifest(
+        run,
+        status="running",
+        ended=None,
+        process=manifest["process"] | {"boot_id": "another"},
+        files={name: entry for name, entry in manifest["files"].items() if name.startswith(snapshot)},
+        versions=manifest["versions"] | {"torch": "1.0.0"},
+        environment_variables=manifest["environment_variables"] | {"OMP_NUM_THREADS": "1", "LD_PRELOAD": "their.so"},
+    )
+    said, found = replay(run, "--repository", clone)
+    assert "differs: torch was 1.0.0, is " in said.err
+    assert "OMP_NUM_THREADS" not in said.err
+    assert "differs: LD_PRELOAD was their.so, is None" in said.err
+    assert said.status == 0, said.err
+    assert (found["verdict"], found["iterations"], found["all_iterations"]) == ("identical", 2, True)
+    new = Path(found["replay"])
+    assert manifest_of(new)["environment_variables"]["OMP_NUM_THREADS"] == "1"
+    assert "LD_PRELOAD" not in manifest_of(new)["environment_variables"]
+    parts = found["comparison"]["parts"]
+    assert {parts[name]["state"] for name in ("digests", "scalars", "checkpoints")} == {"equal"}
+    assert (new / "model_1.pt").read_bytes() == (run / "model_1.pt").read_bytes()
+
+
+def test_a_run_with_a_project_of_the_users_own_is_replayed_from_all_its_sources(clone, tmp_path):
+    """A project in a repository of its own, with a change, and a module without any that was on Python's path."""
+    lab, helpers = tmp_path / "lab", tmp_path / "helpers"
+    for folder in (lab / "configs" / "task", lab / "lab_terms", helpers):
+        folder.mkdir(parents=True)
+    (lab / "pyproject.toml").write_text(PROJECT)
+    (lab / "configs" / "task" / "lab_stand.yaml").write_text(PROJECT_TASK)
+    (lab / "lab_terms" / "__init__.py").write_text("")
+    commit(lab)
+    (lab / "lab_terms" / "__init__.py").write_text(
+        "from replay_helper import FACTOR\n" + TERM.replace("1.25", "FACTOR")
+    )
+    (helpers / "replay_helper.py").write_text("FACTOR = 1.25\n")
+    words = ("task=lab_stand", "agent.max_iterations=1")
+    made = train(clone, *words, root=tmp_path / "made", options=("--config-dir", str(lab)), path=helpers)
+    git(tmp_path, "clone", "-q", str(lab), str(tmp_path / "lab_clone"))
+    shutil.rmtree(lab)
+    shutil.rmtree(helpers)
+    said, found = replay(made, "--repository", tmp_path / "lab_clone", "--repository", clone)
+    assert said.status == 0, said.err
+    assert found["verdict"] == "identical"
+    assert found["composed"]["equal"] is True
+    assert [tree["how"] for tree in found["source"]] == ["restored"] * 3
+    assert [tree["origin"] for tree in found["source"]] == [str(clone), str(tmp_path / "lab_clone"), None]
+
+
+def test_an_interrupt_reaches_the_training_and_the_source_is_removed(run, clone, tmp_path, scratch):
+    line = json.loads(lines_of(run)[-1])
+    with (run / "iterations.jsonl").open("a") as file:
+        file.writelines(json.dumps({**line, "iteration": k}) + "\n" for k in range(ITERATIONS, 20000))
+    command = [sys.executable, "-m", "wheelleg_exp.cli.main", "replay", str(run), "--repository", str(clone)]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        deadline = time.monotonic() + 60
+        log = "runs/replays/leaning/*/iterations.jsonl"
+        while not any(len(path.read_text().splitlines()) > 2 for path in tmp_path.glob(log)):
+            assert time.monotonic() < deadline, "the training does not begin"
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert not list(scratch.glob("wheelleg*"))
+    (new,) = tmp_path.glob("runs/replays/leaning/*/manifest.json")
+    assert json.loads(new.read_text())["status"] == "interrupted"
+    assert os.path.lexists(new.parent / ".lock")
+    with pytest.raises(ProcessLookupError):
+        os.kill(json.loads(new.read_text())["process"]["pid"], 0)
+
+
+# --- what is refused, before anything is run ---
+
+
+def refused(run: Path, *words: str | Path) -> str:
+    said, _ = replay(run, *words)
+    assert said.status == 2, said.err
+    assert not Path("runs").exists()
+    return said.err
+
+
+@pytest.mark.parametrize("name", [".hydra/config.yaml", "params/env.yaml", "source/source.patch", "asset/robot.xml"])
+def test_a_changed_snapshot_is_refused(run, clone, name):
+    path = run / name
+    path.write_bytes(path.read_bytes().replace(b"1", b"2", 1))
+    assert f"{name} is not what the manifest recorded" in refused(run, "--repository", clone)
+
+
+def test_a_file_that_is_not_the_runs_own_is_refused(run, clone):
+    (run / "source" / "source_2.patch").write_text("")
+    assert "source/source_2.patch is not in the manifest" in refused(run, "--repository", clone)
+
+
+def test_a_missing_file_is_refused(run, clone):
+    (run / "params" / "agent.yaml").unlink()
+    assert "params/agent.yaml is missing" in refused(run, "--repository", clone)
+
+
+def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    git(elsewhere, "init", "-q")
+    said = refused(run, "--repository", elsewhere)
+    assert "no repository here holds commit" in said
+    assert "--repository" in said
+    assert "git fetch" in said
+
+
+def test_a_run_that_goes_on_is_refused(run, clone):
+    from wheelleg_exp.run.process import this_process
+
+    change_manifest(run, status="running", process=this_process())
+    assert "is still running" in refused(run, "--repository", clone)
+
+
+@pytest.mark.parametrize("number", ["0", "4"])
+def test_a_wrong_number_of_iterations_is_refused(run, clone, number):
+    assert "from 1 to the 3 that the run has" in refused(run, "--repository", clone, "--iterations", number)
+
+
+def test_a_source_that_was_not_kept_is_told(run, clone):
+    path = run / "source" / RECORD_NAME
+    note = "the patch has 80 MB"
+    path.write_text(
+        json.dumps(json.loads(path.read_text()) | {"patch": None, "status": "patch_too_large", "note": note})
+    )
+    change_manifest(run)
+    assert "was not kept (patch_too_large): the patch has 80 MB" in refused(run, "--repository", clone)
+
+
+def test_code_from_before_replays_is_told(run, tmp_path):
+    old = tmp_path / "old"
+    (old / "wheelleg_exp").mkdir(parents=True)
+    (old / "wheelleg_exp" / "__init__.py").write_text("")
+    commit(old)
+    (run / "source" / "source.patch").write_bytes(b"")
+    path = run / "source" / RECORD_NAME
+    facts = {"commit": git(old, "rev-parse", "HEAD"), "tree": git(old, "rev-parse", "HEAD^{tree}"), "patch_bytes": 0}
+    facts["patch_sha256"] = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+    path.write_text(json.dumps(json.loads(path.read_text()) | facts))
+    change_manifest(run)
+    assert "is from before runs could be replayed" in refused(run, "--repository", old)

@@ -1,0 +1,275 @@
+"""The parts of a replay that need no training."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from types import SimpleNamespace
+
+import pytest
+
+from jobs.replays import commit, git
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.jobs import replay, replay_boot
+from wheelleg_exp.jobs.replay_machine import replay_environ
+from wheelleg_exp.jobs.replay_source import RestoredSource, _take_in, restore_all, what_runs
+from wheelleg_exp.jobs.snapshot_training import PROTOCOL, ReplayEvents, Request, _first_difference
+from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.source import snapshot_source
+
+# --- environment variables ---
+
+
+def test_the_variables_that_decide_numbers_are_those_of_the_run():
+    here = {"PATH": "/bin", "OMP_NUM_THREADS": "8", "MKL_CBWR": "AUTO", "WHEELLEG_CACHE": "/here"}
+    recorded = {"MKL_CBWR": "AVX2,STRICT", "OPENBLAS_CORETYPE": "Haswell", "WHEELLEG_CACHE": "/there"}
+    assert replay_environ(recorded, here) == {
+        "PATH": "/bin",
+        "MKL_CBWR": "AVX2,STRICT",
+        "OPENBLAS_CORETYPE": "Haswell",
+        "WHEELLEG_CACHE": "/here",
+    }
+
+
+def test_places_and_foreign_libraries_are_not_taken_over():
+    recorded = {"LD_PRELOAD": "/evil.so", "TORCH_HOME": "/there", "OMP_NUM_THREADS": "2", "CUDA_VISIBLE_DEVICES": "0"}
+    assert replay_environ(recorded, {"PYTHONPATH": "/here"}) == {"OMP_NUM_THREADS": "2", "PYTHONPATH": "/here"}
+
+
+def test_what_the_config_asks_for_is_that_of_the_run():
+    recorded = {"ROBOT_MASS": "2.5", "LANG": "C"}
+    assert replay_environ(recorded, {"ROBOT_MASS": "3"}, also=["ROBOT_MASS"]) == {"ROBOT_MASS": "2.5"}
+
+
+# --- what passes between the processes ---
+
+
+def request(**changes) -> Request:
+    lists = {name: [] for name in ("config_dirs", "projects", "source_roots", "command")}
+    known = {"run": "r", "until": 3, "root": "x", "name": "n", "workplace": "w", "moved": {}, "facts": {}}
+    return Request(**{"protocol": PROTOCOL, **known, **lists, **changes})
+
+
+def test_a_request_arrives_as_it_was_sent():
+    assert Request.read(request().line()) == request()
+
+
+def test_a_request_of_a_newer_program_is_read_as_far_as_it_is_known():
+    line = json.dumps(asdict(request()) | {"invented_later": 1}).encode()
+    assert Request.read(line) == request()
+
+
+def test_a_request_of_another_protocol_is_refused():
+    with pytest.raises(WheellegError, match=rf"protocol {PROTOCOL + 1}.*expected {PROTOCOL}"):
+        Request.read(request(protocol=PROTOCOL + 1).line())
+
+
+@pytest.mark.parametrize(("until", "asked_at"), [(2, 1), (3, None), (None, None)])
+def test_training_is_asked_to_stop_behind_the_last_iteration_that_is_wanted(tmp_path, until, asked_at):
+    stop = SimpleNamespace(requested=False)
+    with (tmp_path / "events").open("wb") as file:
+        events = ReplayEvents(file.fileno(), stop)
+        events.until = until
+        asked = []
+        for k in range(3):
+            events.iteration(SimpleNamespace(index=k, scalars={}), 3)
+            asked.append(stop.requested)
+    assert (asked.index(True) if True in asked else None) == asked_at
+    assert events.reached is (asked_at is not None)
+
+
+# --- imports from restored folders ---
+
+
+@pytest.fixture
+def places(tmp_path):
+    for top in ("wheelleg_exp", "lab_terms"):
+        (tmp_path / top).mkdir()
+        (tmp_path / top / "__init__.py").write_text("")
+    (tmp_path / "wheelleg_exp" / "there.py").write_text("")
+    return replay_boot.RestoredFinder({"wheelleg_exp": str(tmp_path), "lab_terms": str(tmp_path)})
+
+
+def test_a_module_comes_from_its_restored_folder(places, tmp_path):
+    assert places.find_spec("wheelleg_exp").origin == str(tmp_path / "wheelleg_exp" / "__init__.py")
+    spec = places.find_spec("wheelleg_exp.there", [str(tmp_path / "wheelleg_exp")])
+    assert spec.origin == str(tmp_path / "wheelleg_exp" / "there.py")
+    assert places.find_spec("numpy") is None
+
+
+def test_a_module_that_the_restored_program_lacks_is_not_taken_from_todays(places, tmp_path):
+    with pytest.raises(ModuleNotFoundError, match=r"restored source holds no module wheelleg_exp\.cli"):
+        places.find_spec("wheelleg_exp.cli", [str(tmp_path / "wheelleg_exp")])
+
+
+def test_the_boot_code_imports_nothing_of_this_program():
+    """It runs before anything is found in the restored folders."""
+    assert not {name for name in vars(replay_boot) if "wheelleg" in name}
+    assert replay_boot.__file__ is not None
+    assert "wheelleg_exp.jobs.replay_boot" in sys.modules
+
+
+def test_restored_folders_are_taken_in_by_what_they_are(tmp_path):
+    lab, package, configs = tmp_path / "lab", tmp_path / "other" / "src" / "terms", tmp_path / "my_configs"
+    for folder in (lab / "configs", package / "deep", configs):
+        folder.mkdir(parents=True)
+    declared = '[project]\nname="lab"\n[project.entry-points."wheelleg_exp.packages"]\na = "lab_terms"\n'
+    (lab / "pyproject.toml").write_text(declared)
+    (package / "__init__.py").write_text("")
+    (package / "deep" / "__init__.py").write_text("")
+    (tmp_path / "loose.py").write_text("")
+    source = RestoredSource(config_dirs=[configs])
+    for folder in (lab, lab / "configs", package / "deep", tmp_path / "loose.py", configs):
+        _take_in(folder, source)
+    assert set(source.projects) == {lab}
+    assert source.places == {"terms": package.parent, "loose": tmp_path}
+
+
+def test_the_innermost_restored_folder_of_a_path_counts(tmp_path):
+    source = RestoredSource(moved={"/their/lab": tmp_path / "1", "/their/lab/library": tmp_path / "2"})
+    assert source.now("/their/lab/library/a.yaml") == tmp_path / "2" / "a.yaml"
+    assert source.now("/their/lab/a.yaml") == tmp_path / "1" / "a.yaml"
+    assert str(source.now("/their/labels")) == "/their/labels"
+
+
+# --- what is told ---
+
+
+@pytest.mark.parametrize(
+    ("now", "said"),
+    [
+        ({"a": {"b": 1, "c": 2}}, None),
+        ({"a": {"b": 1, "c": 3}}, "a.c was 2 and composes to 3"),
+        ({"a": {"b": 1}}, "a.c is only in the snapshot"),
+        ({"a": {"b": 1, "c": 2}, "d": 1}, "d is only in the composed config"),
+        ({"a": {"c": 2, "b": 1}}, "a has its keys in another order"),
+        ({"a": {"b": 1, "c": 2.0}}, "a.c was 2 and composes to 2.0"),
+    ],
+)
+def test_the_first_difference_of_two_configs_is_named(now, said):
+    assert _first_difference({"a": {"b": 1, "c": 2}}, now, "") == said
+
+
+def resumed(**entry) -> list[str]:
+    return replay._resumes(SimpleNamespace(data={"resumes": [entry]}))  # type: ignore[arg-type]
+
+
+def test_a_resume_is_told_and_one_that_changed_something_ends_the_claim():
+    assert resumed(overrides=[]) == ["the run was stopped and resumed once; the replay trains straight through"]
+    assert len(resumed(overrides=["agent.max_iterations=9"], exact=True)) == 1
+    told = resumed(overrides=["agent.algorithm.gamma=0.9"], exact=False, iteration=7)
+    assert "a resume before iteration 7 was not exact (agent.algorithm.gamma=0.9)" in told[1]
+    assert "not to be expected" in told[1]
+    assert "(another torch; another CPU)" in resumed(exact=False, why=["another torch", "another CPU"])[1]
+
+
+# --- all sources of a run ---
+
+
+@pytest.fixture
+def program(tmp_path):
+    """A repository that looks like this program to a replay, with a file that is not committed."""
+    folder = tmp_path / "program"
+    entry = folder / "wheelleg_exp" / "jobs" / "snapshot_training.py"
+    entry.parent.mkdir(parents=True)
+    entry.write_text("")
+    (folder / "wheelleg_exp" / "__init__.py").write_text("")
+    commit(folder)
+    (folder / "new.yaml").write_text("a: 1\n")
+    return folder
+
+
+@pytest.fixture
+def lab(tmp_path):
+    folder = tmp_path / "lab"
+    (folder / "configs").mkdir(parents=True)
+    (folder / "configs" / "a.yaml").write_text("a: 1\n")
+    commit(folder)
+    return folder
+
+
+def run_of(tmp_path, *roots, config_dirs=()) -> RunDirectory:
+    run = RunDirectory.create(tmp_path / "runs", "stand", 0)
+    snapshot_source(roots, run.source)
+    manifest = Manifest.begin(run.path, task="stand", seed=0, command=["wheelleg"], threads={})
+    manifest.record(config_dirs=[str(folder) for folder in config_dirs])
+    return run
+
+
+def restored(run, tmp_path, *repositories) -> RestoredSource:
+    workplace = tmp_path / "workplace"
+    workplace.mkdir()
+    return restore_all(run, workplace, repositories)
+
+
+def test_every_repository_is_restored_in_a_folder_of_its_own_name(program, lab, tmp_path):
+    run = run_of(tmp_path, program, lab / "configs", config_dirs=[lab / "configs"])
+    source = restored(run, tmp_path)
+    assert [tree.how for tree in source.trees] == ["restored", "restored"]
+    assert source.places["wheelleg_exp"].name == "program"
+    assert (source.places["wheelleg_exp"] / "new.yaml").is_file()
+    assert [folder.parent.name for folder in source.config_dirs] == ["lab"]
+    assert (source.config_dirs[0] / "a.yaml").is_file()
+    assert source.notes == []
+    assert what_runs(run).startswith(f"replay runs the code of commit {git(program, 'rev-parse', 'HEAD')[:12]} plus ")
+    assert "the code of 1 more source folder of it" in what_runs(run)
+
+
+def test_a_submodule_is_restored_inside_of_its_superproject(program, lab, tmp_path):
+    git(program, "-c", "protocol.file.allow=always", "submodule", "--quiet", "add", str(lab), "library")
+    git(program, "commit", "-qm", "with a submodule")
+    (program / "library" / "new.txt").write_text("not committed\n")
+    run = run_of(tmp_path, program)
+    source = restored(run, tmp_path)
+    folder = source.places["wheelleg_exp"] / "library"
+    assert (folder / "configs" / "a.yaml").is_file()
+    assert (folder / "new.txt").read_text() == "not committed\n"
+
+
+def test_a_repository_of_the_users_that_is_nowhere_is_told(program, lab, tmp_path):
+    run = run_of(tmp_path, program, lab, config_dirs=[lab / "configs"])
+    commit_id = git(lab, "rev-parse", "HEAD")
+    lab.rename(tmp_path / "moved")
+    source = restored(run, tmp_path)
+    assert [tree.how for tree in source.trees] == ["restored", "missing"]
+    assert source.config_dirs == []
+    (note,) = source.notes
+    assert f"no repository here holds commit {commit_id[:12]}; see --repository" in note
+
+
+def test_a_repository_that_is_named_comes_before_the_recorded_one(program, lab, tmp_path):
+    run = run_of(tmp_path, program, lab)
+    git(tmp_path, "clone", "-q", str(lab), str(tmp_path / "clone"))
+    assert restored(run, tmp_path, tmp_path / "clone").trees[1].origin == str(tmp_path / "clone")
+
+
+def test_files_that_look_like_keys_are_not_restored_and_told(program, tmp_path):
+    (program / "deploy.pem").write_text("x")
+    source = restored(run_of(tmp_path, program), tmp_path)
+    assert not (source.places["wheelleg_exp"] / "deploy.pem").exists()
+    assert any("deploy.pem" in note and "was not kept" in note for note in source.notes)
+
+
+def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(tmp_path):
+    package = tmp_path / "site-packages" / "wheelleg_exp"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    run = run_of(tmp_path, package)
+    source = restored(run, tmp_path)
+    assert [tree.how for tree in source.trees] == ["installed"]
+    assert (source.places["wheelleg_exp"] / "wheelleg_exp" / "jobs" / "replay.py").is_file()
+    assert any("are not those of" in note for note in source.notes)
+    assert what_runs(run).startswith("replay runs the installed wheelleg_exp, with")
+
+
+def test_an_interrupt_while_git_works_is_an_interrupt(program, tmp_path):
+    """The terminal sends Ctrl-C to git as well, which then fails."""
+    run = run_of(tmp_path, program)
+    stop = StopRequest()
+    stop.requested = True
+    (run.source / "source.patch").write_bytes(b"")
+    with pytest.raises(KeyboardInterrupt):
+        replay._restored(run, tmp_path, [], stop)

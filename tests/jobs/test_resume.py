@@ -1,0 +1,494 @@
+"""A run that was stopped anywhere and resumed is the run that was never stopped."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from jobs.small import SMALL, cache_of, wheelleg
+from wheelleg_exp import projects
+from wheelleg_exp.jobs import circumstances, outputs
+from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.lock import RunLock
+
+pytestmark = pytest.mark.train
+
+FOUR = [*SMALL, "agent.max_iterations=4"]
+
+
+@pytest.fixture(autouse=True)
+def _same_source(monkeypatch):
+    """The working tree may be edited while the tests run."""
+    monkeypatch.setattr(circumstances, "_source", lambda *_: [])
+
+
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory) -> Path:
+    """Four iterations in one go."""
+    root = tmp_path_factory.mktemp("straight")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        said = wheelleg("train", *FOUR, f"run.root={root}")
+    assert said.status == 0, said.err
+    return only(root)
+
+
+def only(root: Path) -> Path:
+    (path,) = (root / "stand").iterdir()
+    return path
+
+
+@pytest.fixture
+def run(straight, tmp_path) -> Path:
+    """A copy of the finished run, to be damaged."""
+    path = tmp_path / "runs" / "stand" / straight.name
+    shutil.copytree(straight, path)
+    return path
+
+
+def resume(run: Path, *words: str, status: int = 0):
+    said = wheelleg("resume", run, *words)
+    assert said.status == status, said.err
+    return said
+
+
+def manifest(run: Path) -> dict:
+    return json.loads((run / "manifest.json").read_text())
+
+
+def lines(run: Path) -> list[dict]:
+    return [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
+
+
+def without_times(line: dict) -> dict:
+    return {**line, "scalars": {k: v for k, v in line["scalars"].items() if not k.startswith("Perf/")}}
+
+
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> None:
+    """Hold everything that a run leaves against the uninterrupted one's."""
+    for pattern in ("model_*.pt", "exported/*", "params/*"):
+        expected = {str(p.relative_to(straight)): sha256(p) for p in straight.glob(pattern)}
+        found = {str(p.relative_to(run)): sha256(p) for p in run.glob(pattern)}
+        assert {name: found.get(name) for name in found if name not in extra} == expected
+    assert [without_times(a) for a in lines(run)] == [without_times(b) for b in lines(straight)]
+    assert scalars(run) == scalars(straight)
+    assert entity_digests(run / "recording.rrd") == entity_digests(straight / "recording.rrd")
+    ends = [{k: v for k, v in manifest(path)["results"].items() if k != "seconds"} for path in (run, straight)]
+    assert ends[0] == ends[1]
+    assert manifest(run)["status"] == "finished"
+    assert not RunDirectory.open(run, run.parents[1]).manifest().compare_files()
+    assert not list(run.rglob("*.tmp"))
+
+
+def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
+    """Return what TensorBoard shows of a run."""
+    events = EventAccumulator(str(run), size_guidance={"scalars": 0})
+    events.Reload()
+    tags = [tag for tag in events.Tags()["scalars"] if not tag.startswith("Perf/")]
+    return {tag: [(point.step, point.value) for point in events.Scalars(tag)] for tag in tags}
+
+
+def events_left(run: Path) -> list[int]:
+    """Return the steps of one scalar as they stand in the files, repeats included."""
+    from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
+
+    found = []
+    for path in sorted(run.glob("events.out.tfevents.*")):
+        for event in EventFileLoader(str(path)).Load():
+            found += [event.step for value in event.summary.value if value.tag == "Loss/value"]
+    return found
+
+
+# --- stopped anywhere ---
+
+
+@pytest.mark.parametrize("stops", [[1], [2], [3], [1, 2, 3]])
+def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
+    said = wheelleg("train", *SMALL, f"agent.max_iterations={stops[0]}", f"run.root={tmp_path}")
+    assert said.status == 0, said.err
+    run = only(tmp_path)
+    for total in [*stops[1:], 4]:
+        resume(run, f"agent.max_iterations={total}")
+    require_equal(run, straight)
+    assert events_left(run) == [0, 1, 2, 3]
+    entries = manifest(run)["resumes"]
+    assert [entry["iteration"] for entry in entries] == stops
+    assert all(entry["exact"] for entry in entries), entries
+
+
+def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_others(straight, tmp_path, monkeypatch):
+    write = outputs.Outputs.write
+
+    def interrupted(self, iteration):
+        if iteration.index == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        return write(self, iteration)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(outputs.Outputs, "write", interrupted)
+        said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
+    run = only(tmp_path)
+    assert said.status == 130
+    assert f"resume {run.relative_to(Path.cwd()) if run.is_relative_to(Path.cwd()) else run}" in said.err
+    assert sorted(path.name for path in run.glob("model_*.pt")) == ["model_0.pt", "model_1.pt"]
+    resume(run, "--json")
+    for name in ("model_0.pt", "model_1.pt", "model_3.pt"):
+        assert sha256(run / name) == sha256(straight / name), name
+    assert not (run / "model_2.pt").exists()
+    assert events_left(run) == [0, 1, 2, 3]
+
+
+def killed(point: str, cache: Path, *words: str | Path) -> None:
+    command = [sys.executable, str(Path(__file__).with_name("killed.py")), point, *map(str, words)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, env={**os.environ, "WHEELLEG_CACHE": str(cache)}
+    )
+    assert done.returncode == -signal.SIGKILL, (point, done.stderr)
+
+
+def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
+    """One run, killed three times: in the middle of a checkpoint; of a rollout, with the logs, the events and the
+    recording torn; and of the manifest's last writing.
+    """
+    cache = cache_of(tmp_path_factory)
+    killed("checkpoint:1", cache, "train", *FOUR, f"run.root={tmp_path}")
+    run = only(tmp_path)
+    assert [path.name for path in run.glob("model_*.pt")] == ["model_0.pt"]
+    killed("torn:2", cache, "resume", run)
+    assert not (run / "iterations.jsonl").read_bytes().endswith(b"\n")
+    assert sorted(path.name for path in run.glob("model_*.pt")) == ["model_0.pt", "model_1.pt"]
+    killed("manifest", cache, "resume", run)
+    assert manifest(run)["status"] == "running"
+    assert (run / "model_3.pt").exists()
+    resume(run)
+    require_equal(run, straight)
+    assert events_left(run) == [0, 1, 2, 3]
+    assert [entry["iteration"] for entry in manifest(run)["resumes"]] == [1, 2, 4]
+
+
+def test_without_a_checkpoint_a_run_begins_anew(run, straight):
+    """Killed in its first iteration, or with all checkpoints lost."""
+    for path in run.glob("model_*.pt"):
+        path.unlink()
+    said = resume(run)
+    assert "resuming from the beginning" in said.err
+    require_equal(run, straight)
+    assert manifest(run)["resumes"][0]["proved"] == [0, 3]
+
+
+def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, straight):
+    """The newest checkpoint is cut in half, the one before holds a flipped byte."""
+    data = (run / "model_3.pt").read_bytes()
+    (run / "model_3.pt").write_bytes(data[: len(data) // 2])
+    data = bytearray((run / "model_2.pt").read_bytes())
+    data[len(data) // 2] ^= 1
+    (run / "model_2.pt").write_bytes(data)
+    with (run / "iterations.jsonl").open("a") as file:
+        file.write('{"iteration": 4, "dig')
+    said = resume(run)
+    assert "model_3.pt cannot be used" in said.err
+    assert "resuming from model_1.pt, iteration 2" in said.err
+    for name in ("model_3.pt.damaged", "model_2.pt.damaged"):
+        (run / name).unlink()
+    changed = manifest(run)
+    assert changed["resumes"][0]["proved"] == [2, 3]
+    for path in (run, straight):
+        assert sorted(p.name for p in path.glob("model_*.pt")) == [f"model_{i}.pt" for i in range(4)]
+    for index in range(4):
+        assert sha256(run / f"model_{index}.pt") == sha256(straight / f"model_{index}.pt")
+    assert scalars(run) == scalars(straight)
+
+
+def test_lost_events_are_written_anew_from_the_log(run, straight):
+    (run / "model_3.pt").unlink()
+    for path in run.glob("events.out.tfevents.*"):
+        path.write_bytes(path.read_bytes()[:300])
+    resume(run)
+    assert events_left(run) == [0, 1, 2, 3]
+    assert scalars(run) == scalars(straight)
+
+
+def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
+    """As with a full disk: the checkpoint of iteration 2 cannot be written."""
+    from wheelleg_exp.errors import SimulationFailure
+
+    write = outputs.write_bytes
+
+    def full(path, data):
+        if path.name == "model_2.pt":
+            raise SimulationFailure("cannot write: no space left on device")
+        write(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(outputs, "write_bytes", full)
+        said = wheelleg("train", *FOUR, f"run.root={tmp_path}")
+    run = only(tmp_path)
+    assert said.status == 3
+    assert "go on with: " in said.err
+    assert manifest(run)["status"] == "failed"
+    resume(run)
+    require_equal(run, straight)
+    assert manifest(run)["resumes"][0]["proved"] == [2, 2]
+
+
+def test_the_logs_are_on_the_disk_before_the_checkpoint_is(tmp_path, monkeypatch):
+    """What a power cut may not take: everything that tells of iterations up to a checkpoint that is there."""
+    synced: list[str] = []
+    monkeypatch.setattr(outputs, "sync", lambda path: synced.append(path.name))
+    write = outputs.write_bytes
+    monkeypatch.setattr(outputs, "write_bytes", lambda path, data: (synced.append(path.name), write(path, data)))
+    said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
+    assert said.status == 0, said.err
+    order = [name.split(".")[0] if name.startswith("events") else name for name in synced]
+    assert order == ["iterations.jsonl", "recording.rrd", "events", "model_0.pt"]
+
+
+def test_a_run_that_was_killed_while_its_source_was_kept_is_completed(straight, tmp_path, tmp_path_factory):
+    killed("source", cache_of(tmp_path_factory), "train", *FOUR, f"run.root={tmp_path}")
+    run = only(tmp_path)
+    assert not (run / "source" / "git.json").exists()
+    assert manifest(run)["source"] == {}
+    resume(run)
+    require_equal(run, straight)
+    assert manifest(run)["source"]["status"]
+
+
+# --- with changes ---
+
+
+def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straight):
+    said = resume(
+        run,
+        "agent.max_iterations=5",
+        "env.rewards.alive.weight=2.5",
+        "agent.algorithm.learning_rate=0.0005",
+        "recording.enabled=false",
+        "--json",
+    )
+    document = json.loads(said.out)
+    assert document["resume"]["exact"] is False
+    entry = manifest(run)["resumes"][0]
+    assert {c["key"] for c in entry["changes"]} == {
+        "agent.max_iterations",
+        "env.rewards.alive.weight",
+        "agent.algorithm.learning_rate",
+        "recording.enabled",
+    }
+    assert len(entry["why"]) == 2
+    assert "env.rewards.alive.weight was 5.0 and is 2.5" in entry["why"]
+    assert "not exact" in said.err
+    assert "weight: 2.5" in (run / "params" / "env.yaml").read_text()
+    assert "agent.algorithm.learning_rate=0.0005" in (run / ".hydra" / "overrides.yaml").read_text()
+    assert lines(run)[4]["scalars"]["Loss/learning_rate"] != lines(straight)[3]["scalars"]["Loss/learning_rate"]
+    assert not RunDirectory.open(run, run.parents[1]).manifest().compare_files()
+    assert resume(run, "agent.max_iterations=6", "agent.torch_threads=2").status == 0
+    assert manifest(run)["resumes"][1]["exact"] is True  # from here on nothing has changed
+    assert "weight: 2.5" in (run / "params" / "env.yaml").read_text()
+
+
+def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatch):
+    from wheelleg_exp.run.manifest import Manifest
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Manifest, "settle", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            Manifest.load(run).restart(command=[], threads={}, texts={"params/agent.yaml": "max_iterations: 9\n"})
+    assert "max_iterations: 4" in (run / "params" / "agent.yaml").read_text()
+    Manifest.load(run).settle()
+    assert (run / "params" / "agent.yaml").read_text() == "max_iterations: 9\n"
+    assert not [f for f in RunDirectory.open(run, run.parents[1]).manifest().compare_files().changed]
+
+
+def test_another_machine_ends_exactness(run, monkeypatch):
+    from wheelleg_exp.run import environment
+
+    present = environment.versions()
+    monkeypatch.setattr(environment, "versions", lambda: {**present, "mujoco": "4.0.1"})
+    monkeypatch.setenv("ATEN_CPU_CAPABILITY", "default")
+    (run / "model_3.pt").unlink()
+    said = resume(run)
+    entry = manifest(run)["resumes"][0]
+    assert entry["exact"] is False
+    assert {(d["section"], d["name"]) for d in entry["differences"]} == {
+        ("versions", "mujoco"),
+        ("environment_variables", "ATEN_CPU_CAPABILITY"),
+    }
+    assert "4.0.1" in said.err
+
+
+def test_state_that_no_checkpoint_holds_is_noticed(run, monkeypatch):
+    """Iterations past the checkpoint are computed a second time; a term that counts in its module gives others."""
+    from wheelleg_exp.mdp import rewards
+
+    calls = []
+    function = rewards.is_alive
+
+    @functools.wraps(function)
+    def is_alive(env):
+        calls.append(1)
+        return function(env) + len(calls) / 1000.0
+
+    (run / "model_3.pt").unlink()
+    monkeypatch.setattr(rewards, "is_alive", is_alive)
+    said = resume(run)
+    entry = manifest(run)["resumes"][0]
+    assert entry["exact"] is False
+    assert "iteration 3 is not what it was before the stop" in said.err
+    assert "proved" not in entry
+
+
+# --- wrong input ---
+
+
+def refuse(run: Path, *words: str) -> str:
+    before = {p: p.read_bytes() for p in run.rglob("*") if p.is_file() and not p.name.endswith("lock")}
+    said = wheelleg("resume", run, *words)
+    assert said.status == 2, said.err
+    assert "Traceback" not in said.err
+    (message,) = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
+    assert {p: p.read_bytes() for p in before} == before  # nothing of the run has changed
+    return message
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "has done 4 iterations; expected more than 4: 'wheelleg resume"),
+        (["agent.max_iterations=3"], "is 3, and the run has done 4 iterations"),
+        (["agent.max_iterations=x"], "agent.max_iterations"),
+        (["agent.max_iteration=9"], "did you mean 'agent.max_iterations'?"),
+        (["agent.max_iterations=9", "env.num_envs=8"], "env.num_envs: cannot change while a run goes on"),
+        (["agent.max_iterations=9", "seed=1"], "seed: cannot change while a run goes on"),
+        (["agent.max_iterations=9", "agent.actor.hidden_dims=[4]"], "agent.actor.hidden_dims: cannot change"),
+        (["agent.max_iterations=9", "env.robot.base=fixed"], "env.robot.base: cannot change"),
+        (["agent.max_iterations=9", "env.sim.dt=0.001"], "env.sim.dt: cannot change"),
+        (["agent.max_iterations=9", "~env.rewards.alive"], "the saved state has a place for each term"),
+        (["agent.max_iterations=9", "env.observations.policy.history_length=2"], "with this observation"),
+        (["agent.max_iterations=9", "env.events.push_robot.mode=reset"], "env.events.push_robot"),
+        (["agent.max_iterations=9", "env.rewards.alive.weight=abc"], "env.rewards.alive.weight"),
+        (["agent.max_iterations=9,10"], "a sweep is not possible here"),
+        (["task=walk", "agent.max_iterations=9"], "task"),
+    ],
+)
+def test_wrong_overrides_are_told_before_anything_changes(run, words, said):
+    assert said in refuse(run, *words)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("params/env.yaml", None, "is missing"),
+        ("params/agent.yaml", b"max_iterations: 9\n", "was changed since the run began"),
+        (".hydra/config.yaml", None, "is missing"),
+        ("asset/robot.xml", None, "is missing"),
+        ("asset/robot.xml", b"<mujoco/>", "was changed since the run began"),
+        ("iterations.jsonl", b"", "the log would have a gap"),
+        ("manifest.json", b"{", "broken JSON"),
+    ],
+)
+def test_a_damaged_run_is_told_before_anything_changes(run, name, content, said):
+    if content is None:
+        (run / name).unlink()
+    else:
+        (run / name).write_bytes(content)
+    assert said in refuse(run, "agent.max_iterations=9")
+
+
+def test_a_checkpoint_of_another_run_is_no_checkpoint_of_this_one(run):
+    for index in range(4):
+        state = checkpoint.load(run / f"model_{index}.pt")
+        state["actor_state_dict"]["mlp.0.bias"] += 1.0
+        (run / f"model_{index}.pt").write_bytes(checkpoint.serialize(state))
+    message = refuse(run, "agent.max_iterations=9")
+    assert "parameters differ from the digests that iteration 3 left" in message
+
+
+def test_a_run_that_is_being_written_is_left_alone(run):
+    with RunLock(run):
+        message = refuse(run, "agent.max_iterations=9")
+    assert f"is being written by process {os.getpid()}" in message
+
+
+def test_a_run_that_is_not_there_is_told_with_the_nearest(run):
+    said = wheelleg("resume", run.name[:-1], "--root", run.parents[1])
+    assert said.status == 2
+    assert f"did you mean '{run.name}'?" in said.err
+
+
+def test_the_lock_is_free_after_a_refusal(run):
+    refuse(run)
+    with RunLock(run):
+        pass
+
+
+def test_threads_are_those_of_the_run(run):
+    (run / "model_3.pt").unlink()
+    resume(run)
+    assert manifest(run)["threads"]["torch"] == torch.get_num_threads() == 1
+
+
+# --- a project of the user's own ---
+
+PROJECT = {
+    "pyproject.toml": (
+        '[project]\nname = "pet"\nversion = "0"\n[project.entry-points."wheelleg_exp.packages"]\npet = "pet"\n'
+    ),
+    "pet/__init__.py": "",
+    "pet/terms.py": (
+        "import torch\nfrom wheelleg_exp.managers import TermBase\n\n\n"
+        "class Patience(TermBase):\n"
+        "    def __init__(self, env):\n        self._seen = []\n\n"
+        "    def __call__(self, env):\n        self._seen.append(float(env.scene.robot.data.root_pos_w[0, 2]))\n"
+        "        return torch.full((env.num_envs,), sum(self._seen) / len(self._seen))\n"
+    ),
+    "configs/reward/patience.yaml": "patience:\n  _target_: pet.terms.Patience\n  weight: 1.0\n",
+}
+
+
+@pytest.fixture
+def project(tmp_path) -> Path:
+    root = tmp_path / "pet"
+    for name, text in PROJECT.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    yield root
+    projects.forget(root)
+
+
+def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(project, tmp_path):
+    words = [*SMALL, "+reward@env.rewards=patience", "--config-dir", str(project)]
+    runs = []
+    for total in (2, 1):
+        root = tmp_path / f"runs_{total}"
+        assert wheelleg("train", *words, f"agent.max_iterations={total}", f"run.root={root}").status == 0
+        runs.append(only(root))
+    projects.forget(project)  # as in a new process
+    resume(runs[1], "agent.max_iterations=2")
+    assert sha256(runs[1] / "model_1.pt") == sha256(runs[0] / "model_1.pt")
+    moved = project.with_name("moved")
+    project.rename(moved)
+    projects.forget(project)
+    said = resume(runs[1], "agent.max_iterations=3", status=2)
+    assert "pet.terms.Patience" in said.err
+    assert "Traceback" not in said.err
+    try:
+        resume(runs[1], "agent.max_iterations=3", "--config-dir", str(moved))
+    finally:
+        projects.forget(moved)

@@ -1,0 +1,75 @@
+"""Which folders a run's source snapshot covers."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+from project.test_projects import project
+
+from wheelleg_exp import projects
+from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.loader import configs_dir
+from wheelleg_exp.jobs.source_roots import loaded_outside, source_roots
+
+STOCK = configs_dir().parent
+
+
+def write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def mine(tmp_path):
+    root = project(tmp_path / "mine", "shelf_of_roots")
+    yield root
+    projects.forget(root)
+
+
+def test_the_stock_task_depends_on_this_package_alone():
+    assert source_roots(compose(["task=stand"])) == [STOCK]
+
+
+def test_a_project_counts_as_a_whole(mine):
+    composed = compose(["task=shelf_of_roots_task"], config_dirs=[mine / "configs"])
+    assert source_roots(composed) == [STOCK, mine]
+
+
+def test_a_plain_config_folder_and_one_of_the_search_path_count(tmp_path):
+    for name in ("a", "b"):
+        write(tmp_path / name / "reward" / f"{name}.yaml", f"{name}: {{_target_: x.y, weight: 1.0}}\n")
+    words = ["+reward@env.rewards=a", f"hydra.searchpath=[file://{tmp_path / 'b'}]"]
+    assert source_roots(compose(words, config_dirs=[tmp_path / "a"])) == [STOCK, tmp_path / "a", tmp_path / "b"]
+
+
+def test_an_installed_package_that_configs_call_counts(tmp_path, monkeypatch):
+    package = write(tmp_path / "site-packages" / "of_roots" / "__init__.py", "").parent
+    info = package.parent / "of_roots-1.0.dist-info"
+    write(info / "METADATA", "Metadata-Version: 2.1\nName: of_roots\nVersion: 1.0\n")
+    write(info / "entry_points.txt", "[wheelleg_exp.packages]\nx = of_roots\n")
+    monkeypatch.syspath_prepend(str(package.parent))
+    plain = compose(["task=stand"])
+    called = compose(["task=stand", "+env.rewards.odd={_target_: of_roots.calm, weight: 1.0}"])
+    assert source_roots(plain) == [STOCK]
+    assert source_roots(called) == [STOCK, package]
+
+
+def test_what_is_imported_from_elsewhere_is_found(tmp_path, monkeypatch):
+    write(tmp_path / "helper_of_roots.py", "")
+    write(tmp_path / "package_of_roots" / "inner.py", "")
+    write(tmp_path / "package_of_roots" / "__init__.py", "")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    before = loaded_outside([STOCK])
+    names = ["helper_of_roots", "package_of_roots.inner"]
+    for name in names:
+        importlib.import_module(name)
+    found = loaded_outside([STOCK])
+    for name in [n for n in sys.modules if n.endswith("_of_roots") or "_of_roots." in n]:
+        monkeypatch.delitem(sys.modules, name)
+    assert set(found) - set(before) == {tmp_path / "helper_of_roots.py", tmp_path / "package_of_roots"}
+    assert not [path for path in found if "site-packages" in path.parts or path.is_relative_to(sys.prefix)]
+    assert loaded_outside([STOCK, tmp_path]) == before

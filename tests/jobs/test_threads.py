@@ -1,0 +1,187 @@
+"""What of the threads is set, what is recorded as in force, and what people are told."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from wheelleg_exp import threads as cores
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs import threads
+from wheelleg_exp.jobs.threads import set_threads, thread_notes
+from wheelleg_exp.rl.one_thread import SPLIT_ABOVE, one_thread
+
+AGENT = {"torch_threads": 2, "device": "cpu", "algorithm": {"num_mini_batches": 4}}
+
+
+def elsewhere(before: str, **variables: str) -> dict:
+    """What a process of its own records, that has run some code before."""
+    code = f"{before}\nimport json\nfrom wheelleg_exp.jobs.threads import set_threads, thread_notes\n"
+    code += f"found = set_threads({AGENT!r}, 1, samples=12288)\nprint(json.dumps([found, thread_notes(found)]))"
+    environ = {k: v for k, v in os.environ.items() if k not in cores.VARIABLES} | variables
+    done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
+    found, notes = json.loads(done.stdout)
+    return {**found, "notes": notes}
+
+
+def test_a_normal_start_is_in_force_and_says_nothing():
+    found = elsewhere("from wheelleg_exp.threads import prepare_threads; prepare_threads()")
+    assert (found["torch"], found["physics"], found["variables_in_time"]) == (2, 1, True)
+    assert found["mkl"]["strict"] is True
+    assert (found["independent"], found["notes"]) == (True, [])
+
+
+def test_torch_imported_before_is_in_time_for_mkl_and_too_late_for_openmp():
+    found = elsewhere("import torch")
+    assert found["variables_in_time"] is False
+    assert (found["mkl"]["strict"], found["independent"]) == (True, True)
+    assert [note for note in found["notes"] if "OMP_WAIT_POLICY" in note]
+
+
+def test_matrices_multiplied_before_end_the_independence_and_it_is_told():
+    found = elsewhere("import torch; torch.rand(9, 9) @ torch.rand(9, 9)")
+    assert (found["mkl"]["strict"], found["independent"]) == (False, False)
+    assert "MKL is not in its repeatable mode" in found["notes"][0]
+
+
+@pytest.mark.parametrize("mode", ["COMPATIBLE,STRICT", "AVX2"])
+def test_a_mode_of_the_users_own_that_threads_can_change_is_told(mode):
+    found = elsewhere("", MKL_CBWR=mode, OMP_WAIT_POLICY="PASSIVE")
+    assert found["independent"] is False
+    assert f"MKL_CBWR is {mode}" in found["notes"][0]
+
+
+def test_without_mkl_no_promise_is_made(monkeypatch):
+    monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: False)
+    found = set_threads(AGENT, 1)
+    assert found["mkl"] is None
+    assert "no MKL" in thread_notes(found)[0]
+
+
+def test_an_mkl_that_does_not_answer_is_no_reason_to_fail(monkeypatch):
+    def silent(_path):
+        raise OSError
+
+    monkeypatch.setattr(threads.ctypes, "CDLL", silent)
+    assert threads.mkl_in_force() == {"branch": None, "strict": None}
+    assert set_threads(AGENT, 1)["independent"] is False
+
+
+def test_large_minibatches_are_told_because_torch_splits_their_sums():
+    assert set_threads(AGENT, 1, samples=4 * SPLIT_ABOVE)["independent"]
+    found = set_threads(AGENT, 1, samples=4 * (SPLIT_ABOVE + 1))
+    assert not found["independent"]
+    assert f"a minibatch has {SPLIT_ABOVE + 1} samples" in thread_notes(found)[0]
+
+
+def test_a_sum_of_one_thread_is_the_same_at_any_number_of_threads():
+    numbers = torch.randn(40 * SPLIT_ABOVE, generator=torch.Generator().manual_seed(1))
+    plain, single = set(), set()
+    for count in (1, 2, 3, 4):
+        torch.set_num_threads(count)
+        plain.add(numbers.sum().item())
+        with one_thread():
+            single.add(numbers.sum().item())
+        assert torch.get_num_threads() == count
+    assert len(single) == 1
+    assert len(plain) > 1, "torch no longer splits sums: the remedy can go"
+    small = numbers[:SPLIT_ABOVE]
+    assert len({(torch.set_num_threads(count), small.mean().item())[1] for count in (1, 2, 3, 4)}) == 1
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "2"])
+def test_a_wrong_number_is_refused(wrong):
+    with pytest.raises(ConfigError, match=r"agent\.torch_threads"):
+        set_threads({**AGENT, "torch_threads": wrong}, 1)
+
+
+def test_the_arithmetic_is_recorded_as_it_is(monkeypatch):
+    before = threads.numerics()
+    assert (before["rounds_to_nearest"], before["keeps_denormals"], before["default_dtype"]) == (True, True, "float32")
+    assert any("Math Kernel" in line or "BLAS" in line for line in before["libraries"])
+    changes = {
+        "default_dtype": (
+            lambda: torch.set_default_dtype(torch.float64),
+            lambda: torch.set_default_dtype(torch.float32),
+        ),
+        "matmul_precision": (
+            lambda: torch.set_float32_matmul_precision("medium"),
+            lambda: torch.set_float32_matmul_precision("highest"),
+        ),
+        "deterministic_algorithms": (
+            lambda: torch.use_deterministic_algorithms(True),
+            lambda: torch.use_deterministic_algorithms(False),
+        ),
+        "keeps_denormals": (lambda: torch.set_flush_denormal(True), lambda: torch.set_flush_denormal(False)),
+        "mkldnn": (
+            lambda: monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False),
+            monkeypatch.undo,
+        ),
+    }
+    for name, (change, undo) in changes.items():
+        change()
+        try:
+            after = threads.numerics()
+        finally:
+            undo()
+        assert after[name] != before[name], name
+    assert threads.numerics() == before
+
+
+@pytest.fixture
+def system(tmp_path, monkeypatch):
+    """A made-up control group file system."""
+
+    def make(membership: str, files: dict[str, str]) -> None:
+        (tmp_path / "membership").write_text(membership)
+        for name, text in files.items():
+            (tmp_path / "cgroup" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / "cgroup" / name).write_text(text)
+
+    monkeypatch.setattr(cores, "_CGROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr(cores, "_PROC_CGROUP", tmp_path / "membership")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    return make
+
+
+@pytest.mark.parametrize(
+    ("membership", "files", "quota", "usable"),
+    [
+        ("0::/\n", {"cpu.max": "200000 100000\n"}, 2.0, 2),
+        ("0::/\n", {"cpu.max": "max 100000\n"}, None, 8),
+        ("0::/a/b\n", {"a/cpu.max": "150000 100000\n", "a/b/cpu.max": "max 100000\n"}, 1.5, 2),
+        ("0::/a\n", {"a/cpu.max": "5000 100000\n"}, 0.05, 1),
+        ("0::/a\n", {"a/cpu.max": "6400000 100000\n"}, 64.0, 8),
+        ("4:cpu,cpuacct:/x\n1:name=systemd:/\n", {"cpu,cpuacct/x/cpu.cfs_quota_us": "50000\n"}, None, 8),
+        (
+            "4:cpu,cpuacct:/x\n",
+            {"cpu,cpuacct/x/cpu.cfs_quota_us": "300000\n", "cpu,cpuacct/x/cpu.cfs_period_us": "100000\n"},
+            3.0,
+            3,
+        ),
+        ("4:cpu:/\n", {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, None, 8),
+        ("", {}, None, 8),
+    ],
+)
+def test_a_container_counts_the_cores_that_it_is_given(system, membership, files, quota, usable):
+    system(membership, files)
+    assert cores.cpu_quota() == quota
+    assert cores.usable_cores() == usable
+
+
+def test_one_core_is_one_physics_thread(monkeypatch):
+    import mujoco
+
+    from wheelleg_exp.sim.simulation import Simulation
+
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    monkeypatch.setattr("wheelleg_exp.sim.simulation.usable_cores", lambda: 1)
+    assert Simulation(model, 2, 0).nthread == 1
+    assert Simulation(model, 2, 2).nthread == 2

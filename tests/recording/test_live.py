@@ -1,0 +1,132 @@
+"""A live viewer never stops or slows a run: viewers that hang, die, or are not there."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from wheelleg_exp.recording import feed
+from wheelleg_exp.recording.digest import recording_digest
+from wheelleg_exp.recording.feed import Follower, viewer_command, viewer_environment
+from wheelleg_exp.recording.live import LiveView
+from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.recording.recorder import Recorder
+
+STEPS = 120
+
+# Accepts connections and never reads, tells its process id, and (with "die") ends after the first connection.
+_VIEWER = """
+    import os, socket, sys, time
+    from pathlib import Path
+    server = socket.create_server(("127.0.0.1", int(sys.argv[1])))
+    Path(sys.argv[2]).write_text(str(os.getpid()))
+    kept = []
+    while True:
+        kept.append(server.accept())
+        if sys.argv[3] == "die" and len(kept) > 1:
+            sys.exit(0)
+"""
+
+
+@pytest.fixture(scope="module")
+def env(make_env):
+    return make_env(num_envs=2)
+
+
+def viewer(tmp_path: Path, manner: str) -> list[str]:
+    return [sys.executable, "-c", textwrap.dedent(_VIEWER), "{port}", str(tmp_path / "pid"), manner]
+
+
+def end_viewer(tmp_path: Path) -> None:
+    pid = tmp_path / "pid"
+    if pid.exists():
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(int(pid.read_text()), signal.SIGKILL)
+
+
+def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None = None) -> tuple[float, str]:
+    """Record some steps, with a viewer if a command is given; return the run's own seconds and the digest."""
+    env.common_step_counter = 0
+    env.reset(seed=0)
+    env.event_manager.fired.clear()
+    recorder = Recorder(path, env, recording_id="r", name="n", env_ids=[0], purpose="play", flush_every=20)
+    env.observers = [recorder.capture]
+    recorder.start()
+    recorder.flush()
+    live = None if command is None else LiveView(recorder, command)
+    end = time.monotonic() + 15
+    while wait_for is not None and not wait_for.exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    start = time.process_time()
+    with torch.inference_mode():
+        for _ in range(STEPS):
+            env.step(torch.zeros(2, 6))
+    recorder.close()
+    if live is not None:
+        live.close()
+    env.observers = []
+    return time.process_time() - start, recording_digest(path)
+
+
+@pytest.fixture(scope="module")
+def alone(env, tmp_path_factory) -> tuple[float, str]:
+    return rolled(env, tmp_path_factory.mktemp("alone") / "r.rrd", None)
+
+
+@pytest.mark.parametrize("manner", ["hang", "die"])
+def test_a_viewer_that_hangs_or_dies_does_not_matter(env, alone, tmp_path, manner):
+    path, started = tmp_path / "r.rrd", time.monotonic()
+    _, digest = rolled(env, path, viewer(tmp_path, manner), wait_for=tmp_path / "pid")
+    assert time.monotonic() - started < 20  # rerun alone would wait 6 s at each flush
+    assert digest == alone[1]
+    assert len(Recording(path).table("base/height")) == STEPS
+    end_viewer(tmp_path)
+
+
+def test_a_viewer_that_is_not_there_does_not_matter(env, alone, tmp_path):
+    assert rolled(env, tmp_path / "r.rrd", [str(tmp_path / "none")])[1] == alone[1]
+
+
+def test_a_viewer_is_opened_for_this_machine_alone_and_sends_nothing():
+    command = viewer_command(5)
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    surroundings = viewer_environment()
+    assert surroundings["CI"] == "true"  # rerun's analytics are off there
+    assert surroundings["HTTPS_PROXY"] == surroundings["https_proxy"] == "http://127.0.0.1:9"
+
+
+def pieces(follower: Follower) -> list[tuple[str, int, bool]]:
+    return [(rows.entity, rows.batch.num_rows, "step" in rows.batch.schema.names) for rows, _ in follower.rows()]
+
+
+def test_the_follower_gives_each_whole_message_once(env, tmp_path):
+    path = tmp_path / "r.rrd"
+    rolled(env, path, None)
+    data, growing = path.read_bytes(), tmp_path / "growing.rrd"
+    growing.write_bytes(data[:12])
+    follower, found = Follower(growing), []
+    for end in range(12, len(data) + 90_000, 90_000):
+        with growing.open("ab") as file:
+            file.write(data[growing.stat().st_size : end])
+        found += pieces(follower)
+    assert found == pieces(Follower(path))
+    assert sum(n for entity, n, moving in found if entity == "base/height" and moving) == STEPS
+
+
+def test_a_viewer_that_takes_nothing_is_given_up(monkeypatch, env, tmp_path):
+    monkeypatch.setattr(feed, "_STUCK_S", 0.5)
+    path = tmp_path / "r.rrd"
+    rolled(env, path, None)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        passing = feed.Feed(path, tmp_path, server.getsockname()[1])
+        with pytest.raises(feed.ViewerLostError):
+            passing.step()

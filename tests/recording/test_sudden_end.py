@@ -1,0 +1,75 @@
+"""Processes that are killed while they record: what the file still holds, and that a viewer never matters."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from wheelleg_exp.recording.reader import Recording
+
+_SCRIPT = """
+    import json, os, signal, sys
+    from pathlib import Path
+    import torch
+    from wheelleg_exp.config.compose import compose
+    from wheelleg_exp.env import ManagerBasedRLEnv
+    from wheelleg_exp.jobs.episode_recording import EpisodeRecording
+    from wheelleg_exp.jobs.training_recording import TrainingRecording
+    from wheelleg_exp.recording.options import RecordingOptions
+    from wheelleg_exp.run.directory import RunDirectory
+
+    mjcf, root = Path(sys.argv[1]), Path(sys.argv[2])
+    config = compose(["task=stand", "env.num_envs=2", "env.sim.nthread=1"]).config
+    play_env, train_env = (ManagerBasedRLEnv(config["env"], mjcf, 0) for _ in range(2))
+    play_env.reset(seed=0)
+    train_env.reset(seed=0)
+    options = {"enabled": True, "env_ids": [0], "interval": 50, "steps": 300, "max_mb": 200.0, "live": False}
+    directory = RunDirectory.create(root, "stand", 0)
+    about = {"purpose": "play", "name": "n", "about": {}, "documents": {}}
+    play = EpisodeRecording(root / "play.rrd", play_env, options, **about)
+    train = TrainingRecording(directory, train_env, RecordingOptions(**options), {})
+    print(directory.recording, flush=True)
+    with torch.inference_mode(), play, train:
+        for step in range(1, 155):
+            play_env.step(torch.zeros(2, 6))
+            train_env.step(torch.zeros(2, 6))
+            if step % 24 == 0:
+                train.write({"Train/mean_reward": float(step)}, step // 24 - 1)
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+_STEPS = 154
+
+
+@pytest.fixture(scope="module")
+def killed(mjcf, tmp_path_factory) -> tuple[Recording, Recording]:
+    """The recordings of a play and of a training whose process was killed in step 154."""
+    root = tmp_path_factory.mktemp("killed")
+    words = [sys.executable, "-c", textwrap.dedent(_SCRIPT), str(mjcf), str(root)]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    return Recording(root / "play.rrd"), Recording(done.stdout.strip())
+
+
+def test_a_killed_play_loses_less_than_a_second(killed):
+    steps = np.asarray(killed[0].table("base/height").column("step"))
+    assert steps.tolist() == list(range(1, len(steps) + 1))
+    assert 0 <= _STEPS - len(steps) < 60
+
+
+def test_a_killed_training_loses_the_iteration_under_way_alone(killed):
+    steps = np.asarray(killed[1].table("base/height").column("step"))
+    assert steps.tolist() == list(range(1, 6 * 24 + 1))
+    table = killed[1].table("training/Train/mean_reward")
+    assert table.column("iteration").to_pylist() == list(range(6))
+
+
+def test_what_is_left_can_be_drawn(killed):
+    for recording in killed:
+        root = recording.properties["robot"]["root"]
+        assert len(recording.table(f"world/{root}")) == len(recording.table("base/height"))
+        assert recording.properties["wheelleg"]["format_version"] == 2

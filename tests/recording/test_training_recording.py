@@ -1,0 +1,266 @@
+"""The recording of a training: segments, bound, journal, and going on after a checkpoint or a sudden end."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.jobs.training_recording import TrainingRecording
+from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp.recording.options import RecordingOptions
+from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.run.directory import RunDirectory
+
+ROLLOUT = 20  # control steps of an iteration
+OPTIONS = {"enabled": True, "env_ids": [1], "interval": 3, "steps": 45, "max_mb": 200.0, "live": False}
+ACTIONS = 0.5 * torch.randn(10 * ROLLOUT, 2, 6, generator=torch.Generator().manual_seed(2))
+
+
+@pytest.fixture(scope="module")
+def env(make_env):
+    return make_env("env.episode_length_s=0.4", num_envs=2)
+
+
+@pytest.fixture
+def directory(tmp_path) -> RunDirectory:
+    return a_directory(tmp_path)
+
+
+def a_directory(root: Path) -> RunDirectory:
+    directory = RunDirectory.create(root / "runs", "stand", 0)
+    (directory.path / "manifest.json").write_text(json.dumps({"task": "stand", "command": ["wheelleg", "train"]}))
+    return directory
+
+
+def options(**changes) -> RecordingOptions:
+    return RecordingOptions(**{**OPTIONS, **changes})
+
+
+def scalars(iteration: int) -> dict[str, float]:
+    found = {"Train/mean reward": 0.1 * iteration, "Loss/value": -1.0 / (1 + iteration)}
+    return found if iteration < 2 else {**found, "Episode_Reward/alive": float(iteration)}
+
+
+def train(env, directory, until, *, start=0, checkpoint_at=None, **changes) -> dict | None:
+    """Step like a training; return the environment's state after ``checkpoint_at`` iterations, flushed before."""
+    kept = None
+    if start == 0:
+        env.common_step_counter = 0
+        env.reset(seed=4)
+        env.event_manager.fired.clear()
+    made = TrainingRecording(directory, env, options(**changes), {"config": "c"}, start_iteration=start)
+    with made as recording, torch.inference_mode():
+        for iteration in range(start, until):
+            for action in ACTIONS[iteration * ROLLOUT :][:ROLLOUT]:
+                env.step(action)
+            recording.write(scalars(iteration), iteration)
+            if iteration + 1 == checkpoint_at:
+                recording.flush()
+                kept = {"state": env.state_dict(), "bytes": directory.recording.stat().st_size}
+    return kept
+
+
+def go_on(env, directory, kept, start, until, **changes) -> None:
+    env.load_state_dict(copy.deepcopy(kept["state"]))
+    env.event_manager.fired.clear()
+    train(env, directory, until, start=start, **changes)
+
+
+@pytest.fixture(scope="module")
+def straight(env, tmp_path_factory) -> Path:
+    directory = a_directory(tmp_path_factory.mktemp("straight"))
+    train(env, directory, 7)
+    return directory.recording
+
+
+@pytest.fixture(scope="module")
+def stopped(env, tmp_path_factory) -> tuple[Path, dict]:
+    """A training that ran one iteration past its checkpoint of four; its second segment is under way."""
+    directory = a_directory(tmp_path_factory.mktemp("stopped"))
+    kept = train(env, directory, 5, checkpoint_at=4)
+    assert kept is not None
+    return directory.recording, kept
+
+
+def rows(path: Path, entity: str = "base/height") -> list[tuple[int, int]]:
+    table = Recording(path).table(entity)
+    return list(zip(table.column("step").to_pylist(), table.column("iteration").to_pylist(), strict=True))
+
+
+def test_segments_begin_every_interval_and_carry_their_iterations(straight):
+    expected = [(i * ROLLOUT + k + 1, i) for i in range(7) for k in range(ROLLOUT) if (i % 3) * ROLLOUT + k < 45]
+    assert rows(straight) == expected
+
+
+def test_every_iteration_has_its_scalars(straight):
+    recording = Recording(straight)
+    for key, first in (("Train/mean\\ reward", 0), ("Loss/value", 0), ("Episode_Reward/alive", 2)):
+        table = recording.table(f"training/{key}")
+        assert table.column("iteration").to_pylist() == list(range(first, 7))
+        assert table.column("step").to_pylist() == [(i + 1) * ROLLOUT for i in range(first, 7)]
+        expected = [scalars(i)[key.replace("\\", "")] for i in range(first, 7)]
+        assert recording.values(f"training/{key}")[:, 0].tolist() == expected
+
+
+def test_it_says_what_it_is_of(straight, env):
+    about = Recording(straight).properties["wheelleg"]
+    assert (about["purpose"], about["task"], about["format_version"]) == ("training", "stand", 2)
+    assert (about["step_dt"], about["num_envs"]) == (env.step_dt, 2)
+    assert about["run_id"] == straight.parent.name
+
+
+def test_the_documents_tell_of_config_manifest_and_command(straight):
+    recording = Recording(straight)
+    assert recording.document("config") == "c"
+    assert "wheelleg train" in recording.document("command")
+    assert '"task": "stand"' in recording.document("manifest")
+
+
+@pytest.mark.parametrize("checkpoint", [1, 2, 3, 4, 6])
+def test_a_split_training_has_the_recording_of_a_straight_one(env, straight, directory, checkpoint):
+    kept = train(env, directory, min(checkpoint + 1, 6), checkpoint_at=checkpoint)
+    go_on(env, directory, kept, checkpoint, 7)
+    assert entity_digests(directory.recording) == entity_digests(straight)
+    assert not list(directory.path.glob("*.damaged*"))
+    assert not list(directory.path.glob(".*.tmp"))
+
+
+def test_going_on_twice_is_going_on_once(env, straight, directory):
+    kept = train(env, directory, 3, checkpoint_at=2)
+    env.load_state_dict(copy.deepcopy(kept["state"]))
+    env.event_manager.fired.clear()
+    again = train(env, directory, 5, start=2, checkpoint_at=4)
+    go_on(env, directory, again, 4, 7)
+    assert entity_digests(directory.recording) == entity_digests(straight)
+
+
+def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, straight, stopped, tmp_path):
+    """As after a kill at any moment: what stood there at the checkpoint is all that counts."""
+    path, kept = stopped
+    data, random = path.read_bytes(), np.random.default_rng(0)
+    for number, end in enumerate([kept["bytes"], *random.integers(kept["bytes"], len(data), 3), len(data) - 1]):
+        directory = a_directory(tmp_path / str(number))
+        directory.recording.write_bytes(data[:end])
+        go_on(env, directory, kept, 4, 7)
+        assert entity_digests(directory.recording) == entity_digests(straight), end
+
+
+def test_a_file_that_ends_before_the_checkpoint_keeps_what_it_has_or_is_moved_aside(env, stopped, tmp_path):
+    path, kept = stopped
+    data, random = path.read_bytes(), np.random.default_rng(1)
+    for number, end in enumerate([0, 11, 13, *random.integers(50, kept["bytes"], 4)]):
+        directory = a_directory(tmp_path / str(number))
+        directory.recording.write_bytes(data[:end])
+        go_on(env, directory, kept, 4, 5)
+        aside = list(directory.path.glob("*.damaged*"))
+        assert not aside or aside[0].read_bytes() == data[:end]
+        found = rows(directory.recording)
+        assert found[-1] == (5 * ROLLOUT, 4), end
+        assert [row for row in found if row[1] < 4] == rows_of(data[:end], directory.path / "cut.rrd", bool(aside))
+
+
+def rows_of(data: bytes, path: Path, is_aside: bool) -> list[tuple[int, int]]:
+    if is_aside:
+        return []
+    path.write_bytes(data)
+    recording = Recording(path)
+    return [row for row in rows(path) if row[1] < 4] if recording.has_rows("base/height") else []
+
+
+@pytest.mark.parametrize("content", [b"precious" * 9, b"", b"RRF2" + bytes(90)])
+def test_a_file_that_is_no_recording_is_kept_beside_and_told(env, stopped, directory, content):
+    directory.recording.write_bytes(content)
+    (directory.path / "recording.rrd.damaged").write_bytes(b"an earlier one")
+    go_on(env, directory, stopped[1], 4, 5)
+    assert (directory.path / "recording.rrd.damaged-2").read_bytes() == content
+    assert (directory.path / "recording.rrd.damaged").read_bytes() == b"an earlier one"
+    (text,) = Recording(directory.recording).table("log/recording").column("text").to_pylist()
+    assert "recording.rrd.damaged-2" in text[0]
+    assert "begins with iteration 4" in text[0]
+
+
+def test_damage_in_the_middle_is_kept_beside(env, stopped, directory):
+    path, kept = stopped
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3 : len(data) // 3 + 200] = bytes(200)
+    directory.recording.write_bytes(data)
+    go_on(env, directory, kept, 4, 5)
+    assert (directory.path / "recording.rrd.damaged").read_bytes() == bytes(data)
+    assert rows(directory.recording)[0] == (4 * ROLLOUT + 1, 4)
+
+
+def test_a_missing_file_is_told(env, stopped, directory):
+    go_on(env, directory, stopped[1], 4, 5)
+    (text,) = Recording(directory.recording).table("log/recording").column("text").to_pylist()
+    assert text == ["the earlier part of this recording is missing; this one begins with iteration 4"]
+
+
+def test_an_interrupted_rewriting_leaves_the_old_file_and_its_rest_is_removed(env, straight, stopped, directory):
+    directory.recording.write_bytes(stopped[0].read_bytes())
+    left = directory.path / ".recording.rrd.0123456789ab.tmp"
+    left.write_bytes(b"half a file")
+    go_on(env, directory, stopped[1], 4, 7)
+    assert not left.exists()
+    assert entity_digests(directory.recording) == entity_digests(straight)
+
+
+def test_scalars_outlast_a_sudden_end_in_the_journal(env, stopped, directory):
+    """The file as it is after the last iteration's write, before anything is closed."""
+    env.common_step_counter = 0
+    env.reset(seed=4)
+    recording = TrainingRecording(directory, env, options(), {})
+    with recording, torch.inference_mode():
+        for iteration in range(2):
+            for action in ACTIONS[:ROLLOUT]:
+                env.step(action)
+            recording.write(scalars(iteration), iteration)
+        data = directory.recording.read_bytes()
+    path = directory.path / "killed.rrd"
+    path.write_bytes(data)
+    table = Recording(path).table("training/Loss/value")
+    assert table.column("iteration").to_pylist() == [0, 1]
+    assert rows(path)[-1] == (2 * ROLLOUT, 1)
+
+
+@pytest.fixture(scope="module")
+def bound(env, tmp_path_factory) -> float:
+    """The bound, MB, that just leaves room for one segment."""
+    path = tmp_path_factory.mktemp("bound") / "r.rrd"
+    with Recorder(path, env, recording_id="r", name="n", env_ids=[1], purpose="training") as recorder:
+        return next(mb for mb in np.arange(0.0, 50.0, 0.01).round(2).tolist() if recorder.frames_within(mb) >= 45)
+
+
+def test_at_the_bound_motion_ends_and_scalars_go_on(env, directory, bound):
+    train(env, directory, 7, max_mb=bound)
+    recording = Recording(directory.recording)
+    assert {iteration for _, iteration in rows(directory.recording)} == {0, 1, 2}
+    assert recording.table("training/Loss/value").column("iteration").to_pylist() == list(range(7))
+    table = recording.table("log/recording")
+    assert table.column("step").to_pylist() == [3 * ROLLOUT]
+    assert table.column("text").to_pylist() == [
+        [f"the bound of {bound:g} MB is reached after 1 recorded episodes; from here on there are scalars alone"]
+    ]
+    assert directory.recording.stat().st_size < bound * 1e6
+
+
+def test_a_bound_of_nothing_leaves_the_scalars(env, directory):
+    train(env, directory, 3, max_mb=0.0)
+    recording = Recording(directory.recording)
+    assert not recording.has_rows("base/height")
+    assert len(recording.table("training/Loss/value")) == 3
+    assert len(recording.table("log/recording")) == 1
+
+
+def test_the_bound_is_the_same_for_a_split_training(env, directory, tmp_path, bound):
+    train(env, directory, 5, max_mb=bound)
+    for checkpoint in (2, 3):
+        other = a_directory(tmp_path / str(checkpoint))
+        kept = train(env, other, checkpoint, checkpoint_at=checkpoint, max_mb=bound)
+        go_on(env, other, kept, checkpoint, 5, max_mb=bound)
+        assert entity_digests(other.recording) == entity_digests(directory.recording), checkpoint

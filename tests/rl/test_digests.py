@@ -1,0 +1,76 @@
+"""Digests of a training's state notice every bit, and nothing but the state."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+
+from wheelleg_exp.rl import checkpoint, digests
+
+STATE = {
+    "format_version": 1,
+    "iter": 3,
+    "infos": None,
+    "actor_state_dict": {"w": torch.tensor([[1.0, 2.0], [3.0, 4.0]])},
+    "critic_state_dict": {"w": torch.tensor([1.0, -0.0])},
+    "rnd_optimizer_state_dict": {"state": {}},
+    "optimizer_state_dict": {"state": {0: {"step": torch.tensor(1.0)}}, "param_groups": [{"lr": 1e-3}]},
+    "env": {"counter": 5, "streams": {"a": torch.tensor([1], dtype=torch.uint8)}},
+    "log": {"returns": [1.0]},
+    "rng": {"torch": torch.tensor([2], dtype=torch.uint8)},
+    "more": {"x": 1},
+}
+
+
+def changed(change):
+    """The names of the digests that a change of the state changes."""
+    state = copy.deepcopy(STATE)
+    change(state)
+    before, after = digests.of_state(STATE), digests.of_state(state)
+    return {name for name in {*before, *after} if before.get(name) != after.get(name)}
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (lambda s: s["actor_state_dict"]["w"].__setitem__((1, 0), 3.0000002), "parameters"),
+        (lambda s: s["critic_state_dict"]["w"].__setitem__(1, 0.0), "parameters"),
+        (lambda s: s["actor_state_dict"].update(w=torch.tensor([1.0, 2.0, 3.0, 4.0])), "parameters"),
+        (lambda s: s["critic_state_dict"].update(w=torch.tensor([1.0, -0.0]).double()), "parameters"),
+        (lambda s: s["actor_state_dict"].update(v=s["actor_state_dict"].pop("w")), "parameters"),
+        (lambda s: s["optimizer_state_dict"]["param_groups"][0].update(lr=2e-3), "optimizer"),
+        (lambda s: s["rnd_optimizer_state_dict"].update(state=1), "optimizer"),
+        (lambda s: s["env"].update(counter=5.0), "environment"),
+        (lambda s: s["env"].update(new=None), "environment"),
+        (lambda s: s["env"]["streams"]["a"].__setitem__(0, 3), "streams"),
+        (lambda s: s["rng"]["torch"].__setitem__(0, 3), "streams"),
+        (lambda s: s["log"]["returns"].append(1.0), "log"),
+        (lambda s: s["more"].update(x=2), "rest"),
+    ],
+)
+def test_a_change_shows_in_the_digest_of_its_part_alone(change, name):
+    assert changed(change) == {name}
+
+
+def test_what_names_a_checkpoint_does_not_count():
+    assert changed(lambda s: s.update(iter=4, infos="x", format_version=2)) == set()
+
+
+def test_a_part_moved_from_one_list_to_the_next_is_noticed():
+    assert digests.tree_digest([[1], 2]) != digests.tree_digest([[1, 2]])
+    assert digests.tree_digest({"a": {"b": 1}, "c": 2}) != digests.tree_digest({"a": {"b": 1, "c": 2}})
+    assert digests.tree_digest({"a": "b c"}) != digests.tree_digest({"a b": "c"})
+
+
+def test_a_saved_and_loaded_state_has_the_same_digests(tmp_path):
+    path = tmp_path / "model_3.pt"
+    state = {**STATE, "format_version": checkpoint.FORMAT_VERSION}
+    path.write_bytes(checkpoint.serialize(state))
+    assert digests.of_state(checkpoint.load(path)) == digests.of_state(STATE)
+
+
+def test_layout_in_memory_does_not_matter():
+    w = torch.arange(6.0).reshape(2, 3)
+    assert digests.tree_digest(w.T.contiguous().T) == digests.tree_digest(w)

@@ -1,0 +1,115 @@
+"""A trainer restored from its checkpoint is the same wherever one looks, with all that rsl_rl may keep."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+import torch
+from env.crawler import Crawl, differing
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.rl import checkpoint, digests
+
+pytestmark = pytest.mark.train
+
+# What is written before it is read: the rollout of the last iteration, and what the last forward pass left.
+DERIVED = frozenset(
+    {
+        ".algorithm.storage",
+        ".algorithm.transition",
+        ".algorithm.intrinsic_rewards",
+        "['distribution']._distribution",
+        ".rnd.weight",
+        "._views['sensordata']",
+        "._views['actuator_force']",
+        "._sim._current",
+        ".robot.data._cache",
+        "._norms",
+        "._data",
+        "._pressures",
+        "._normals",
+        ".grad",
+    }
+)
+NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
+RND = [
+    "+agent.obs_groups.rnd_state=[policy]",
+    "+agent.algorithm.rnd_cfg={weight: 0.5, num_outputs: 4, predictor_hidden_dims: [8], target_hidden_dims: [8], "
+    "state_normalization: true, reward_normalization: true, "
+    "weight_schedule: {mode: linear, initial_step: 0, final_step: 100, final_value: 0.1}}",
+]
+RECURRENT = [
+    word
+    for role in ("actor", "critic")
+    for word in (
+        f"agent.{role}.class_name=RNNModel",
+        f"+agent.{role}.rnn_type=lstm",
+        f"+agent.{role}.rnn_hidden_dim=8",
+        f"+agent.{role}.rnn_num_layers=1",
+    )
+]
+KINDS = {"plain": [], "normalised": NORMALISED, "rnd": RND, "recurrent": RECURRENT}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_restored_trainer_is_the_same_wherever_one_looks(make_trainer, kind, tmp_path):
+    trainer = make_trainer(*KINDS[kind])
+    list(trainer.learn(until=2))
+    path = tmp_path / "model_1.pt"
+    path.write_bytes(checkpoint.serialize(trainer.state_dict()))
+    other = make_trainer(*KINDS[kind], seed=5)
+    other.load_state_dict(checkpoint.load(path))
+    assert differing(Crawl(trainer, DERIVED), Crawl(other, DERIVED)) == []
+    after = []
+    for each in (trainer, other):
+        torch.set_rng_state(checkpoint.load(path)["rng"]["torch"])
+        (done,) = each.learn(until=3)
+        scalars = {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
+        after.append((scalars, checkpoint.serialize(each.state_dict())))
+    assert after[0] == after[1]
+    assert differing(Crawl(trainer), Crawl(other)) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "spoil"),
+    [
+        ("rnd", lambda state: state["unsaved"]["rnd"].update(update_counter=0)),
+        ("rnd", lambda state: state["unsaved"]["rnd"]["average"].add_(1.0)),
+        ("recurrent", lambda state: state["unsaved"]["hidden"]["actor"][0].add_(0.1)),
+        ("plain", lambda state: state["optimizer_state_dict"]["state"][0]["exp_avg"].add_(1e-3)),
+        ("plain", lambda state: state["log"]["return"].add_(1.0)),
+        ("plain", lambda state: state["env"]["managers"]["rewards"]["episode_sums"].add_(1.0)),
+    ],
+)
+def test_each_part_matters(make_trainer, kind, spoil):
+    """With a part changed, the digests and the next iteration are others."""
+    trainer = make_trainer(*KINDS[kind])
+    list(trainer.learn(until=1))
+    saved = checkpoint.serialize(trainer.state_dict())
+    ends = []
+    for change in (lambda _: None, spoil):
+        state = torch.load(io.BytesIO(saved), weights_only=True)
+        change(state)
+        trainer = make_trainer(*KINDS[kind])
+        trainer.load_state_dict(state)
+        before = digests.of_state(trainer.state_dict())
+        (done,) = trainer.learn(until=2)
+        ends.append((before, {k: v for k, v in done.scalars.items() if not k.startswith("Perf/")}))
+    assert ends[0][0] != ends[1][0]
+    assert ends[0][1] != ends[1][1]
+
+
+def test_a_checkpoint_of_the_first_version_can_be_played_and_not_resumed(make_trainer, tmp_path):
+    trainer = make_trainer()
+    state = {**trainer.state_dict(), "format_version": 1}
+    path = tmp_path / "model_0.pt"
+    path.write_bytes(checkpoint.serialize(state))
+    with pytest.raises(RunDirectoryError, match="played, not resumed"):
+        trainer.load_state_dict(checkpoint.load(path))
+
+
+def test_the_state_of_other_networks_does_not_fit(make_trainer):
+    trainer, wider = make_trainer(), make_trainer("agent.actor.hidden_dims=[32,8]")
+    with pytest.raises(RunDirectoryError, match="does not fit"):
+        wider.load_state_dict(trainer.state_dict())

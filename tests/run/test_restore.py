@@ -1,0 +1,243 @@
+"""A recorded tree comes back byte for byte, from wherever its commit is, and nothing is written beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.restore import find_origin, load_source, restore_source, source_records
+from wheelleg_exp.run.source import snapshot_source
+
+
+def snapshot(root: Path, run: Path) -> dict:
+    return snapshot_source([root], run / "source")
+
+
+def change_record(run: Path, **changes) -> None:
+    path = run / "source" / "git.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def forge(run: Path, patch: bytes, **changes) -> None:
+    """Put another patch in, with a record that vouches for it."""
+    (run / "source" / "source.patch").write_bytes(patch)
+    sha = hashlib.sha256(patch).hexdigest()
+    change_record(run, patch="source.patch", patch_bytes=len(patch), patch_sha256=sha, **changes)
+
+
+def new_file(path: str, text: str = "evil", mode: str = "100644") -> bytes:
+    head = f"diff --git a/{path} b/{path}\nnew file mode {mode}\n--- /dev/null\n+++ b/{path}\n"
+    return f"{head}@@ -0,0 +1 @@\n+{text}\n\\ No newline at end of file\n".encode()
+
+
+def files_outside(folder: Path, *known: Path) -> set[str]:
+    found = [path for path in folder.rglob("*") if not any(path == k or path.is_relative_to(k) for k in known)]
+    return {path.relative_to(folder).as_posix() for path in found}
+
+
+# --- where the commit comes from ---
+
+
+def test_any_clone_that_holds_the_commit_will_do(repository, git, tmp_path):
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    (repository / "new.yaml").write_text("a: 1\n")
+    record = snapshot(repository, tmp_path / "run")
+    clone = tmp_path / "clone"
+    git(tmp_path, "clone", "-q", str(repository), str(clone))
+    shutil.rmtree(repository)
+    assert restore_source(tmp_path / "run", tmp_path / "again", clone) == record["tree"]
+    assert (tmp_path / "again" / "new.yaml").read_text() == "a: 1\n"
+    assert (tmp_path / "again" / "package" / "code.py").read_text() == "x = 2\n"
+    assert git(clone, "status", "--porcelain") == ""
+
+
+@pytest.mark.parametrize("kind", ["shallow", "bare", "worktree"])
+def test_the_clone_may_be_of_any_kind(repository, git, tmp_path, kind):
+    git(repository, "commit", "-q", "--allow-empty", "-m", "second")
+    (repository / "new.yaml").write_text("a: 1\n")
+    record = snapshot(repository, tmp_path / "run")
+    clone = tmp_path / "clone"
+    if kind == "worktree":
+        git(repository, "worktree", "add", "-q", "--detach", str(clone))
+    else:
+        options = {"shallow": ["--depth", "1"], "bare": ["--bare"]}[kind]
+        git(tmp_path, "clone", "-q", *options, f"file://{repository}", str(clone))
+    assert restore_source(tmp_path / "run", tmp_path / "again", clone) == record["tree"]
+    assert git(tmp_path / "again", "status", "--porcelain") == "A  new.yaml"
+
+
+def test_a_commit_that_no_branch_holds_any_more_is_found(repository, git, tmp_path):
+    record = snapshot(repository, tmp_path / "run")
+    git(repository, "commit", "-q", "--amend", "-m", "another")
+    assert git(repository, "rev-parse", "HEAD") != record["commit"]
+    assert restore_source(tmp_path / "run", tmp_path / "again") == record["tree"]
+
+
+def test_the_first_repository_that_holds_the_commit_is_taken(repository, git, tmp_path):
+    record = snapshot(repository, tmp_path / "run")
+    other = tmp_path / "other"
+    other.mkdir()
+    git(other, "init", "-q")
+    assert find_origin(record, [tmp_path / "nowhere", other, repository]) == repository
+
+
+def test_a_commit_that_is_nowhere_is_told_with_how_to_get_it(repository, git, tmp_path):
+    git(repository, "remote", "add", "origin", "https://user:word@example.org/robots.git")
+    record = snapshot(repository, tmp_path / "run")
+    other = tmp_path / "other"
+    other.mkdir()
+    git(other, "init", "-q")
+    with pytest.raises(RunDirectoryError) as caught:
+        find_origin(record, [tmp_path / "nowhere", other])
+    text = str(caught.value)
+    assert f"{other}: does not hold it" in text
+    assert f"there is no folder '{tmp_path / 'nowhere'}'" in text
+    assert "--repository" in text
+    assert f"git fetch https://example.org/robots.git {record['commit']}" in text
+
+
+def test_a_tree_without_a_commit_needs_no_repository(tmp_path, git):
+    unborn = tmp_path / "unborn"
+    unborn.mkdir()
+    git(unborn, "init", "-q")
+    (unborn / "robot.yaml").write_text("a: 1\n")
+    record = snapshot(unborn, tmp_path / "run")
+    shutil.rmtree(unborn)
+    assert record["commit"] is None
+    assert find_origin(record, []) is None
+    assert restore_source(tmp_path / "run", tmp_path / "again") == record["tree"]
+    assert (tmp_path / "again" / "robot.yaml").read_text() == "a: 1\n"
+
+
+# --- the bytes are the recorded ones, whatever this user's git does ---
+
+
+def test_this_users_settings_change_no_byte(repository, git, tmp_path, monkeypatch):
+    (repository / ".gitattributes").write_text("*.big filter=lfs\n")
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
+    (repository / "mesh.big").write_text(pointer)
+    git(repository, "add", "-A")
+    git(repository, "commit", "-qm", "with a pointer")
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    record = snapshot(repository, tmp_path / "run")
+    hooks = tmp_path / "template" / "hooks"
+    hooks.mkdir(parents=True)
+    for name in ("post-checkout", "post-index-change", "reference-transaction"):
+        (hooks / name).write_text(f"#!/bin/sh\ntouch {tmp_path}/hooked\n")
+        (hooks / name).chmod(0o755)
+    (tmp_path / "gitconfig").write_text(
+        "[core]\nautocrlf = true\n[apply]\nwhitespace = fix\n[init]\n"
+        f'templateDir = {tmp_path}/template\n[filter "lfs"]\nsmudge = false\nprocess = false\nrequired = true\n'
+    )
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", str(tmp_path / "gitconfig"))
+    assert restore_source(tmp_path / "run", tmp_path / "again") == record["tree"]
+    assert (tmp_path / "again" / "package" / "code.py").read_bytes() == b"x = 2\n"
+    assert (tmp_path / "again" / "mesh.big").read_text() == pointer
+    assert not (tmp_path / "hooked").exists()
+    assert not (tmp_path / "again" / ".git" / "hooks").exists()
+
+
+def test_the_restored_tree_is_recorded_as_the_same_tree(repository, git, tmp_path):
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    (repository / "new.bin").write_bytes(bytes(range(200, 256)))
+    first = snapshot(repository, tmp_path / "run")
+    restore_source(tmp_path / "run", tmp_path / "again")
+    second = snapshot(tmp_path / "again", tmp_path / "second")
+    assert [second[key] for key in ("commit", "tree", "patch_sha256")] == [
+        first[key] for key in ("commit", "tree", "patch_sha256")
+    ]
+
+
+# --- nobody is led elsewhere ---
+
+ESCAPES = {
+    "above": new_file("../evil"),
+    "absolute": new_file("/tmp/wheelleg_evil"),
+    "hook": new_file(".git/hooks/post-checkout", "#!/bin/sh", "100755"),
+    "git_config": new_file(".GIT/config"),
+    "through_a_link": new_file("link", "../outside", "120000") + new_file("link/evil"),
+    "through_a_committed_link": new_file("committed/evil"),
+}
+
+
+@pytest.mark.parametrize("name", ESCAPES)
+def test_a_patch_writes_nothing_outside_its_tree(repository, git, tmp_path, name):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (repository / "committed").symlink_to(outside)
+    git(repository, "add", "-A")
+    git(repository, "commit", "-qm", "a link")
+    run, place = tmp_path / "run", tmp_path / "place" / "deep"
+    snapshot(repository, run)
+    forge(run, ESCAPES[name])
+    before = files_outside(tmp_path, place)
+    with pytest.raises(RunDirectoryError):
+        restore_source(run, place / "again")
+    assert files_outside(tmp_path, place) - {"place"} == before
+    assert not list(place.glob("*"))
+    assert not Path("/tmp/wheelleg_evil").exists()
+
+
+def test_a_link_to_elsewhere_is_a_link_and_its_target_survives_the_removal(repository, git, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "precious").write_text("1")
+    (repository / "link").symlink_to(outside)
+    snapshot(repository, tmp_path / "run")
+    restore_source(tmp_path / "run", tmp_path / "again")
+    assert (tmp_path / "again" / "link").is_symlink()
+    shutil.rmtree(tmp_path / "again")
+    assert (outside / "precious").exists()
+
+
+def test_a_patch_that_is_not_the_recorded_one_is_refused_before_git_sees_it(repository, tmp_path, monkeypatch):
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    snapshot(repository, tmp_path / "run")
+    path = tmp_path / "run" / "source" / "source.patch"
+    path.write_bytes(path.read_bytes().replace(b"x = 2", b"x = 3"))
+    monkeypatch.setattr("wheelleg_exp.run.restore.run_git", pytest.fail)
+    with pytest.raises(RunDirectoryError, match="changed since the run recorded it"):
+        restore_source(tmp_path / "run", tmp_path / "again")
+
+
+def test_a_forged_patch_gives_another_tree_and_is_refused(repository, tmp_path):
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    snapshot(repository, tmp_path / "run")
+    patch = (tmp_path / "run" / "source" / "source.patch").read_bytes()
+    forge(tmp_path / "run", patch.replace(b"x = 2", b"x = 3"))
+    with pytest.raises(RunDirectoryError, match="the restored tree is"):
+        restore_source(tmp_path / "run", tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"commit": "--upload-pack=touch evil"},
+        {"tree": "HEAD"},
+        {"base": "../x"},
+        {"patch": "../../manifest.json"},
+        {"folders": ["../../elsewhere"]},
+        {"folders": ["/etc"]},
+        {"others": [{"commit": "-x"}]},
+    ],
+)
+def test_a_record_that_names_what_no_record_names_is_refused(repository, tmp_path, changes):
+    snapshot(repository, tmp_path / "run")
+    change_record(tmp_path / "run", **changes)
+    with pytest.raises(RunDirectoryError, match="source"):
+        load_source(tmp_path / "run")
+
+
+def test_the_records_are_those_of_all_roots_in_their_order(repository, git, tmp_path):
+    user = tmp_path / "user"
+    user.mkdir()
+    git(user, "init", "-q")
+    (user / "robot.yaml").write_text("a: 1\n")
+    snapshot_source([repository, user], tmp_path / "run" / "source")
+    assert [record["root"] for record in source_records(tmp_path / "run")] == [str(repository), str(user)]

@@ -1,0 +1,85 @@
+"""``wheelleg replay RUN``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.common import add_json, print_json
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.jobs.replay import Replayed
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.description = (
+        "Train a run again from its snapshot alone, and compare. This runs the code of the run's commit plus the "
+        "run's patch, with all your rights: replay only runs from people whose code you would run."
+    )
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument(
+        "--repository",
+        dest="repositories",
+        action="append",
+        type=Path,
+        default=[],
+        metavar="DIR",
+        help="a clone that holds the run's commit (may be repeated); by default the recorded folder, then the current "
+        "checkout",
+    )
+    parser.add_argument(
+        "--iterations", type=int, metavar="N", help="train N iterations and compare these; by default all"
+    )
+    parser.add_argument("--keep", action="store_true", help="leave the restored source, and say where it is")
+    parser.add_argument(
+        "--root",
+        type=Path,
+        default=Path("runs"),
+        help="where runs are looked up, and the replay is made, in replays/ (default: runs)",
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Restore, train, compare, and say how equal it is."""
+    from wheelleg_exp.jobs.stop import StopRequest
+
+    with StopRequest() as stop:
+        from wheelleg_exp.run.directory import RunDirectory
+
+        directory = RunDirectory.open(args.run, args.root)
+
+        from wheelleg_exp.cli.display import ConsoleDisplay
+        from wheelleg_exp.jobs.replay import replay
+
+        with ConsoleDisplay() as display:
+            found = replay(
+                directory,
+                args.command,
+                display,
+                stop,
+                root=args.root,
+                repositories=args.repositories,
+                iterations=args.iterations,
+                keep=args.keep,
+            )
+    if args.json:
+        print_json(found.as_dict())
+    else:
+        _print(found)
+    return EXIT_FINDING if found.comparison.verdict == "different" else EXIT_OK
+
+
+def _print(found: Replayed) -> None:
+    from wheelleg_exp.cli.figures import shown
+
+    iterations = f"{found.iterations} iteration{'' if found.iterations == 1 else 's'}"
+    part = "all" if found.whole else "the first"
+    print(f"replayed {part} {iterations} of {shown(found.original.path)}: {shown(found.run.path)}")
+    if found.kept is not None:
+        print(f"restored source: {found.kept}")
+    for line in found.comparison.lines():
+        print(line)

@@ -1,0 +1,52 @@
+"""``wheelleg resume RUN``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.common import add_config_dir, add_json
+from wheelleg_exp.cli.outcome import tell_trained, train_on
+
+if TYPE_CHECKING:
+    from wheelleg_exp.jobs.stop import StopRequest
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument(
+        "overrides",
+        nargs="*",
+        metavar="OVERRIDE",
+        help="changes from here on: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ...",
+    )
+    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_config_dir(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Go on with a run from its last whole checkpoint, as if it had never stopped."""
+    from wheelleg_exp.jobs.stop import StopRequest
+
+    with StopRequest() as stop:
+        return _resume(args, stop)
+
+
+def _resume(args: argparse.Namespace, stop: StopRequest) -> int:
+    from wheelleg_exp.run.directory import RunDirectory
+
+    directory = RunDirectory.open(args.run, args.root)
+
+    from wheelleg_exp.cli.display import ConsoleDisplay
+    from wheelleg_exp.cli.figures import shown
+    from wheelleg_exp.jobs import resume
+
+    with ConsoleDisplay(quiet=True) as display:
+        stop.check()
+        display.note(f"run directory: {shown(directory.path)}")
+        ready = resume.prepare(directory, args.overrides, args.command, display, args.config_dirs)
+        results = train_on(ready, display, stop)
+    return tell_trained(directory, results, as_json=args.json)

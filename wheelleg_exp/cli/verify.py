@@ -1,0 +1,55 @@
+"""``wheelleg verify``: a run against its own manifest, or two runs against each other."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.common import UsageError, add_json, print_json
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.run.verification import Comparison, RunFindings
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("a", metavar="RUN", help="a run's path, its id, or latest")
+    parser.add_argument("b", metavar="RUN", nargs="?", help="another run, to compare the first with")
+    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    parser.add_argument("--common", action="store_true", help="compare only the iterations that both runs have")
+    parser.add_argument("--iterations", type=int, metavar="N", help="compare only the first N iterations")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what was found; exit status 0 for sound, identical or within tolerance, else 1."""
+    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.verification import compare_runs, verify_run
+
+    _require_sensible(args)
+    one = RunDirectory.open(args.a, args.root)
+    if args.b is None:
+        findings = verify_run(one)
+        _print(args.json, findings)
+        return EXIT_OK if findings.is_sound else EXIT_FINDING
+    other = RunDirectory.open(args.b, args.root)
+    comparison = compare_runs(one, other, iterations=args.iterations, common=args.common)
+    _print(args.json, comparison)
+    return EXIT_FINDING if comparison.verdict == "different" else EXIT_OK
+
+
+def _require_sensible(args: argparse.Namespace) -> None:
+    for option, given in (("--common", args.common), ("--iterations", args.iterations is not None)):
+        if given and args.b is None:
+            raise UsageError("compares two runs, and one was given", key=option, expected="wheelleg verify A B")
+    if args.iterations is not None and args.iterations < 1:
+        raise UsageError("there is nothing to compare", key="--iterations", expected="a whole number above 0")
+
+
+def _print(as_json: bool, found: RunFindings | Comparison) -> None:
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        print("\n".join(found.lines()))

@@ -1,0 +1,109 @@
+"""Where a run goes on: the last whole checkpoint, held against the log of iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.jobs.log_files import LogLine, whole_lines
+from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.run.directory import RunDirectory, checkpoint_iteration
+
+
+@dataclass(frozen=True)
+class ResumePoint:
+    """The end of the last iteration that is known entirely.
+
+    Attributes:
+        iteration: the first iteration that is to be computed.
+        checkpoint: the checkpoint of the one before; None at the beginning of the run.
+        state: its content.
+        lines: the whole lines of the log, those past the checkpoint included.
+        damaged: newer checkpoints that cannot be used, each with the reason.
+    """
+
+    iteration: int
+    checkpoint: Path | None
+    state: Mapping[str, Any] | None
+    lines: Sequence[LogLine]
+    damaged: Mapping[Path, str]
+
+    @property
+    def kept(self) -> list[Mapping[str, Any]]:
+        """The log's content up to the checkpoint."""
+        return [line.content for line in self.lines[: self.iteration]]
+
+    @property
+    def dropped(self) -> dict[int, Mapping[str, str]]:
+        """Digests of the iterations past the checkpoint, which are computed again."""
+        later = (line.content for line in self.lines[self.iteration :])
+        return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
+
+    @property
+    def log_size(self) -> int:
+        """Bytes of the log that stay."""
+        return self.lines[self.iteration - 1].end if self.iteration else 0
+
+
+def find_point(run: RunDirectory) -> ResumePoint:
+    """Find the last whole checkpoint of a run.
+
+    Raises:
+        RunDirectoryError: the log does not reach that far, or tells of another state; or the checkpoint is of a
+            version that cannot be resumed.
+    """
+    lines = whole_lines(run.iterations)
+    damaged: dict[Path, str] = {}
+    foreign: RunDirectoryError | None = None
+    for path in reversed(run.checkpoints()):
+        try:
+            state = _loaded(path)
+        except RunDirectoryError as error:
+            damaged[path] = error.message
+            continue
+        checkpoint.require_resumable(state)
+        point = ResumePoint(checkpoint_iteration(path) + 1, path, state, lines, damaged)
+        _require_line(run, point)
+        wrong = _differing(point)
+        if not wrong:
+            return point
+        damaged[path] = f"{', '.join(wrong)} differ from the digests that iteration {point.iteration - 1} left"
+        foreign = foreign or RunDirectoryError(
+            f"no checkpoint is of the training that {run.iterations.name} tells of: {damaged[path]}",
+            key=str(path),
+            expected="the run's own checkpoints and log",
+        )
+    if foreign is not None:  # beginning anew would throw away what may be right
+        raise foreign
+    return ResumePoint(0, None, None, lines, damaged)
+
+
+def _loaded(path: Path) -> dict[str, Any]:
+    state = checkpoint.load(path)
+    if state["iter"] != checkpoint_iteration(path):
+        raise RunDirectoryError(f"holds iteration {state['iter']}", key=str(path))
+    return state
+
+
+def _require_line(run: RunDirectory, point: ResumePoint) -> None:
+    if len(point.lines) < point.iteration:
+        assert point.checkpoint is not None
+        raise RunDirectoryError(
+            f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} is "
+            "there, so the log would have a gap",
+            key=str(run.iterations),
+            expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
+            f"model_{len(point.lines)}.pt on, to go on from before",
+        )
+
+
+def _differing(point: ResumePoint) -> list[str]:
+    """Return which digests of the checkpoint are not those in the log; a flipped byte does not show in the file."""
+    line = point.lines[point.iteration - 1].content
+    if line.get("digest_format") != digests.FORMAT or point.state is None:
+        return []
+    found = digests.of_state(point.state)
+    return [name for name, digest in line["digests"].items() if found.get(name, digest) != digest]

@@ -1,0 +1,123 @@
+"""What came out of the run: iterations, checkpoints, recording, exported policy."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.directory import checkpoint_iteration
+from wheelleg_exp.run.files import read_json
+from wheelleg_exp.run.verification.findings import Check
+from wheelleg_exp.run.verification.subject import Subject
+
+
+def iterations(subject: Subject) -> Check:
+    """Check that the log counts from 0 without gap or repeat, and ends as the results say."""
+    log, failures = subject.log, list(subject.log.problems)
+    notes: list[str] = []
+    missing = not subject.run.iterations.is_file()
+    if missing and not subject.run.checkpoints() and subject.status != "finished":
+        return Check("iterations", "", skipped="the run has no iteration yet")
+    if log.cut_off:
+        (failures if subject.has_ended else notes).append("the last line is cut off")
+    failures += _results_problems(subject)
+    names = list(log.lines[-1].digests) if log.lines else []
+    text = f"{len(log.lines)} iterations from 0 on; digests of {', '.join(names) or 'nothing'}"
+    return Check("iterations", text, failures, notes)
+
+
+def _results_problems(subject: Subject) -> Iterator[str]:
+    """Hold the manifest's results against the last iteration."""
+    results, lines = subject.manifest.results, subject.log.lines
+    if not subject.has_ended or not lines or subject.log.problems:
+        return
+    if results.get("iterations", len(lines)) != len(lines):
+        yield f"the manifest says {results['iterations']} iterations, the log has {len(lines)}"
+        return
+    for name, value in results.items():
+        if name in lines[-1].scalars and lines[-1].scalars[name] != value:
+            yield f"the manifest says {name} {value}, the last iteration {lines[-1].scalars[name]}"
+
+
+def checkpoints(subject: Subject) -> Check:
+    """Load every checkpoint, and hold it against its name and the log."""
+    paths = subject.run.checkpoints()
+    if not paths:
+        last = subject.manifest.results.get("checkpoint")
+        missing = ["a finished run has no checkpoint"] if subject.status == "finished" or last else []
+        return Check("checkpoints", "none", missing)
+    failures: list[str] = []
+    notes: list[str] = []
+    agreed = 0
+    for path in paths:
+        problems, compared = _checkpoint_problems(subject, path)
+        failures += [f"{path.name} {problem}" for problem in problems]
+        agreed += bool(compared) and not problems
+    if agreed + len({failure.split()[0] for failure in failures}) < len(paths):
+        notes.append("the digests of the log have another definition, so the others were only loaded")
+    last = subject.manifest.results.get("checkpoint")
+    if subject.has_ended and last and last != paths[-1].name:
+        failures.append(f"the manifest says that the last one is {last}, the last one here is {paths[-1].name}")
+    return Check("checkpoints", f"{len(paths)} load; {agreed} agree with the digests of the log", failures, notes)
+
+
+def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
+    """Return what is wrong with a checkpoint, and the digests that it was held against."""
+    from wheelleg_exp.rl import checkpoint, digests
+
+    iteration = checkpoint_iteration(path)
+    try:
+        state = checkpoint.load(path)
+    except RunDirectoryError as error:
+        return [error.message], []
+    problems = [] if state["iter"] == iteration else [f"is of iteration {state['iter']}"]
+    if iteration >= len(subject.log.lines):
+        return [*problems, "is of an iteration that the log does not have"], []
+    line = subject.log.lines[iteration]
+    if line.digest_format != digests.FORMAT:
+        return problems, []
+    found = digests.of_state(state)
+    differing = [name for name in found if line.digests.get(name) not in (None, found[name])]
+    if differing:
+        problems.append(f"does not agree with the log's digests of {', '.join(differing)}")
+    return problems, list(found)
+
+
+def recording(subject: Subject) -> Check:
+    """Check that the recording can be read and was closed."""
+    path = subject.run.recording
+    if not path.exists():
+        return Check("recording", "", skipped="the run has none")
+    from wheelleg_exp.recording.contents import Contents
+
+    contents = Contents(path)
+    health = contents.health
+    told = health.lines()[1:]
+    text = f"{len(contents.pieces)} entities in {health.messages} messages, {health.size / 1e6:.1f} MB"
+    if health.damaged or (subject.has_ended and not health.is_whole):
+        return Check("recording", text, told)
+    return Check("recording", text, notes=told)
+
+
+def exported(subject: Subject) -> Check:
+    """Check that the exported policy can be read."""
+    folder = subject.run.exported
+    names = sorted(path.name for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
+    if not names:
+        return Check("exported", "", skipped="the run exported no policy")
+    failures = []
+    if "policy.pt" in names and _archive_problem(folder / "policy.pt"):
+        failures.append("exported/policy.pt is damaged")
+    if "policy.json" in names and not isinstance(read_json(folder / "policy.json"), Mapping):
+        failures.append("exported/policy.json describes no policy")
+    return Check("exported", ", ".join(names), failures)
+
+
+def _archive_problem(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.testzip() is not None
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError):
+        return True
