@@ -1,0 +1,116 @@
+"""The report in a real browser: on a desk, on a phone, on paper."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from browser.chrome import Chrome
+from wheelleg_exp.report import make_report
+from wheelleg_exp.run.directory import RunDirectory
+
+_BOXES = """
+return [...document.querySelectorAll(arguments[0] || 'SELECTOR')].map(e => {
+  const box = e.getBoundingClientRect();
+  return [box.width, box.height, box.left, box.right];
+});
+"""
+
+
+def _boxes(chrome: Chrome, selector: str) -> list[list[float]]:
+    return chrome.script(_BOXES.replace("SELECTOR", selector))
+
+
+@pytest.fixture(scope="module")
+def report(played: RunDirectory) -> Path:
+    made = make_report(played.path, played.root)
+    if made.notes:
+        pytest.skip(f"{made.notes[0]} (Debian: apt install libegl1 libgl1-mesa-dri or libosmesa6)")
+    assert made.size < 3_000_000
+    return made.path
+
+
+@pytest.fixture(params=[375, 768, 1280], ids=["phone", "tablet", "desk"])
+def width(request: pytest.FixtureRequest, chrome: Chrome, report: Path) -> int:
+    """Open the report at a width."""
+    chrome.size(request.param)
+    chrome.open(report.as_uri())
+    return request.param
+
+
+def test_pictures_and_plots_are_on_screen(chrome: Chrome, width: int):
+    shown = chrome.script("return [...document.images].map(i => [i.complete, i.naturalWidth, i.clientWidth])")
+    assert len(shown) >= 9  # one at the top, four of the play, four of each sample
+    assert all(complete and natural > 0 and 0 < client <= width for complete, natural, client in shown)
+    chrome.script("document.querySelectorAll('details').forEach(d => d.open = true)")
+    plots = _boxes(chrome, "figure.plot svg")
+    assert len(plots) > 10
+    assert all(w > 250 and h > 100 for w, h, _, _ in plots)
+    lines = _boxes(chrome, "figure.plot svg path")
+    assert sum(w > 50 and h > 2 for w, h, _, _ in lines) > 20
+
+
+def test_nothing_is_wider_than_the_screen(chrome: Chrome, width: int):
+    chrome.script("document.querySelectorAll('details').forEach(d => d.open = true)")
+    assert chrome.script("return document.documentElement.scrollWidth") <= width
+    for left, right in [box[2:] for box in _boxes(chrome, "main > section, figure, .card, p, dl, pre, .scroll")]:
+        assert left >= 0
+        assert right <= width + 0.5
+    smallest = chrome.script(
+        "return Math.min(...[...document.querySelectorAll('main *')]"
+        ".filter(e => e.textContent.trim() && !e.closest('svg'))"
+        ".map(e => parseFloat(getComputedStyle(e).fontSize)))"
+    )
+    assert smallest >= 12
+
+
+def test_letters_in_plots_can_be_read(chrome: Chrome, width: int):
+    heights = chrome.script(
+        "return [...document.querySelectorAll('figure.plot svg text')].filter(t => t.textContent.trim()"
+        " && !t.closest('details:not([open])')).map(t => t.getBoundingClientRect().height)"
+    )
+    assert heights
+    assert min(heights) >= 9
+
+
+def test_the_browser_complains_of_nothing_and_fetches_nothing(chrome: Chrome, report: Path):
+    chrome.size(1280)
+    chrome.open(report.as_uri())
+    chrome.script("return document.images.length")
+    assert chrome.errors() == []
+    assert chrome.requests() == [report.as_uri()]
+
+
+def test_the_robot_is_on_the_picture(chrome: Chrome, report: Path):
+    chrome.size(1280)
+    chrome.open(report.as_uri())
+    left, top, right, bottom = chrome.script(
+        "const b = document.querySelector('.hero img').getBoundingClientRect();"
+        "return [b.left, b.top, b.right, b.bottom]"
+    )
+    hero = chrome.picture()[int(top) : int(bottom), int(left) : int(right)].astype(int)
+    # The robot is orange on a floor of greys.
+    orange = (hero[..., 0] - hero[..., 2] > 60) & (hero[..., 0] > hero[..., 1])
+    assert 0.01 < np.mean(orange) < 0.5
+
+
+def test_on_paper_there_are_pages_with_everything_on_them(chrome: Chrome, report: Path):
+    chrome.size(1280)
+    chrome.open(report.as_uri())
+    pdf = chrome.pdf()
+    assert pdf.startswith(b"%PDF")
+    pages = len(re.findall(rb"/Type\s*/Page\b", pdf))
+    assert 3 <= pages <= 20
+    (box,) = set(re.findall(rb"/MediaBox\s*\[([^\]]+)\]", pdf))
+    assert [round(float(x)) for x in box.split()] == [0, 0, 595, 842]  # A4, in points
+    chrome.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        hidden = chrome.script(
+            "return [...document.querySelectorAll('details > *:not(summary)')].filter(e => !e.checkVisibility()).length"
+        )
+        assert hidden == 0
+    finally:
+        chrome.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})

@@ -1,0 +1,93 @@
+"""Rerun's web viewer as `wheelleg inspect --web` serves it: our robot and our plots in a real browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from browser.chrome import Chrome, wait
+from wheelleg_exp.inspection.web import WebViewer
+from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.run.directory import RunDirectory
+
+_WIDTH, _HEIGHT = 1100, 700
+_PATIENCE_S = 180.0  # a busy machine without a graphics card compiles and draws slowly
+
+
+@pytest.fixture(scope="module")
+def recording(played: RunDirectory) -> Recording:
+    (folder,) = played.play.iterdir()
+    return Recording(folder / "recording.rrd")
+
+
+@pytest.fixture(scope="module")
+def address(recording: Recording) -> Iterator[str]:
+    with WebViewer(recording.path) as served:
+        yield served.url
+
+
+@pytest.fixture(scope="module")
+def pictures(chrome: Chrome, address: str, recording: Recording) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """What the browser shows before the recording is there, and once robot and plots stand still."""
+    chrome.size(_WIDTH, _HEIGHT)
+    chrome.open(address)
+    empty = chrome.picture()
+    if not chrome.script("return !!document.createElement('canvas').getContext('webgl2')"):
+        pytest.skip("this browser has neither WebGL nor a software renderer for it")
+    wait(lambda: _robot(chrome.picture(), recording) > 500 and _lines(chrome.picture()) > 500, _PATIENCE_S)
+    return empty, chrome.picture()
+
+
+def test_the_canvas_is_not_blank(pictures):
+    empty, loaded = pictures
+    assert len(np.unique(loaded.reshape(-1, 3), axis=0)) > 100
+    assert np.mean(np.any(loaded != empty, axis=-1)) > 0.3
+
+
+def test_the_robot_is_on_screen_in_its_colours(pictures, recording):
+    empty, loaded = pictures
+    assert _robot(empty, recording) == 0
+    assert _robot(loaded, recording) > 500
+
+
+def test_plots_are_on_screen(pictures):
+    empty, loaded = pictures
+    assert _lines(empty) == 0
+    assert _lines(loaded) > 500
+
+
+def test_the_page_asks_only_its_own_server(pictures, chrome, address):
+    assert {url.split("/")[2] for url in chrome.requests()} <= {address.split("/")[2], ""}
+
+
+def _robot(picture: NDArray[np.uint8], recording: Recording) -> int:
+    """Return how many pixels of the robot's view have its most colourful colour, whatever the light."""
+    return _count(picture[:, : picture.shape[1] // 2], _colour(recording))
+
+
+def _colour(recording: Recording) -> NDArray[np.float64]:
+    packed = [
+        colour
+        for entity in recording.entities()
+        if entity.startswith("world/")
+        for colour in recording.static(entity).get("colors", [])
+    ]
+    colours = np.array([[c >> 24 & 255, c >> 16 & 255, c >> 8 & 255] for c in packed], dtype=float)
+    # The warm one: floor, sky and the viewer's own lines are grey and blue.
+    return colours[np.argmax(colours[:, 0] - colours[:, 2])]
+
+
+def _count(picture: NDArray[np.uint8], colour: NDArray[np.float64]) -> int:
+    pixels = picture.astype(float)
+    length = np.linalg.norm(pixels, axis=-1)
+    alike = (pixels @ colour) / np.maximum(length * np.linalg.norm(colour), 1.0)
+    return int(np.count_nonzero((alike > 0.985) & (length > 80)))
+
+
+def _lines(picture: NDArray[np.uint8]) -> int:
+    """Return how many pixels of the right half are coloured: lines of plots on a plain ground."""
+    right = picture[40:-40, picture.shape[1] // 2 :].astype(int)
+    return int(np.count_nonzero(right.max(axis=-1) - right.min(axis=-1) > 60))

@@ -1,0 +1,276 @@
+"""Pictures of the robot: what the recording holds is where a camera would see it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inspection.written import CONTACT, DT, FELL_AT, HEIGHT, base_x, write_recording
+from PIL import Image
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.inspection import captions, pictures, renderer
+from wheelleg_exp.inspection.camera import Camera, axes, follow
+from wheelleg_exp.inspection.pictures import Scenery, row_at, scenery
+from wheelleg_exp.inspection.scene_of import points
+from wheelleg_exp.inspection.shapes import Shape
+from wheelleg_exp.recording.reader import Recording
+
+WIDTH, HEIGHT_PX = 320, 240
+TAN = np.tan(np.radians(15.0))
+
+
+@pytest.fixture(scope="module")
+def shown(played: Recording) -> Scenery:
+    return scenery(played)
+
+
+def camera_of(shown: Scenery, row: int) -> tuple[Camera, np.ndarray]:
+    camera = follow(shown.scene, shown.motion, np.arange(len(shown.motion.step)), WIDTH / HEIGHT_PX)
+    return camera, camera.lookat[row]
+
+
+def pixel(point: np.ndarray, camera: Camera, lookat: np.ndarray) -> tuple[int, int]:
+    """Return where a point is seen (column, row), by a pinhole of 30 degrees."""
+    right, up, back = axes()
+    seen = point - lookat
+    depth = camera.distance - seen @ back
+    scale = HEIGHT_PX / 2 / TAN / depth
+    return round(WIDTH / 2 + scale * (seen @ right)), round(HEIGHT_PX / 2 - scale * (seen @ up))
+
+
+def is_orange(rgb: np.ndarray) -> np.ndarray:
+    r, g, b = (rgb[..., i].astype(int) for i in range(3))
+    return (r > 1.3 * g) & (g > 1.5 * b) & (r > 60)
+
+
+def is_magenta(rgb: np.ndarray) -> np.ndarray:
+    r, g, b = (rgb[..., i].astype(int) for i in range(3))
+    return (r > 2 * g) & (b > 2 * g) & (r > 60)
+
+
+def test_a_scene_has_every_recorded_shape(shown: Scenery) -> None:
+    kinds = {name: sorted(shape.kind for shape in shapes) for name, shapes in shown.scene.bodies.items()}
+    assert kinds == {"base": ["box", "capsule", "ellipsoid", "mesh"], "wheel": ["cylinder"]}
+    rod = next(shape for shape in shown.scene.bodies["base"] if shape.kind == "capsule")
+    np.testing.assert_allclose(rod.pos, [0, 0, -0.05], atol=1e-7)  # recorded from the centre of its lower cap
+    assert shown.scene.ground is not None
+    assert shown.scene.ground.tile == pytest.approx(0.1)
+    assert list(shown.scene.bodies)[shown.scene.root] == "base"
+
+
+def test_points_of_a_scene_are_the_corners_of_the_robot(shown: Scenery) -> None:
+    cloud = points(shown.scene, shown.motion.pos[0], shown.motion.quat[0])
+    np.testing.assert_allclose(cloud.min(axis=0)[2], 0.0, atol=1e-6)  # the tyre stands on the ground
+    np.testing.assert_allclose(cloud.max(axis=0)[2], HEIGHT + 0.09, atol=1e-6)  # the tip of the fin
+    np.testing.assert_allclose(cloud.max(axis=0)[0], 0.1, atol=1e-6)  # the eye's front
+
+
+def test_the_robot_is_drawn_where_a_camera_sees_it(shown: Scenery, graphics: str) -> None:
+    row = 10
+    image = pictures.picture(shown, row, WIDTH, HEIGHT_PX, caption=False)
+    camera, lookat = camera_of(shown, row)
+    centre = np.array([base_x(shown.motion.step[row : row + 1])[0], 0.0, HEIGHT])
+    corners = [
+        pixel(centre + np.array([sx * 0.08, sy * 0.06, sz * 0.05]), camera, lookat)
+        for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)
+    ]  # fmt: skip
+    columns, rows = np.nonzero(is_orange(image).T)
+    assert abs(columns.min() - min(c for c, _ in corners)) <= 3
+    assert abs(columns.max() - max(c for c, _ in corners)) <= 3
+    assert abs(rows.max() - max(r for _, r in corners)) <= 3
+
+
+def test_a_picture_is_filled_and_not_overfilled(shown: Scenery, graphics: str) -> None:
+    share = is_orange(pictures.picture(shown, 0, WIDTH, HEIGHT_PX, caption=False)).mean()
+    assert 0.03 < share < 0.5
+
+
+def test_the_robot_moves_over_the_ground_between_two_times(shown: Scenery, graphics: str) -> None:
+    early, late = pictures.pictures(shown, [0, 33], WIDTH, HEIGHT_PX)
+    assert np.abs(early.astype(int) - late).mean() > 2.0
+    # The camera follows: the robot itself stays where it is in the picture.
+    centres = [np.argwhere(is_orange(image)).mean(axis=0) for image in (early, late)]
+    assert np.abs(centres[0] - centres[1]).max() < 0.1 * WIDTH
+
+
+def test_a_contact_force_is_an_arrow_of_its_length(shown: Scenery, graphics: str) -> None:
+    touching, free = pictures.pictures(shown, [10, 11], WIDTH, HEIGHT_PX)
+    assert not is_magenta(free).any()
+    rows, columns = np.nonzero(is_magenta(touching))
+    camera, lookat = camera_of(shown, 10)
+    origin = shown.motion.arrows[0].origins[10][0]
+    low, high = (pixel(origin + np.array([0, 0, up]), camera, lookat)[1] for up in (0.0, CONTACT))
+    assert abs(rows.max() - low) <= 4
+    assert abs(rows.min() - high) <= 4
+    assert abs(columns.mean() - pixel(origin, camera, lookat)[0]) <= 3
+
+
+def test_the_same_moment_gives_the_same_picture(shown: Scenery, graphics: str) -> None:
+    first, second = (pictures.picture(shown, 5, WIDTH, HEIGHT_PX) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_screenshot_is_a_file_of_the_asked_size(played: Recording, tmp_path: Path, graphics: str) -> None:
+    path = tmp_path / "shots" / "robot.png"
+    assert pictures.screenshot(played, path, time_s=0.5, width=200, height=120) == pytest.approx(0.5)
+    with Image.open(path) as image:
+        assert image.size == (200, 120)
+    assert [p.name for p in path.parent.iterdir()] == ["robot.png"]
+    with pytest.raises(WheellegError, match="not overwritten"):
+        pictures.screenshot(played, path)
+
+
+@pytest.mark.parametrize(
+    ("choice", "row"),
+    [
+        ({"time_s": 0.2}, 9),
+        ({"at": "0.2s"}, 9),
+        ({"at": ".2"}, 9),
+        ({"at": "terminations.fell"}, FELL_AT - 1),
+        ({"at": "terminations/fell"}, FELL_AT - 1),
+        ({"at": "contacts.feet"}, 0),
+        ({}, 30),
+    ],
+)
+def test_a_moment_is_found(shown: Scenery, choice: dict, row: int) -> None:
+    assert row_at(shown, **choice) == row
+
+
+@pytest.mark.parametrize(
+    ("choice", "step"),
+    [
+        ({"iteration": 5}, 121 + 12),
+        ({"iteration": 6, "at": "0.1s"}, 145 + 5),
+        ({"iteration": 11, "at": "terminations.fell"}, 280),
+        ({"at": "terminations.fell"}, 40),
+        ({}, 241 + 30),
+    ],
+)
+def test_a_moment_of_a_training_is_found(trained: Recording, choice: dict, step: int) -> None:
+    found = scenery(trained)
+    assert found.motion.step[row_at(found, **choice)] == step
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"time_s": 9.0}, "a time from 0.02 to 1.20 s"),
+        ({"at": "terminations.fel"}, "did you mean 'terminations.fell'"),
+        ({"at": "terminations.time_out"}, "zero at every recorded step"),
+        ({"iteration": 3}, "nothing was recorded at iteration 3"),
+    ],
+)
+def test_a_moment_that_is_not_there_is_told(shown: Scenery, choice: dict, message: str) -> None:
+    with pytest.raises(WheellegError) as caught:
+        row_at(shown, **choice)
+    assert message in str(caught.value)
+
+
+def test_another_environment_has_its_own_motion(several: Recording) -> None:
+    assert scenery(several, 3).source.branch == "env_3"
+    with pytest.raises(WheellegError, match="environment 1 was not recorded"):
+        scenery(several, 1)
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 100), (100, 5000), (-3, 10)])
+def test_a_size_that_cannot_be_drawn_is_refused(shown: Scenery, width: int, height: int) -> None:
+    with pytest.raises(WheellegError, match="16 to 4096"):
+        pictures.picture(shown, 0, width, height)
+
+
+def test_a_caption_says_when_and_what_was_commanded(trained: Recording) -> None:
+    found = scenery(trained)
+    assert captions.lines(found.motion, row_at(found, iteration=5, at="0s")) == [
+        f"iteration 5 · t = {121 * DT:.2f} s",
+        "command: forward +0.50 m/s",
+    ]
+    assert list(captions.legend(found.motion)) == ["contact force"]
+
+
+def test_a_pose_that_is_not_finite_is_the_last_that_was(tmp_path: Path) -> None:
+    from wheelleg_exp.inspection.scene_of import _last_finite
+
+    rows = np.array([[np.nan, 0], [1, 2], [np.inf, 0], [3, 4]], dtype=float)
+    np.testing.assert_array_equal(_last_finite(rows), [[1, 2], [1, 2], [1, 2], [3, 4]])
+
+
+def test_a_recording_without_a_robot_is_told(tmp_path: Path) -> None:
+    import rerun as rr
+
+    path = tmp_path / "other.rrd"
+    stream = rr.RecordingStream("other", recording_id="x")
+    stream.save(path)
+    stream.log("something", rr.Scalars([1.0]))
+    stream.disconnect()
+    with pytest.raises(WheellegError, match="no robot that moves"):
+        scenery(Recording(path))
+
+
+def test_without_graphics_the_message_says_what_to_install(shown: Scenery, monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(renderer, "BACKENDS", ("glfw",))  # no display here
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(WheellegError) as caught:
+        pictures.save(shown, 0, tmp_path / "a.png", 64, 64)
+    assert "apt install libegl1" in str(caught.value)
+    assert "libosmesa6" in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_driver_that_aborts_takes_nothing_with_it(shown: Scenery, monkeypatch) -> None:
+    """The drawing process is replaced by one that aborts, as drivers do."""
+    crashing = [sys.executable, "-c", "import os; os.write(2, b'driver: cannot\\n'); os.abort()"]
+    real = subprocess.Popen
+    monkeypatch.setattr(renderer.subprocess, "Popen", lambda _, **options: real(crashing, **options))
+    with pytest.raises(WheellegError, match="driver: cannot"):
+        pictures.picture(shown, 0, 64, 64)
+
+
+def test_the_wanted_backend_comes_first(monkeypatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    assert renderer.backends() == ("osmesa", "egl")
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    assert renderer.backends() == ("egl", "osmesa")
+
+
+def test_drawing_leaves_no_process_and_no_log_behind(
+    shown: Scenery, graphics: str, tmp_path: Path, monkeypatch
+) -> None:
+    started = []
+    real = subprocess.Popen
+    monkeypatch.setattr(renderer.subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
+    monkeypatch.chdir(tmp_path)
+    pictures.picture(shown, 0, 64, 64)
+    assert [process.returncode for process in started] == [0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_looking_needs_neither_torch_nor_mujoco_in_this_process(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "r.rrd")
+    code = (
+        "import sys; from pathlib import Path; from wheelleg_exp.recording.reader import Recording\n"
+        "from wheelleg_exp.inspection import plots, pictures, video, viewer, export\n"
+        f"pictures.scenery(Recording(Path({str(path)!r})))\n"
+        "print([m for m in ('torch', 'mujoco', 'matplotlib.pyplot') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_terrain_and_meshes_without_an_area_are_no_trouble(shown: Scenery, graphics: str) -> None:
+    """A flat surface has no volume, and a recorded mesh may be a single point."""
+    x, y = np.meshgrid([-2.0, 0.0, 2.0], [-2.0, 0.0, 2.0])
+    flat = np.column_stack((x.ravel(), y.ravel(), np.zeros(9)))
+    faces = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [3, 4, 7], [3, 7, 6], [4, 5, 8], [4, 8, 7]])
+    place, upright, green = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.6, 0.0, 1.0)
+    terrain = Shape("mesh", (), place, upright, green, flat, faces)
+    point = Shape("mesh", (), place, upright, green, np.zeros((4, 3)), np.array([[0, 1, 2], [1, 2, 3]]))
+    scene = replace(shown.scene, fixed=[terrain, point], ground=None)
+    image = pictures.picture(replace(shown, scene=scene), 5, WIDTH, HEIGHT_PX, caption=False).astype(int)
+    assert ((image[..., 1] > 1.5 * image[..., 0]) & (image[..., 1] > 1.5 * image[..., 2])).mean() > 0.3
+    assert is_orange(image).mean() > 0.03

@@ -1,0 +1,277 @@
+"""Figures: the numbers in them are the recorded ones, they are readable, and the same every time."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from inspection.written import DT, FELL_AT, ITERATIONS, STEPS, numbers, scalar_values, steps_of
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.inspection import plots, plots_training
+from wheelleg_exp.inspection.figures_style import PALETTE, figure_bytes, tile
+from wheelleg_exp.inspection.plot_data import Source
+from wheelleg_exp.inspection.selection import Selection
+from wheelleg_exp.inspection.spans import Length
+from wheelleg_exp.recording.reader import Recording
+
+
+def panel(figure: Figure, title: str) -> Axes:
+    return next(axes for axes in figure.get_axes() if axes.get_title("left") == title)
+
+
+def line(figure: Figure, title: str, label: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return a line of a panel without the gaps at resets."""
+    for found in panel(figure, title).get_lines():
+        if label in (None, found.get_label()) and len(found.get_xdata()) > 2:
+            x, y = (np.asarray(data, dtype=float) for data in found.get_data())
+            return x[np.isfinite(y)], y[np.isfinite(y)]
+    raise AssertionError(f"{title} has no line '{label}'")
+
+
+@pytest.mark.parametrize(
+    ("title", "label", "entity"),
+    [
+        ("Height of the base (m)", "actual", "base/height"),
+        ("Forward velocity (m/s)", "actual", "base/v_x"),
+        ("Forward velocity (m/s)", "command", "commands/drive/v_x"),
+        ("Pitch of the base (rad)", "actual", "base/pitch"),
+    ],
+)
+def test_tracking_shows_what_was_recorded_and_commanded(played: Recording, title, label, entity) -> None:
+    time, values = line(plots.make(played, "tracking"), title, label)
+    np.testing.assert_allclose(time, steps_of(training=False) * DT)
+    np.testing.assert_allclose(values, numbers(steps_of(training=False))[entity])
+
+
+def test_a_line_has_a_gap_where_the_robot_was_reset(played: Recording) -> None:
+    drawn = panel(plots.make(played, "tracking"), "Height of the base (m)").get_lines()
+    values = next(np.asarray(one.get_ydata()) for one in drawn if one.get_label() == "actual")
+    assert np.flatnonzero(np.isnan(values)).tolist() == [FELL_AT]
+    assert len(values) == STEPS + 1
+
+
+def test_a_held_joint_shows_positions_and_a_driven_one_velocities(played: Recording) -> None:
+    figure = plots.make(played, "joints")
+    expected = numbers(steps_of(training=False))
+    np.testing.assert_allclose(
+        line(figure, "knee: position and target (rad)", "actual")[1], expected["joints/knee/position"]
+    )
+    np.testing.assert_allclose(
+        line(figure, "roll: velocity and target (rad/s)", "target")[1], expected["joints/roll/velocity_target"]
+    )
+
+
+def test_an_effort_shows_its_limits_on_both_sides(played: Recording) -> None:
+    axes = panel(plots.make(played, "joints"), "knee: effort (N·m)")
+    bounds = {float(one.get_ydata()[0]) for one in axes.get_lines() if len(set(one.get_ydata())) == 1}
+    assert bounds == {-2.0, 2.0}
+    assert axes.get_ylim()[0] < -2.0 < 2.0 < axes.get_ylim()[1]
+
+
+def test_contact_forces_are_drawn_of_the_bodies_that_were_touched(played: Recording) -> None:
+    figure = plots.make(played, "contact_forces")
+    force = line(figure, "wheel: contact force (N)")[1]
+    np.testing.assert_allclose(force, 20.0 * (steps_of(training=False) % 2))
+    words = [text.get_text() for text in panel(figure, "Never touched (feet)").texts]
+    assert words == ["base"]
+
+
+def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) -> None:
+    axes = panel(plots.make(played, "reward_shares"), "Mean reward by term, whole recording")
+    expected = numbers(steps_of(training=False))
+    shown = dict(
+        zip([t.get_text() for t in axes.get_yticklabels()], (bar.get_width() for bar in axes.patches), strict=True)
+    )
+    assert shown == pytest.approx({"alive": 2.0, "effort": expected["rewards/effort"].mean()})
+    share = 2.0 / (2.0 - expected["rewards/effort"].mean())
+    assert any(f"({share:.0%})" in text.get_text() for text in axes.texts)
+
+
+def test_terminations_are_marked_when_they_fired(played: Recording) -> None:
+    axes = panel(plots.make(played, "terminations"), "When terminations fired")
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["fell  1×", "time_out  0×"]
+    np.testing.assert_allclose(axes.get_lines()[0].get_xdata(), [FELL_AT * DT])
+
+
+@pytest.mark.parametrize(
+    ("title", "key"),
+    [
+        ("Return of an episode", "Train/mean_reward"),
+        ("Value loss", "Loss/value"),
+        ("Learning rate", "Loss/learning_rate"),
+    ],
+)
+def test_learning_curves_are_the_recorded_scalars(trained: Recording, title, key) -> None:
+    iterations, values = line(plots.make(trained, "learning_curves"), title)
+    np.testing.assert_array_equal(iterations, np.arange(ITERATIONS))
+    np.testing.assert_allclose(values, scalar_values()[key])
+
+
+def test_learning_curves_of_scalars_alone_are_those_of_the_recording(trained: Recording) -> None:
+    scalars = {key: (np.arange(ITERATIONS), values) for key, values in scalar_values().items()}
+    for name in ("learning_curves", "reward_shares"):
+        titles = [axes.get_title("left") for axes in plots.PLOTS[name].from_scalars(scalars).get_axes()]
+        assert titles == [axes.get_title("left") for axes in plots.make(trained, name).get_axes()]
+
+
+def test_a_training_shows_its_samples_from_pale_to_dark(trained: Recording) -> None:
+    axes = panel(plots.make(trained, "tracking"), "Height of the base (m)")
+    lines = [one for one in axes.get_lines() if one.get_label().startswith("iteration")]
+    assert [one.get_label() for one in lines] == ["iteration 0", "iteration 5", "iteration 10"]
+    lightness = [sum(mpl.colors.to_rgb(one.get_color())) for one in lines]
+    assert lightness == sorted(lightness, reverse=True)
+    assert all(one.get_xdata()[0] == 0.0 for one in lines)
+
+
+def test_a_long_curve_is_smoothed_and_its_own_values_stay_in_sight() -> None:
+    values = np.random.default_rng(0).normal(size=400)
+    figure = tile(plots_training.learning({"Loss/value": (np.arange(400), values)}))
+    raw, smooth = panel(figure, "Value loss").get_lines()
+    np.testing.assert_array_equal(raw.get_ydata(), values)
+    middle = smooth.get_ydata()[200]
+    assert middle == pytest.approx(values[195:206].mean())
+
+
+def test_smoothing_leaves_out_what_is_not_a_number() -> None:
+    values = np.array([1.0, np.nan, 3.0])
+    np.testing.assert_allclose(plots_training.smooth(values), [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("kind", ["played", "trained", "several"])
+def test_the_default_page_shows_what_matters_for_the_purpose(kind: str, request: pytest.FixtureRequest) -> None:
+    recording = request.getfixturevalue(kind)
+    titles = {axes.get_title("left") for axes in plots.default_page(recording).get_axes()}
+    assert "Height of the base (m)" in titles
+    assert ("Return of an episode" in titles) == (kind == "trained")
+
+
+def test_a_chosen_environment_is_the_one_that_is_drawn(several: Recording) -> None:
+    heights = [
+        line(plots.make(several, "tracking", selection=Selection(env_id=i)), "Height of the base (m)", "actual")[1]
+        for i in (0, 3)
+    ]
+    np.testing.assert_allclose(heights[1] - heights[0], 0.001)
+
+
+def test_a_chosen_span_of_time_is_what_is_drawn(played: Recording) -> None:
+    chosen = Selection(begin=Length(0.2, False), end=Length(0.4, False))
+    time, _ = line(plots.make(played, "tracking", selection=chosen), "Height of the base (m)", "actual")
+    np.testing.assert_allclose(time, np.arange(10, 21) * DT)
+
+
+def test_nothing_chosen_is_an_error(played: Recording) -> None:
+    with pytest.raises(WheellegError, match="holds nothing"):
+        plots.default_page(played, selection=Selection(begin=Length(99.0, False)))
+
+
+def test_terms_are_found_by_their_dotted_names(played: Recording, trained: Recording) -> None:
+    _, values = line(plots.terms_figure(played, ["rewards.effort"]), "rewards.effort")
+    np.testing.assert_allclose(values, numbers(steps_of(training=False))["rewards/effort"])
+    _, values = line(plots.terms_figure(trained, ["Loss.value"]), "Loss.value")
+    np.testing.assert_allclose(values, scalar_values()["Loss/value"])
+
+
+def test_every_number_of_a_term_gets_a_panel(played: Recording) -> None:
+    figure = plots.terms_figure(played, ["contacts.feet"])
+    assert [axes.get_title("left") for axes in figure.get_axes()] == ["contacts.feet: base", "contacts.feet: wheel"]
+
+
+def test_an_unknown_term_is_told_with_the_nearest(played: Recording) -> None:
+    with pytest.raises(WheellegError) as caught:
+        plots.terms_figure(played, ["rewards.efort"])
+    assert "rewards/effort" in str(caught.value)
+
+
+def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording) -> None:
+    figure = plots.overlay({"one": played, "two": several}, "base.height", selection=None)
+    first, second = (line(figure, "base.height", label)[1] for label in ("one", "two"))
+    np.testing.assert_allclose(first, second)
+    styles = {one.get_linestyle() for one in panel(figure, "base.height").get_lines()}
+    assert len(styles) == 2  # told apart in grey print too
+
+
+def test_an_overlay_of_trainings_shows_learning_curves(trained: Recording) -> None:
+    figure = plots.overlay({"a": trained, "b": trained}, ())
+    np.testing.assert_allclose(line(figure, "Return of an episode", "b")[1], scalar_values()["Train/mean_reward"])
+
+
+@pytest.mark.parametrize("name", ["reward_shares", "tracking"])
+def test_a_figure_is_the_same_text_every_time(trained: Recording, name: str) -> None:
+    first, second = (plots.figure_svg(plots.make(trained, name)) for _ in range(2))
+    assert first == second
+    assert "<dc:date>" not in first
+
+
+def test_an_svg_is_one_scalable_element_whose_words_are_text(played: Recording) -> None:
+    root = ET.fromstring(plots.figure_svg(plots.make(played, "tracking")))
+    assert root.tag.endswith("svg")
+    assert root.get("viewBox")
+    words = {"".join(text.itertext()).strip() for text in root.iter("{http://www.w3.org/2000/svg}text")}
+    assert {"Height of the base (m)", "simulated time (s)", "command"} <= words
+
+
+def test_panels_stay_legible_when_small(played: Recording) -> None:
+    for one in plots.PLOTS["tracking"].each(played):
+        figure = tile([one], size=(3.8, 2.6))
+        figure.draw_without_rendering()
+        box = figure.get_axes()[0].get_window_extent()
+        assert box.width > 0.7 * 3.8 * figure.dpi
+        assert box.height > 0.5 * 2.6 * figure.dpi
+
+
+def test_drawing_changes_nothing_of_the_process(played: Recording) -> None:
+    before = dict(mpl.rcParams)
+    figure_bytes(plots.make(played, "terminations"), "png")
+    assert dict(mpl.rcParams) == before
+
+
+def test_no_two_colours_of_the_palette_are_near_for_the_colour_blind() -> None:
+    """Seen by an eye without green receptors (Viénot 1999, linear RGB)."""
+    rgb = np.array([mpl.colors.to_rgb(shade) for shade in PALETTE[:6]])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = linear @ np.array([[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]]).T
+    seen = np.clip(seen, 0, 1) ** (1 / 2.2)
+    apart = np.linalg.norm(seen[:, None] - seen[None], axis=2) + 9 * np.eye(len(seen))
+    assert apart.min() > 0.12
+
+
+@pytest.mark.parametrize("kind", plots.KINDS)
+def test_a_figure_is_saved_by_its_ending(played: Recording, tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "new" / f"figure.{kind}"
+    plots.save(plots.make(played, "terminations"), path)
+    head = path.read_bytes()[:64]
+    assert {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}[kind] in head
+    if kind == "png":
+        assert np.asarray(Image.open(path).convert("L")).std() > 5
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_a_figure_is_never_written_over_a_file(played: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "figure.svg"
+    path.write_text("mine")
+    with pytest.raises(WheellegError, match="not overwritten"):
+        plots.save(plots.make(played, "terminations"), path)
+    assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["figure", "figure.gif"])
+def test_a_name_that_says_no_kind_is_refused(name: str) -> None:
+    with pytest.raises(WheellegError, match=r"\.png, \.svg or \.pdf"):
+        plots.require_path(Path(name))
+
+
+def test_an_unknown_plot_is_told_with_the_nearest(played: Recording) -> None:
+    with pytest.raises(WheellegError, match="did you mean 'tracking'"):
+        plots.make(played, "trackin")
+
+
+def test_a_source_knows_its_samples(trained: Recording) -> None:
+    samples = Source(trained).samples()
+    assert [(s.first, s.last, s.iteration) for s in samples] == [(1, 60, 0), (121, 180, 5), (241, 300, 10)]

@@ -1,0 +1,206 @@
+"""The summary of recordings whose figures are known beforehand."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from inspection.synthetic import AMPLITUDE, STEP_DT, Writer, drive, play, training
+
+from wheelleg_exp.inspection.selection import Selection
+from wheelleg_exp.inspection.spans import Length
+from wheelleg_exp.inspection.summary import summarize
+from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.run.files import dump_json
+
+
+@pytest.fixture(scope="module")
+def summary(tmp_path_factory):
+    return summarize(Recording(play(tmp_path_factory.mktemp("play") / "r.rrd")))
+
+
+def test_what_it_holds_and_from_when_to_when(summary):
+    assert summary.purpose == "play"
+    assert summary.step_dt == pytest.approx(STEP_DT, rel=1e-12)
+    assert (summary.timelines["step"].first, summary.timelines["step"].last) == (1, 200)
+    assert summary.timelines["sim_time"].last == pytest.approx(4.0)
+    assert {part.name: (part.entities, part.rows) for part in summary.parts}["base"] == (4, 800)
+    assert summary.health["is_whole"]
+
+
+def test_episodes_end_where_a_termination_fired(summary):
+    found = [(e.first_step, e.last_step, e.outcome, e.ended_by) for e in summary.episodes]
+    assert found == [
+        (1, 50, "failed", ("fallen",)),
+        (51, 150, "time out", ("time_out",)),
+        (151, 200, "unfinished", ()),
+    ]
+    assert [e.duration_s for e in summary.episodes] == pytest.approx([1.0, 2.0, 1.0])
+    assert [e.total_reward for e in summary.episodes] == pytest.approx([2.0, 4.0, 2.0])
+
+
+def test_survival_counts_ended_episodes_only(summary):
+    figures = summary.figures
+    assert (figures.count, figures.failed, figures.timed_out, figures.unfinished) == (3, 1, 1, 1)
+    assert figures.survival == 0.5
+    assert figures.ended_by == {"fallen": 1, "time_out": 1}
+    assert figures.mean_duration_s == pytest.approx(1.5)
+    assert figures.mean_reward == pytest.approx(3.0)
+
+
+def test_a_constant_and_an_alternating_velocity_error(summary):
+    errors = {error.name: error for error in summary.tracking}
+    forward, turning = errors["v_x"], errors["w_z"]
+    assert (forward.rmse, forward.mean, forward.largest) == pytest.approx((0.25, 0.25, 0.25))
+    assert forward.mean_command == 1.0
+    assert (turning.rmse, turning.mean, turning.mean_absolute) == pytest.approx((0.5, 0.0, 0.5))
+
+
+def test_the_statistics_of_a_sine(summary):
+    pitch = summary.base["pitch"]
+    assert pitch.mean == pytest.approx(0.0, abs=1e-15)
+    assert pitch.rms == pytest.approx(AMPLITUDE / np.sqrt(2))
+    assert (pitch.minimum, pitch.maximum) == pytest.approx((-AMPLITUDE, AMPLITUDE))
+    assert (pitch.maximum_at.step, pitch.minimum_at.step) == (25, 75)
+    assert summary.base["height"].std == pytest.approx(0.0, abs=1e-15)
+    assert list(summary.base) == ["height", "pitch"]
+
+
+def test_the_largest_force_and_how_long_there_was_one(summary):
+    left, right = summary.forces
+    assert (left.sensor, left.body, left.largest_n, left.at.step) == ("feet", "left", 200.0, 200)
+    assert (left.mean_n, left.contact_share) == (100.5, 1.0)
+    assert (right.body, right.largest_n, right.contact_share) == ("right", 0.0, 0.0)
+
+
+def test_peaks_within_a_step_count_where_they_were_recorded(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("contacts/feet", [[1.0, 2.0], [3.0, 4.0]], names=["l", "r"])
+    writer.numbers("contacts/feet/peak", [[9.0, 2.0], [3.0, 8.0]], names=["l", "r"])
+    forces = summarize(Recording(writer.close())).forces
+    assert [(force.body, force.largest_n, force.at.step) for force in forces] == [("l", 9.0, 1), ("r", 8.0, 2)]
+
+
+def test_how_long_an_effort_was_at_its_limit(summary):
+    (hip,) = summary.efforts
+    assert (hip.joint, hip.limit, hip.largest, hip.saturated_share) == ("hip", 2.0, 2.0, 0.25)
+    assert hip.rms == pytest.approx(np.sqrt((3 * 1 + 4) / 4))
+
+
+def test_shares_of_the_rewards_are_by_size(summary):
+    shares = {reward.term: reward for reward in summary.rewards}
+    assert list(shares) == ["effort", "alive"]
+    assert (shares["alive"].share, shares["effort"].share) == (0.75, 0.25)
+    assert shares["alive"].total == pytest.approx(3.0 * 4.0)
+    assert (shares["effort"].mean, shares["effort"].weight) == (-1.0, -0.1)
+
+
+def test_events_are_counted(summary):
+    assert summary.events == {"push": 2}
+
+
+def test_of_a_training_every_scalar_tells_where_it_was_best(tmp_path):
+    summary = summarize(Recording(training(tmp_path / "r.rrd")))
+    (trend,) = summary.training
+    assert (trend.name, trend.count, trend.first, trend.last) == ("Train/mean_reward", 10, -27.0, 0.0)
+    assert (trend.highest, trend.highest_at, trend.lowest_at) == (9.0, 6, 0)
+
+
+def test_environments_are_taken_together_or_one_by_one(tmp_path):
+    recording = Recording(training(tmp_path / "r.rrd"))
+    both, one = summarize(recording), summarize(recording, Selection(env_id=5))
+    assert (both.figures.count, one.figures.count) == (6, 3)
+    assert both.base["height"].mean == pytest.approx(0.6)
+    assert one.base["height"].mean == pytest.approx(1.1)
+    assert both.base["height"].maximum_at.env_id == 5
+    assert one.env_ids == [5]
+
+
+def test_figures_of_a_part_of_the_time(tmp_path):
+    recording = Recording(play(tmp_path / "r.rrd"))
+    part = summarize(recording, Selection(begin=Length(1.02, False), end=Length(3.0, False)))
+    assert [(episode.first_step, episode.last_step) for episode in part.episodes] == [(51, 150)]
+    assert part.events == {"push": 1}
+    assert part.forces[0].largest_n == 150.0
+
+
+def test_sample_episodes_belong_to_the_stretch_of_frames_that_they_stand_in(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    steps = np.r_[1:41, 201:241]
+    iterations = (steps - 1) // 20
+    fallen = np.isin(steps, [10, 210])
+    writer.numbers("terminations/fallen", fallen, steps, None, iterations)
+    writer.numbers("rewards/total", np.ones(80), steps, None, iterations)
+    writer.words("log/episodes", [(10, "env 0: ended by fallen", "WARN"), (210, "env 0: ended by fallen", "WARN")])
+    samples = summarize(Recording(writer.close())).samples
+    assert [(s.iteration, s.last_iteration, s.episodes, s.ended, s.survival) for s in samples] == [
+        (0, 1, 2, 1, 0.0),
+        (10, 11, 2, 1, 0.0),
+    ]
+
+
+def test_episodes_are_told_apart_by_their_own_marks_where_there_are(tmp_path):
+    """The first frame is the 31st of its episode, and the second episode ends in the step that the third begins."""
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("terminations/a", [0, 0, 1, 1])
+    writer.numbers("terminations/b", [0, 0, 0, 1])
+    writer.numbers("episode/number", [4, 4, 4, 5])
+    writer.numbers("episode/step", [31, 32, 33, 1])
+    writer.numbers("episode/terminated", [0, 0, 0, 1])
+    writer.numbers("episode/truncated", [0, 0, 1, 0])
+    first, second = summarize(Recording(writer.close())).episodes
+    assert (first.outcome, first.ended_by, first.is_from_start) == ("time out", ("a",), False)
+    assert first.duration_s == pytest.approx(33 * STEP_DT)
+    assert (second.outcome, second.ended_by, second.is_from_start) == ("failed", ("a", "b"), True)
+
+
+def test_numbers_that_are_none_are_counted_and_left_out(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("base/pitch", [1.0, np.nan, 3.0, np.inf])
+    writer.numbers("rewards/a", [np.nan, np.nan, 2.0, 4.0])
+    summary = summarize(Recording(writer.close()))
+    pitch = summary.base["pitch"]
+    assert (pitch.count, pitch.nan, pitch.infinite, pitch.mean, pitch.maximum) == (4, 1, 1, 2.0, 3.0)
+    assert summary.rewards[0].mean == 3.0
+
+
+def test_an_empty_episode_log_and_single_frames_do_not_hurt(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("terminations/fallen", [0.0])
+    summary = summarize(Recording(writer.close()))
+    assert [episode.outcome for episode in summary.episodes] == ["unfinished"]
+    assert summary.figures.survival is None
+
+
+def test_it_can_be_written_as_json(summary):
+    document = json.loads(dump_json(summary.as_dict()))
+    assert document["figures"]["survival"] == 0.5
+    assert document["base"]["pitch"]["quantiles"]["0.5"] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_joint_and_a_term_may_have_any_name(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers(r"joints/left\ hip\.x/effort", [1.0, 2.0])
+    writer.static(r"joints/left\ hip\.x", effort_limit=[2.0])
+    (use,) = summarize(Recording(writer.close())).efforts
+    assert (use.joint, use.saturated_share) == ("left hip.x", 0.5)
+
+
+def test_a_killed_recording_is_summarized_as_far_as_it_goes(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    drive(writer)
+    summary = summarize(Recording(writer.kill()))
+    assert not summary.health["is_whole"]
+    assert summary.figures.count == 3
+
+
+def test_an_environment_of_which_less_is_there_does_not_hide_the_others(tmp_path):
+    """As in a file that was cut off between the rows of two environments."""
+    writer = Writer(tmp_path / "r.rrd")
+    drive(writer, "env_0")
+    writer.numbers("env_3/base/height", [5.0])
+    summary = summarize(Recording(writer.kill()))
+    assert summary.figures.count == 3
+    assert summary.base["height"].maximum == 5.0
+    assert summary.tracking[0].mean == pytest.approx(0.25)

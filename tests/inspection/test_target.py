@@ -1,0 +1,87 @@
+"""Which recording a word means."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from inspection.synthetic import play
+
+from wheelleg_exp.errors import RunDirectoryError, WheellegError
+from wheelleg_exp.inspection.target import find_target, recordings_of
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.manifest_format import FORMAT
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """A run with a recording of its training and two plays."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "runs" / "stand" / "2026-01-02_03-04-05_0"
+    for name in (".", "play/2026-01-03_00-00-00", "play/2026-01-04_00-00-00"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        play(folder / name / "recording.rrd")
+    manifest = {"format": FORMAT, "status": "finished", "task": "stand", "started": "2026-01-02T03:04:05+00:00"}
+    manifest |= {"ended": None, "results": {}, "resumes": [], "additions": [], "files": {}}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return RunDirectory(folder)
+
+
+@pytest.mark.parametrize("word", ["latest", "2026-01-02_03-04-05_0", "stand/2026-01-02_03-04-05_0"])
+def test_a_run_stands_for_the_recording_of_its_training(run, word):
+    target = find_target(word, "runs")
+    assert (target.path, target.run) == (run.recording, run)
+    assert [path.parent.name for path in target.others()] == ["2026-01-03_00-00-00", "2026-01-04_00-00-00"]
+
+
+def test_the_newest_play_or_any_other(run):
+    assert find_target("latest", "runs", play=True).path.parent.name == "2026-01-04_00-00-00"
+    older = run.play / "2026-01-03_00-00-00"
+    for word in (older, older / "recording.rrd"):
+        target = find_target(word, "runs")
+        assert (target.path, target.run) == (older / "recording.rrd", run)
+    assert recordings_of(run)[0] == run.recording
+
+
+def test_a_file_belongs_to_no_run(tmp_path):
+    target = find_target(play(tmp_path / "any.rrd"), "runs")
+    assert (target.path, target.run, target.others()) == (tmp_path / "any.rrd", None, [])
+    with pytest.raises(WheellegError, match=r"--play: .* is no run"):
+        find_target(tmp_path / "any.rrd", "runs", play=True)
+
+
+def test_a_run_that_was_not_recorded_says_so_and_names_its_plays(run):
+    run.recording.unlink()
+    run.hydra.mkdir()
+    (run.hydra / "config.yaml").write_text("recording: {enabled: false}")
+    with pytest.raises(RunDirectoryError, match=r"recording.enabled=false; its plays were recorded: play/2026-01-03"):
+        find_target("latest", "runs")
+    (run.hydra / "config.yaml").write_text("recording: [broken")
+    with pytest.raises(RunDirectoryError, match=r"there is no recording\.rrd"):
+        find_target("latest", "runs")
+
+
+def test_a_run_without_a_play_says_how_to_make_one(run):
+    for path in run.play.glob("*/recording.rrd"):
+        path.unlink()
+    with pytest.raises(RunDirectoryError, match=r"no recorded play.*wheelleg play"):
+        find_target("latest", "runs", play=True)
+
+
+def test_wrong_words_are_told_with_the_nearest(run, tmp_path):
+    play(tmp_path / "walk.rrd")
+    with pytest.raises(RunDirectoryError, match=r"there is no file 'wolk\.rrd'.*did you mean 'walk\.rrd'"):
+        find_target("wolk.rrd", "runs")
+    with pytest.raises(RunDirectoryError, match=r"there is no run 'latets'.*did you mean 'latest'"):
+        find_target("latets", "runs")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RunDirectoryError, match="'empty' is no run, and holds no recordings"):
+        find_target("empty", "runs")
+
+
+def test_a_folder_with_one_recording_stands_for_it(tmp_path):
+    play(tmp_path / "one.rrd")
+    assert find_target(tmp_path, "runs").path == tmp_path / "one.rrd"
+    play(tmp_path / "two.rrd")
+    with pytest.raises(RunDirectoryError, match=r"holds 2 recordings; expected one of one\.rrd, two\.rrd"):
+        find_target(tmp_path, "runs")

@@ -1,0 +1,120 @@
+"""Videos: as many pictures as the time says, in a form that browsers play."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from inspection.written import DT, STEPS
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.inspection import video as video_module
+from wheelleg_exp.inspection.pictures import scenery
+from wheelleg_exp.inspection.selection import Selection
+from wheelleg_exp.inspection.spans import Length
+from wheelleg_exp.inspection.video import video
+from wheelleg_exp.recording.reader import Recording
+
+SMALL = {"width": 96, "height": 64}
+
+
+def decoded(path: Path) -> list[np.ndarray]:
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def test_a_video_lasts_as_long_as_what_it_shows(played: Recording, tmp_path: Path, graphics: str) -> None:
+    path, told = tmp_path / "new" / "robot.mp4", []
+    done = video(played, path, fps=25.0, progress=lambda *count: told.append(count), **SMALL)
+    expected = round(STEPS * DT * 25)
+    assert done.frames == expected
+    assert told == [(i, expected) for i in range(1, expected + 1)]
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert float(stream.duration * stream.time_base) == pytest.approx(STEPS * DT)
+        assert (stream.codec_context.width, stream.codec_context.height) == (96, 64)
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert stream.codec_context.name == "h264"
+    frames = decoded(path)
+    assert len(frames) == expected
+    assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0
+    assert [p.name for p in path.parent.iterdir()] == ["robot.mp4"]
+
+
+def test_the_index_stands_in_front_so_that_a_browser_starts_at_once(
+    played: Recording, tmp_path: Path, graphics: str
+) -> None:
+    path = tmp_path / "robot.mp4"
+    video(played, path, fps=10.0, selection=Selection(end=Length(0.3, False)), **SMALL)
+    data = path.read_bytes()
+    assert 0 < data.index(b"moov") < data.index(b"mdat")
+
+
+@pytest.mark.parametrize(
+    ("selection", "fps", "speed", "steps"),
+    [
+        (Selection(), 50.0, 1.0, list(range(1, 61))),
+        (Selection(), 25.0, 1.0, list(range(1, 61, 2))),
+        (Selection(begin=Length(0.2, False), end=Length(0.4, False)), 50.0, 1.0, list(range(10, 21))),
+        (Selection(begin=Length(10, True), end=Length(20, True)), 50.0, 1.0, list(range(10, 21))),
+        (Selection(end=Length(0.06, False)), 50.0, 0.5, [1, 1, 2, 2, 3, 3]),
+        (Selection(), 50.0, 10.0, [1, 11, 21, 31, 41, 51]),
+    ],
+)
+def test_a_picture_shows_the_last_recorded_frame_of_its_time(played, selection, fps, speed, steps) -> None:
+    shown = scenery(played)
+    takes = [video_module._resampled(shown, rows, fps, speed) for rows in video_module._takes(shown, selection)]
+    assert [int(shown.motion.step[row]) for take in takes for row in take] == steps
+
+
+@pytest.mark.parametrize(
+    ("selection", "firsts"),
+    [(Selection(), [1, 121, 241]), (Selection(iterations=(5, 5)), [121]), (Selection(iterations=(5, 11)), [121, 241])],
+)
+def test_a_training_is_shown_sample_by_sample(trained: Recording, selection: Selection, firsts: list[int]) -> None:
+    shown = scenery(trained)
+    assert [int(shown.motion.step[rows[0]]) for rows in video_module._takes(shown, selection)] == firsts
+
+
+def test_nothing_chosen_is_told_with_what_there_is(trained: Recording, tmp_path: Path) -> None:
+    with pytest.raises(WheellegError) as caught:
+        video(trained, tmp_path / "a.mp4", selection=Selection(iterations=(3, 4)), **SMALL)
+    assert "samples begin at the iterations 0, 5, 10" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("a.gif", {}, ".mp4"),
+        ("a.mp4", {"width": 97, "height": 64}, "even"),
+        ("a.mp4", {"width": 8, "height": 64}, "16 to 4096"),
+        ("a.mp4", {"fps": 0.0}, "1 to 240"),
+        ("a.mp4", {"fps": float("nan")}, "1 to 240"),
+        ("a.mp4", {"speed": 0.0}, "0.001 to 1000"),
+    ],
+)
+def test_what_cannot_be_encoded_is_refused_before_anything_is_drawn(played, tmp_path, name, options, message) -> None:
+    with pytest.raises(WheellegError) as caught:
+        video(played, tmp_path / name, **{**SMALL, **options})
+    assert message in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_video_is_never_written_over_a_file(played: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"mine")
+    with pytest.raises(WheellegError, match="not overwritten"):
+        video(played, path, **SMALL)
+    assert path.read_bytes() == b"mine"
+
+
+def test_an_interrupted_video_leaves_nothing(played: Recording, tmp_path: Path, graphics: str) -> None:
+    def interrupt(done: int, _: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        video(played, tmp_path / "a.mp4", progress=interrupt, **SMALL)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,270 @@
+"""The viewer: it listens on the loopback address alone, sends nothing anywhere, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inspection.written import write_recording
+from PIL import Image
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.inspection import viewer, viewer_process, web
+from wheelleg_exp.inspection.renderer import NoGraphics
+from wheelleg_exp.inspection.web import WebViewer
+from wheelleg_exp.recording.reader import Recording
+
+psutil = pytest.importorskip("psutil", reason="psutil looks at what a process listens on")
+
+
+@pytest.fixture(scope="module")
+def files() -> web.Files:
+    return web.viewer_files()
+
+
+@pytest.fixture
+def served(played: Recording, files: web.Files, monkeypatch) -> Iterator[WebViewer]:
+    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    with WebViewer(played.path) as running:
+        yield running
+
+
+def ask(port: int, path: str, host: str | None = None, method: str = "GET") -> tuple[int, dict[str, str], bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    try:
+        connection.request(method, path, headers={"Host": host or f"127.0.0.1:{port}"})
+        answer = connection.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+    finally:
+        connection.close()
+
+
+def listening(pid: int) -> set[str]:
+    """Return the addresses that a process and all that it started listen on."""
+    family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+    found = [c for process in family for c in process.net_connections(kind="inet")]
+    return {connection.laddr.ip for connection in found if connection.status == psutil.CONN_LISTEN}
+
+
+def elsewhere(pid: int) -> set[str]:
+    """Return the foreign addresses that a process and all that it started talk to."""
+    family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+    found = [c.raddr.ip for process in family for c in process.net_connections(kind="inet") if c.raddr]
+    return {ip for ip in found if ip not in ("127.0.0.1", "::1")}
+
+
+def test_the_page_shows_the_recording_and_asks_nothing_of_other_machines(served: WebViewer) -> None:
+    status, headers, _ = ask(served.port, "/")
+    assert status == 302
+    target = headers["Location"]
+    assert target.startswith(f"{served.url}?url=http%3A%2F%2F127.0.0.1%3A{served.port}%2Frecording.rrd&")
+    status, headers, page = ask(served.port, target.removeprefix(served.url.rstrip("/")))
+    assert status == 200
+    assert b"re_viewer.js" in page
+    assert b"fonts.g" not in page  # the page that rerun hands out asks Google for a font
+    policy = dict(part.split(" ", 1) for part in headers["Content-Security-Policy"].split("; "))
+    assert policy["default-src"] == "'none'"
+    assert policy["connect-src"] == "'self' data: blob:"
+
+
+def test_the_recording_is_served_as_it_is(served: WebViewer, played: Recording) -> None:
+    status, headers, body = ask(served.port, "/recording.rrd")
+    assert (status, body) == (200, Path(played.path).read_bytes())
+    assert int(headers["Content-Length"]) == len(body)
+    status, headers, nothing = ask(served.port, "/recording.rrd", method="HEAD")
+    assert (status, nothing, int(headers["Content-Length"])) == (200, b"", len(body))
+
+
+def test_a_recording_that_grows_is_served_up_to_where_it_is(files, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    path = write_recording(tmp_path / "growing.rrd")
+    with WebViewer(path) as running:
+        before = len(ask(running.port, "/recording.rrd")[2])
+        with path.open("ab") as file:
+            file.write(b"more")
+        assert len(ask(running.port, "/recording.rrd")[2]) == before + 4
+        path.unlink()
+        assert ask(running.port, "/recording.rrd")[0] == 404
+
+
+@pytest.mark.parametrize("path", ["/../../etc/passwd", "/etc/passwd", "/recording.rrd/..", "//etc/passwd", "/%2e%2e/x"])
+def test_nothing_else_is_served(served: WebViewer, path: str) -> None:
+    assert ask(served.port, path)[0] == 404
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1", "127.0.0.1:1"])
+def test_a_page_of_another_name_reads_nothing(served: WebViewer, host: str) -> None:
+    status, _, body = ask(served.port, "/recording.rrd", host=host)
+    assert (status, body) == (403, b"")
+
+
+def test_only_the_loopback_address_is_listened_on(served: WebViewer) -> None:
+    assert listening(os.getpid()) == {"127.0.0.1"}
+
+
+def test_a_port_that_is_taken_is_told(files, played: Recording, monkeypatch) -> None:
+    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        with pytest.raises(WheellegError, match="cannot be listened on"):
+            WebViewer(Path(played.path), holder.getsockname()[1])
+    with pytest.raises(WheellegError, match="cannot be listened on"):
+        WebViewer(Path(played.path), 70000)
+
+
+def test_two_viewers_stand_beside_each_other(files, played: Recording, monkeypatch) -> None:
+    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    with WebViewer(Path(played.path)) as one, WebViewer(Path(played.path)) as two:
+        assert one.port != two.port
+        assert ask(one.port, "/favicon.ico")[0] == ask(two.port, "/favicon.ico")[0] == 200
+
+
+def test_an_ended_viewer_answers_no_more(files, played: Recording, monkeypatch) -> None:
+    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    with WebViewer(Path(played.path)) as running:
+        port = running.port
+    with pytest.raises(ConnectionError):
+        ask(port, "/")
+
+
+def test_fetching_the_viewer_leaves_no_process(files: web.Files) -> None:
+    assert files["/re_viewer_bg.wasm"][0] == "application/wasm"
+    assert not [p for p in psutil.Process().children(recursive=True) if "rerun" in p.name()]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_serves_until_it_is_interrupted(played: Recording, number: signal.Signals) -> None:
+    words = [sys.executable, "-m", "wheelleg_exp.cli.main", "inspect", str(played.path), "--web", "--no-browser"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        port = int(line.rstrip().rstrip("/").rsplit(":", 1)[1])
+        assert ask(port, "/recording.rrd")[0] == 200
+        assert listening(process.pid) == {"127.0.0.1"}
+        children = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(number)
+        assert process.wait(20) == 0
+        assert process.stderr is not None
+        assert process.stderr.read() == ""
+        assert not [child for child in children if child.is_running()]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_no_window_is_opened_where_there_is_no_display(played: Recording, monkeypatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    if viewer.has_display():
+        pytest.skip("this system always has a display")
+    with pytest.raises(WheellegError) as caught:
+        viewer.open_window(Path(played.path))
+    assert "--web" in str(caught.value)
+
+
+def test_no_browser_is_opened_where_it_cannot_be_seen(monkeypatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(viewer.webbrowser, "open", lambda _: pytest.fail("opened"))
+    if viewer.has_display():
+        pytest.skip("this system always has a display")
+    assert not viewer._open_browser("http://127.0.0.1/")
+
+
+def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Path, monkeypatch) -> None:
+    """With settings of its own for this test: what it would write there, it would write for a user."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    port = viewer_process.free_port()
+    with viewer_process.viewer(["--headless", "--port", str(port)]) as (process, said):
+        end = time.monotonic() + 4.0
+        while not listening(process.pid):
+            if process.poll() is not None or time.monotonic() > end:
+                pytest.skip(f"no viewer: {viewer_process.last_words(said)}")
+            time.sleep(0.05)
+        assert listening(process.pid) == {"127.0.0.1"}
+        seen = set()
+        for _ in range(20):
+            seen |= elsewhere(process.pid)
+            time.sleep(0.05)
+        assert seen == set()
+        pid = process.pid
+    assert not psutil.pid_exists(pid)
+    assert not [path for path in tmp_path.rglob("*rerun*") if path.is_dir() and "config" in str(path)]
+
+
+def test_the_viewer_may_reach_no_other_machine() -> None:
+    environment = viewer_process.viewer_environment()
+    assert environment["HTTPS_PROXY"] == environment["https_proxy"] == "http://127.0.0.1:9"
+    assert environment["CI"] == "true"
+
+
+def test_ending_a_viewer_ends_what_it_started() -> None:
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(60)'])",
+        ],
+        start_new_session=True,
+    )
+    end = time.monotonic() + 10
+    while not (children := psutil.Process(process.pid).children()) and time.monotonic() < end:
+        time.sleep(0.02)
+    viewer_process.end(process)
+    psutil.wait_procs(children, timeout=5)
+    assert children
+    assert not [child for child in children if child.is_running() and child.status() != "zombie"]
+
+
+def test_the_viewer_is_drawn_without_a_window(played: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "viewer.png"
+    try:
+        viewer.viewer_screenshot(Path(played.path), path, time_s=0.5, width=800, height=500)
+    except NoGraphics as error:
+        pytest.skip(str(error))
+    with Image.open(path) as image:
+        assert image.size == (800, 500)
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    orange = (pixels[..., 0] > 1.4 * pixels[..., 1]) & (pixels[..., 1] > 1.5 * pixels[..., 2]) & (pixels[..., 0] > 100)
+    assert orange.mean() > 0.002  # the robot's shell
+
+
+def test_a_viewer_without_a_driver_says_what_to_install(played: Recording, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
+    with pytest.raises(WheellegError) as caught:
+        viewer.viewer_screenshot(Path(played.path), tmp_path / "viewer.png", time_s=None)
+    assert "apt install mesa-vulkan-drivers libvulkan1" in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["viewer.jpg", "taken.png"])
+def test_a_wrong_picture_path_is_told_before_a_viewer_starts(played, tmp_path, monkeypatch, name: str) -> None:
+    (tmp_path / "taken.png").write_bytes(b"mine")
+    monkeypatch.setattr(viewer, "viewer", lambda *_: pytest.fail("started"))
+    with pytest.raises(WheellegError):
+        viewer.viewer_screenshot(Path(played.path), tmp_path / name, time_s=None)
+    assert (tmp_path / "taken.png").read_bytes() == b"mine"
+
+
+def test_pictures_of_the_viewer_are_taken_until_it_stands_still() -> None:
+    class Client:
+        shots = iter([b"1", b"2", b"3", b"3", b"4"])
+
+        def take_screenshot(self) -> bytes:
+            return next(self.shots)
+
+    assert viewer._still(Client()) == b"3"

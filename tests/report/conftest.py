@@ -1,0 +1,73 @@
+"""Runs to report on, and their pages."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from jobs.small import Trained, trained_once
+
+from report.pages import Page
+from wheelleg_exp.config.compose import Composed, compose
+from wheelleg_exp.report import drawings, make_report
+from wheelleg_exp.report.blocks import Plot
+from wheelleg_exp.run.directory import RunDirectory
+
+Reporter = Callable[..., Page]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the drawing itself, which takes its time, where a test does not look at drawings."""
+    if "drawings_too" not in request.fixturenames:
+        monkeypatch.setattr(drawings, "_plot", lambda panel, prefix: Plot("", panel.title))
+
+
+@pytest.fixture
+def drawings_too() -> None:
+    """Asked for by tests that look at drawings."""
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """A small training, made before anything below is replaced."""
+    return trained_once(tmp_path_factory)
+
+
+@functools.cache
+def _composed(overrides: tuple[str, ...], primary: str, config_dirs: tuple[Path, ...]) -> Composed:
+    return compose(overrides, primary=primary, config_dirs=config_dirs)
+
+
+@pytest.fixture(autouse=True)
+def _compose_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compose the same config once for all tests."""
+
+    def once(overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()) -> Composed:
+        return _composed(tuple(overrides), primary, tuple(config_dirs))
+
+    monkeypatch.setattr("wheelleg_exp.config.compose.compose", once)
+    monkeypatch.setattr("report.runs.compose", once)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def page(root: Path) -> Reporter:
+    """Report a run without pictures and parse the page."""
+
+    def report(run: RunDirectory | Path) -> Page:
+        made = make_report(Path(run), root, pictures=False)
+        return Page(made.path.read_text())
+
+    return report

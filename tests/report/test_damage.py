@@ -1,0 +1,93 @@
+"""Runs of which something is missing or broken: it is said there, and the rest stands."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from report.pages import Page
+from report.runs import FIGURES, add_play, make_run
+from wheelleg_exp.report.compile import compile_page
+from wheelleg_exp.report.look import Look
+from wheelleg_exp.report.page import render
+from wheelleg_exp.report.subject import open_subject
+from wheelleg_exp.report.trust import Verdict
+from wheelleg_exp.run.files import write_text
+
+
+@pytest.fixture
+def run(root):
+    run = make_run(root)
+    add_play(run)
+    return run
+
+
+def test_broken_lines_of_the_log_are_left_out_and_counted(page, run):
+    run.iterations.write_text(run.iterations.read_text() + '{"iteration": 3, "sca')
+    found = page(run)
+    assert "1 of the lines of iterations.jsonl cannot be read" in found.text
+    assert "Return of an episode" in found.section("learning")
+
+
+def test_without_its_log_there_are_no_curves_and_everything_else(page, run):
+    run.iterations.unlink()
+    found = page(run)
+    assert "no learning curves" in found.section("learning")
+    assert "iterations.jsonl is missing" in found.section("trust")
+    assert "Survival 75 %" in found.text
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\xff", b"[1, 2", b"- 1\n", b"a: !!python/object:os.system x\n"])
+def test_damaged_parameters_are_told(page, run, content):
+    (run.params / "env.yaml").write_bytes(content)
+    found = page(run)
+    assert "env.yaml" in found.text
+    assert "rewards of this task are not known" in found.section("objective")
+    assert "Survival 75 %" in found.text
+
+
+def test_without_hydra_source_and_asset_the_rest_stands(page, run):
+    for folder in (run.hydra, run.source, run.asset):
+        shutil.rmtree(folder)
+    found = page(run)
+    assert "is not kept in this run" in found.section("settings")
+    assert "Return of an episode" in found.section("learning")
+
+
+@pytest.mark.parametrize("content", [b"", b"no recording", b"RRF2\x00\x00"])
+def test_a_damaged_recording_is_told_in_its_section(page, run, content):
+    run.recording.write_bytes(content)
+    found = page(run)
+    assert "recording" in found.section("learning")
+    assert "cannot be shown" in found.section("learning")
+    assert "Return of an episode" in found.section("learning")
+
+
+def test_a_run_without_a_recording_says_so(page, run):
+    assert "was not recorded" in page(run).section("learning")
+
+
+def test_a_changed_file_damns_the_verdict(page, run):
+    write_text(run.environment, "numpy==3\n")
+    found = page(run)
+    assert "Reproducibility Damaged" in found.text
+    assert "environment.txt was changed" in found.section("trust")
+
+
+@pytest.mark.parametrize("value", [None, 1, "x", [1], ["x"], {"a": 1}, [{"a": 1}], 1e400], ids=repr)
+def test_whatever_a_manifest_holds_there_is_a_page(run, monkeypatch, value):
+    for part in ("settings", "learning", "objective"):
+        monkeypatch.setattr(f"wheelleg_exp.report.compile.{part}", None)
+    whole = run.manifest().data
+    kept = {"format", "status", "started", "files"}  # without these it is no manifest
+    for key in whole.keys() - kept:
+        subject = open_subject(run.path, run.root)
+        subject.manifest = {**whole, key: value}
+        html = render(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
+        assert Page(html).wrong == []
+    for key in FIGURES:
+        subject = open_subject(run.path, run.root)
+        subject.manifest = {**whole, "additions": [{"kind": "play", "files": {}, "results": {**FIGURES, key: value}}]}
+        html = render(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
+        assert Page(html).wrong == []

@@ -1,0 +1,96 @@
+"""What stands at the top, from runs whose figures are known."""
+
+from __future__ import annotations
+
+import pytest
+
+from report.runs import add_play, change_manifest, make_run
+
+
+def test_a_played_policy_is_judged_by_its_play(page, root):
+    run = make_run(root, ["agent.max_iterations=3"])
+    add_play(run)
+    text = page(run).text
+    assert "The policy stays up through 6 of 8 episodes of 5 s, 2.1 mm (RMS) off its target height of 70 mm." in text
+    assert "Survival 75 %" in text
+    assert "Base height 72.0 mm RMS error 2.1 mm against 70 mm" in text
+    assert "Pitch 1.1° RMS; mean lean 0.90°" in text
+    assert "Iterations 3 in 2 min 30 s" in text
+
+
+def test_a_policy_that_always_falls_is_said_to_fall(page, root):
+    run = make_run(root)
+    add_play(run, survival=0.0, ended_by={"base_contact": 8})
+    assert "The policy falls in every one of 8 episodes of 5 s." in page(run).text
+
+
+def test_the_last_play_counts_and_all_are_listed(page, root):
+    run = make_run(root)
+    add_play(run, survival=0.25)
+    add_play(run, survival=1.0, overrides=["seed=7"])
+    found = page(run)
+    assert "through all 8 episodes" in found.text
+    assert "All plays" in found.section("standing")
+    assert "seed=7" in found.section("standing")
+
+
+def test_without_a_play_the_training_speaks_and_the_command_is_told(page, root):
+    found = page(make_run(root))
+    # Two environments in ten ended otherwise in the last iteration; 60 steps of 1/60 s are one second.
+    assert "When it ended, 80 % of the episodes ran to the time-out." in found.text
+    assert "Episode length 1.00 s of 5 s at most" in found.text
+    assert "wheelleg play" in found.section("standing")
+
+
+def test_a_failed_run_tells_why(page, root):
+    run = make_run(root, status="failed", error=RuntimeError("physics gone to NaN"))
+    assert "Training failed after iteration 3 of 110: physics gone to NaN." in page(run).text
+
+
+def test_an_interrupted_run_can_be_resumed(page, root):
+    found = page(make_run(root, status="interrupted", error=KeyboardInterrupt()))
+    assert "Training was interrupted after iteration 3 of 110; it can be resumed." in found.text
+    assert "Iterations 3 of 110 planned" in found.text
+
+
+def test_a_running_run_says_how_far_it_is(page, root):
+    found = page(make_run(root, status="running"))
+    assert "Training is under way: iteration 3 of 110 is done." in found.text
+    assert "still goes on" in found.section("trust")
+
+
+def test_a_run_whose_process_is_gone_has_crashed(page, root):
+    run = make_run(root, status="running")
+    process = {**run.manifest().data["process"], "boot_id": "another boot"}
+    change_manifest(run, process=process)
+    found = page(run)
+    assert found.text.startswith("crashed")
+    assert "The process of this training is gone; iteration 3 of 110 was written. It can be resumed." in found.text
+
+
+def test_a_run_that_ended_before_its_first_iteration_has_a_page(page, root):
+    found = page(make_run(root, status="failed", iterations=0, error=ValueError("no")))
+    assert "no learning curves" in found.section("learning")
+
+
+def test_resumes_are_listed_and_raise_what_was_planned(page, root):
+    run = make_run(root, ["agent.max_iterations=3"], status="interrupted")
+    entry = {
+        "when": "2026-03-02T08:00:00.000000Z",
+        "command": ["wheelleg", "resume"],
+        "iteration": 2,
+        "overrides": ["agent.max_iterations=9"],
+        "exact": True,
+        "before": {"status": "interrupted"},
+    }
+    change_manifest(run, resumes=[entry])
+    found = page(run)
+    assert "iteration 3 of 9" in found.text
+    assert "2026-03-02 08:00:00 UTC 2 agent.max_iterations=9 interrupted yes" in found.section("files")
+
+
+@pytest.mark.parametrize("share", [0.999, 0.9999])
+def test_nearly_all_is_not_all(page, root, share):
+    run = make_run(root)
+    add_play(run, episodes=10000, survival=share)
+    assert "100 %" not in page(run).section("standing")

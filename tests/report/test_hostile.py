@@ -1,0 +1,132 @@
+"""Run directories of somebody else: whatever stands in them is text."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from report.pages import Page
+from report.runs import FIGURES, change_manifest, iteration, make_run
+from wheelleg_exp.report import make_report
+from wheelleg_exp.run.files import write_json, write_text, write_yaml
+
+EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>{{ 7 * 7 }}</style></title>"
+
+
+@pytest.fixture
+def evil(root):
+    """A run with the text above in every field that may hold text."""
+    run = make_run(root, ["agent.max_iterations=3"])
+    write_yaml(
+        run.params / "env.yaml",
+        {
+            "robot": {"asset": EVIL, "profile": EVIL},
+            "rewards": {EVIL: {"_target_": EVIL, "weight": EVIL, EVIL: EVIL}, "alive": {"weight": 1.0}},
+            "terminations": {EVIL: {"time_out": True}},
+            EVIL: EVIL,
+        },
+    )
+    write_text(run.hydra / "overrides.yaml", json.dumps([EVIL, f"{EVIL}={EVIL}"]))
+    hydra = {"hydra": {"runtime": {"choices": {"task": "stand", EVIL: EVIL}, "config_sources": [{"path": EVIL}]}}}
+    write_yaml(run.hydra / "hydra.yaml", hydra)
+    other = {"status": EVIL, "commit": EVIL, "branch": EVIL, "remote": {EVIL: EVIL}, "note": EVIL, "root": EVIL}
+    write_json(run.source / "git.json", {**other, "untracked": [EVIL], "refused": [{"path": EVIL}], "others": [other]})
+    findings = [{"path": EVIL, "name": EVIL, EVIL: EVIL}]
+    report = {
+        "source": EVIL,
+        "totals": {EVIL: EVIL},
+        "warnings": findings,
+        "assumptions": findings,
+        "left_out": findings,
+    }
+    write_json(run.asset / "report.json", report)
+    line = iteration(0)
+    line["scalars"] |= {f"Episode_Termination/{EVIL}": 0.5, f"Episode_Reward/{EVIL}": 2.0, f"Metrics/{EVIL}": 1.0}
+    write_text(run.iterations, json.dumps(line) + "\n")
+    change_manifest(
+        run,
+        id=EVIL,
+        task=EVIL,
+        command=[EVIL, EVIL],
+        error={"type": EVIL, "message": EVIL},
+        seeds=[EVIL],
+        versions={EVIL: EVIL},
+        hardware={"cpu": EVIL, "cores": EVIL, "platform": EVIL},
+        threads={EVIL: EVIL},
+        environment_variables={EVIL: EVIL},
+        process={"host": EVIL},
+        results={"iterations": EVIL, EVIL: EVIL},
+        replay_of=EVIL,
+        resumes=[{"when": EVIL, "overrides": [EVIL], "iteration": EVIL, "before": {"status": EVIL}}],
+        additions=[
+            {
+                "kind": kind,
+                "when": "2026-03-01T10:00:00.000000Z",
+                "command": [EVIL],
+                "files": {},
+                "results": {**FIGURES, "checkpoint": EVIL, "overrides": [EVIL], "ended_by": {EVIL: 8}, EVIL: EVIL},
+            }
+            for kind in ("play", "play", "evaluation", EVIL)
+        ],
+    )
+    return run
+
+
+def test_nothing_in_a_run_becomes_markup(evil, root):
+    html = make_report(evil.path, root, pictures=False).path.read_text()
+    found = Page(html)
+    assert found.wrong == []
+    assert found.all("script", "title")[0].tag == "title"
+    assert len(found.all("title")) == 1
+    assert found.all("img") == []
+    assert not [e for e in found.elements for name in e.attributes if name.startswith("on")]
+    assert found.text.count("<script>alert(1)</script>") > 20
+    assert "{{ 7 * 7 }}" in found.text
+    assert "49" not in found.section("objective")
+
+
+@pytest.mark.usefixtures("drawings_too")
+def test_names_in_drawings_stay_text_as_well(evil, root):
+    found = Page(make_report(evil.path, root, pictures=False).path.read_text())
+    letters = [e for e in found.all("text") if "<script>" in e.text]
+    assert letters
+    assert found.all("script") == []
+    assert found.wrong == []
+
+
+def test_a_folder_with_such_a_name_is_reported_and_its_report_is_written_again(root):
+    run = make_run(root)
+    moved = run.path.with_name('<img src=x onerror=alert(1)>"')
+    run.path.rename(moved)
+    for _ in range(2):
+        found = Page(make_report(moved, root, pictures=False).path.read_text())
+        assert found.all("img") == []
+        assert found.all("h1")[0].text == "stand"
+
+
+def test_characters_that_hide_text_are_shown(page, root):
+    run = make_run(root, status="failed", error=RuntimeError("safe\u202egnp.exe\x00\x1b[31m"))
+    text = page(run).text
+    assert "\u202e" not in text
+    assert "\\u202e" in text
+    assert "\\x00\\x1b[31m" in text
+
+
+def test_a_link_out_of_the_run_is_not_read(page, root, tmp_path):
+    secret = tmp_path / "secret.yaml"
+    secret.write_text("password: hunter2\n")
+    run = make_run(root)
+    (run.params / "env.yaml").unlink()
+    (run.params / "env.yaml").symlink_to(secret)
+    assert "hunter2" not in page(run).text
+
+
+def test_interpolations_of_the_run_read_nothing_of_this_machine(page, root, monkeypatch):
+    monkeypatch.setenv("WHEELLEG_SECRET", "hunter2")
+    run = make_run(root)
+    write_yaml(run.params / "agent.yaml", {"experiment": "${oc.env:WHEELLEG_SECRET}"})
+    write_text(run.hydra / "overrides.yaml", '["run.name=${oc.env:WHEELLEG_SECRET}"]')
+    text = page(run).text
+    assert "hunter2" not in text
+    assert "${oc.env:WHEELLEG_SECRET}" in text

@@ -1,0 +1,84 @@
+"""What a report shows of recordings, from ones written by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from inspection.written import DT, FELL_AT, STEPS, write_recording
+
+from report.pages import Page
+from report.runs import FIGURES, make_run
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.report import make_report
+from wheelleg_exp.report.words import number
+
+PICTURE = "data:image/jpeg;base64,AAAA"
+
+
+@pytest.fixture
+def asked(monkeypatch) -> list[list[float]]:
+    """Leave the drawing out and keep the moments that were asked for."""
+    moments: list[list[float]] = []
+
+    def shots(shown, times, size):
+        moments.append([round(time, 3) for time in times])
+        return [PICTURE for _ in times]
+
+    monkeypatch.setattr("wheelleg_exp.report.look.shots", shots)
+    monkeypatch.setattr("wheelleg_exp.inspection.pictures.scenery", lambda recording: None)
+    return moments
+
+
+@pytest.fixture
+def run(root):
+    """A run with a recorded training and a recorded play."""
+    run = make_run(root)
+    write_recording(run.recording, training=True)
+    folder = run.play / "2026-03-01_11-00-00"
+    folder.mkdir(parents=True)
+    write_recording(folder / "recording.rrd")
+    run.manifest().add("play", [folder / "recording.rrd"], FIGURES, command=["wheelleg", "play"])
+    return run
+
+
+def test_pictures_go_from_the_beginning_of_an_episode_to_its_end(run, root, asked):
+    found = Page(make_report(run.path, root).path.read_text())
+    duration = FELL_AT * DT
+    standing, learning = found.section("standing"), found.section("learning")
+    assert f"The play: ended by fell after {duration:.2f} s 0.00 s 0.26 s 0.52 s 0.78 s" in standing
+    assert f"At first, iteration 0: ended by fell after {duration:.2f} s 0.00 s" in learning
+    assert "At last, iteration 10: " in learning
+    times = np.linspace(DT, duration, 4).round(3).tolist()
+    assert times in asked  # the first row of the recording is the first step
+    assert len(found.all("img")) == 1 + 3 * 4
+    assert all(len(image.attributes["alt"]) > 20 for image in found.all("img"))
+
+
+def test_tables_hold_what_was_recorded(run, page):
+    text = page(run).section("standing")
+    time = DT * np.arange(1, STEPS + 1)
+    error = 0.05 * np.cos(5 * time)  # of the forward velocity, as it was written
+    rms, mean = number(float(np.sqrt(np.mean(error**2)))), number(float(np.mean(error)))
+    assert f"v_x {rms} m/s {mean} m/s {number(float(np.abs(error).max()))} m/s" in text
+    effort = 1.5 * np.sin(4 * time)
+    assert f"knee {number(float(np.sqrt(np.mean(effort**2))))} {number(float(np.abs(effort).max()))}" in text
+
+
+def test_without_a_renderer_the_report_says_what_to_install(run, root, monkeypatch):
+    def nothing(*_):
+        raise WheellegError("no backend draws here", expected="a driver")
+
+    monkeypatch.setattr("wheelleg_exp.report.look.shots", nothing)
+    monkeypatch.setattr("wheelleg_exp.inspection.pictures.scenery", lambda recording: None)
+    made = make_report(run.path, root)
+    assert made.notes == ("no pictures of the robot: no backend draws here; expected a driver",)
+    assert "no pictures of the robot: no backend draws here" in Page(made.path.read_text()).section("learning")
+
+
+def test_a_recording_that_was_cut_off_is_shown_as_far_as_it_goes(run, page):
+    content = run.recording.read_bytes()
+    run.recording.write_bytes(content[: len(content) * 3 // 4])
+    text = page(run).section("learning")
+    assert "not whole" in text
+    assert "inspect --repair" in text
+    assert "Return of an episode" in text

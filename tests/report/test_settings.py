@@ -1,0 +1,73 @@
+"""What a run set, against its task."""
+
+from __future__ import annotations
+
+import json
+
+from report.runs import change_manifest, make_run
+from wheelleg_exp.run.files import read_yaml, write_text, write_yaml
+
+
+def test_an_override_is_told_with_both_values(page, root):
+    text = page(make_run(root, ["env.rewards.base_height.weight=-30"])).section("settings")
+    assert "2 overrides on the command line: task=stand env.rewards.base_height.weight=-30" in text
+    told = "env.rewards.base_height.weight -50.0 -30 override env.rewards.base_height.weight=-30"
+    assert told in text
+
+
+def test_a_run_without_overrides_differs_in_nothing(page, root):
+    run = make_run(root)
+    write_text(run.hydra / "overrides.yaml", "[]\n")
+    text = page(run).section("settings")
+    assert "Nothing was changed on the command line." in text
+    assert "nothing differs" in text
+
+
+def test_terms_that_an_override_removed_or_added_name_it(page, root):
+    run = make_run(root, ["~env.events.push_robot", "+reward@env.rewards=action_rate"])
+    text = page(run).section("settings")
+    assert "env.events.push_robot" in text
+    assert "not there override ~env.events.push_robot" in text
+    assert "env.rewards.action_rate not there" in text
+    assert "weight: -0.01} override +reward@env.rewards=action_rate" in text
+
+
+def test_another_robot_names_the_file_that_set_its_values(page, root):
+    text = page(make_run(root, ["robot=physical"])).section("settings")
+    assert "env.robot.profile article physical" in text
+    assert "robot/physical.yaml:" in text
+
+
+def test_a_value_that_the_configs_no_longer_give_is_of_that_time(page, root):
+    run = make_run(root)
+    file = run.params / "agent.yaml"
+    write_yaml(file, {**read_yaml(file), "save_interval": 7})
+    assert "agent.save_interval 50 7 the configs of that time" in page(run).section("settings")
+
+
+def test_values_of_the_users_own_files_are_listed(page, root, tmp_path):
+    configs = tmp_path / "mine" / "configs"
+    write_text(configs / "task" / "mine.yaml", "# @package _global_\ndefaults: [stand, _self_]\nenv: {decimation: 4}\n")
+    run = make_run(root, ["task=mine"], config_dirs=(configs,))
+    text = page(run).section("settings")
+    assert "1 value set by files outside the stock configs" in text
+    assert "env.decimation 4" in text
+    assert "task/mine.yaml:3" in text
+    assert "nothing differs" in text
+
+
+def test_a_task_that_is_not_here_leaves_the_overrides(page, root):
+    run = make_run(root, ["env.rewards.base_height.weight=-30"])
+    file = run.hydra / "hydra.yaml"
+    write_text(file, file.read_text().replace("task: stand", "task: theirs"))
+    change_manifest(run, task="theirs")
+    text = page(run).section("settings")
+    assert "env.rewards.base_height.weight=-30" in text
+    assert "The task cannot be composed here" in text
+
+
+def test_overrides_that_no_longer_compose_leave_the_values(page, root):
+    run = make_run(root, ["env.rewards.base_height.weight=-30"])
+    write_text(run.hydra / "overrides.yaml", json.dumps(["env.rewards.gone.weight=1"]))
+    text = page(run).section("settings")
+    assert "env.rewards.base_height.weight -50.0 -30 the configs of that time" in text

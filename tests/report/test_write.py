@@ -1,0 +1,84 @@
+"""Where a report goes, and over what."""
+
+from __future__ import annotations
+
+import pytest
+
+from report.runs import make_run
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.report import make_report
+from wheelleg_exp.run.files import sha256
+
+
+@pytest.fixture(autouse=True)
+def _short(monkeypatch):
+    """A page without its slower parts: what it says does not matter here."""
+    for part in ("settings", "learning", "objective"):
+        monkeypatch.setattr(f"wheelleg_exp.report.compile.{part}", None)
+
+
+def test_it_stands_in_the_run_and_the_manifest_tells_of_it(root):
+    run = make_run(root)
+    made = make_report(run.path, root, command=["wheelleg", "report"], pictures=False)
+    assert made.path == run.path / "report.html"
+    (entry,) = [e for e in run.manifest().data["additions"] if e["kind"] == "report"]
+    assert entry["files"] == {"report.html": {"sha256": sha256(made.path), "size": made.size}}
+    assert entry["command"] == ["wheelleg", "report"]
+    assert not run.manifest().compare_files()
+
+
+def test_the_same_report_again_changes_nothing(root):
+    run = make_run(root)
+    make_report(run.path, root, pictures=False)
+    manifest = (run.path / "manifest.json").read_bytes()
+    make_report(run.path, root, pictures=False)
+    assert (run.path / "manifest.json").read_bytes() == manifest
+
+
+def test_a_run_that_has_changed_gets_a_new_report_in_place(root):
+    run = make_run(root, status="running")
+    before = make_report(run.path, root, pictures=False).path.read_bytes()
+    run.manifest().finish("finished", {"iterations": 3})
+    after = make_report(run.path, root, pictures=False).path.read_bytes()
+    assert after != before
+    assert not run.manifest().compare_files()
+
+
+def test_elsewhere_it_is_not_the_runs(root, tmp_path):
+    run = make_run(root)
+    made = make_report(run.path, root, tmp_path / "shared" / "mine.html", pictures=False)
+    assert made.path.is_file()
+    assert run.manifest().data["additions"] == []
+    assert not (run.path / "report.html").exists()
+
+
+@pytest.mark.parametrize("content", ["notes of mine", "<html></html>", ""])
+def test_another_file_is_not_overwritten(root, tmp_path, content):
+    run = make_run(root)
+    taken = tmp_path / "page.html"
+    taken.write_text(content)
+    with pytest.raises(RunDirectoryError, match="not overwritten"):
+        make_report(run.path, root, taken, pictures=False)
+    assert taken.read_text() == content
+
+
+def test_a_file_of_the_run_is_not_overwritten(root):
+    run = make_run(root)
+    with pytest.raises(RunDirectoryError, match="not overwritten"):
+        make_report(run.path, root, run.iterations, pictures=False)
+
+
+def test_the_report_of_another_run_is_not_overwritten(root, tmp_path):
+    first, second = make_run(root), make_run(root)
+    shared = make_report(first.path, root, tmp_path / "page.html", pictures=False).path
+    with pytest.raises(RunDirectoryError, match="not a report of this run"):
+        make_report(second.path, root, shared, pictures=False)
+    make_report(first.path, root, shared, pictures=False)
+
+
+def test_links_and_folders_are_refused(root, tmp_path):
+    run = make_run(root)
+    (tmp_path / "link.html").symlink_to(tmp_path / "somewhere")
+    for place in (tmp_path / "link.html", tmp_path):
+        with pytest.raises(RunDirectoryError):
+            make_report(run.path, root, place, pictures=False)

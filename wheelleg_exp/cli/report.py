@@ -1,0 +1,39 @@
+"""``wheelleg report RUN``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from wheelleg_exp.cli.common import add_json, print_json
+from wheelleg_exp.config.tree import show_file
+from wheelleg_exp.errors import EXIT_OK
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or the folder of an agent's run")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="where to write it (default: report.html in the run directory)",
+    )
+    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    parser.add_argument("--no-pictures", action="store_true", help="leave the pictures of the robot out")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the report and say where it is."""
+    from wheelleg_exp.report import make_report
+
+    made = make_report(args.run, args.root, args.output, args.command, pictures=not args.no_pictures)
+    if args.json:
+        print_json({"run": str(made.run), "report": str(made.path), "size": made.size, "notes": list(made.notes)})
+        return EXIT_OK
+    for note in made.notes:
+        print(f"note: {note}")
+    print(f"report: {show_file(made.path)} ({made.size / 1e6:.2f} MB, one file)")
+    return EXIT_OK

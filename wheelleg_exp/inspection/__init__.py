@@ -1,0 +1,1 @@
+"""Questions to recordings: summaries, statistics, tables, plots, pictures."""

@@ -1,0 +1,117 @@
+"""What the words RUN or FILE stand for: a recording's file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.files import read_yaml
+from wheelleg_exp.run.inventory import MANIFEST_NAME
+
+RECORDING = "recording.rrd"
+_SUFFIX = ".rrd"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A recording.
+
+    Attributes:
+        path: its file.
+        run: the run that it belongs to; None when it belongs to none.
+    """
+
+    path: Path
+    run: RunDirectory | None
+
+    def others(self) -> list[Path]:
+        """Return the run's other recordings."""
+        found = recordings_of(self.run) if self.run is not None else []
+        return [path for path in found if path.resolve() != self.path.resolve()]
+
+
+def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
+    """Return the recording that a word names.
+
+    Args:
+        word: a file; a folder with a recording, such as ``<run>/play/<time>``; a run's path or id, or ``latest``, which
+            stand for the recording of its training.
+        root: the folder of all runs.
+        play: take the newest play of the run instead.
+
+    Raises:
+        RunDirectoryError: there is no such recording.
+        WheellegError: ``play`` is asked of what is no run.
+    """
+    path = Path(word)
+    if path.is_file() or (path.is_dir() and not (path / MANIFEST_NAME).is_file()):
+        if play:
+            raise WheellegError(f"'{path}' is no run", key="--play", expected="a run, whose newest play is meant")
+        return Target(_in_folder(path) if path.is_dir() else path, _run_around(path))
+    if path.suffix == _SUFFIX and not path.exists():
+        raise RunDirectoryError(f"there is no file '{path}'", expected="a recording", nearest=_like(path))
+    run = RunDirectory.open(word, root)
+    return Target(_newest_play(run) if play else _training(run), run)
+
+
+def recordings_of(run: RunDirectory) -> list[Path]:
+    """Return the recordings of a run: its training's, then those of its plays and evaluations, by name."""
+    later = [path for folder in (run.play, run.evaluation) for path in sorted(folder.glob(f"**/*{_SUFFIX}"))]
+    return [path for path in (run.recording, *later) if path.is_file()]
+
+
+def _training(run: RunDirectory) -> Path:
+    if run.recording.is_file():
+        return run.recording
+    reason = "it was trained with recording.enabled=false" if _is_disabled(run) else f"there is no {RECORDING}"
+    others = [path.relative_to(run.path) for path in recordings_of(run)]
+    hint = f"; its plays were recorded: {', '.join(map(str, others))}" if others else ""
+    raise RunDirectoryError(
+        f"run '{run.id}' has no recording of its training: {reason}{hint}", expected="a recorded run, or --play"
+    )
+
+
+def _newest_play(run: RunDirectory) -> Path:
+    found = sorted(path for path in run.play.glob(f"*/{RECORDING}") if path.is_file())
+    if not found:
+        raise RunDirectoryError(
+            f"run '{run.id}' has no recorded play", key="--play", expected=f"one made by 'wheelleg play {run.id}'"
+        )
+    return found[-1]
+
+
+def _is_disabled(run: RunDirectory) -> bool:
+    path = run.hydra / "config.yaml"
+    try:
+        config = read_yaml(path) if path.is_file() else {}
+        return config.get("recording", {}).get("enabled") is False
+    except (WheellegError, AttributeError):  # whatever stands there does not say it
+        return False
+
+
+def _in_folder(folder: Path) -> Path:
+    if (folder / RECORDING).is_file():
+        return folder / RECORDING
+    found = sorted(path.name for path in folder.glob(f"*{_SUFFIX}"))
+    if len(found) == 1:
+        return folder / found[0]
+    expected = "one of " + ", ".join(found) if found else f"a run, a recording, or a folder with {RECORDING}"
+    raise RunDirectoryError(f"'{folder}' is no run, and holds {len(found) or 'no'} recordings", expected=expected)
+
+
+def _run_around(path: Path) -> RunDirectory | None:
+    for folder in path.resolve().parents:
+        if (folder / MANIFEST_NAME).is_file():
+            try:
+                return RunDirectory.open(folder, folder.parent)
+            except WheellegError:  # a damaged run may still hold a recording
+                return None
+    return None
+
+
+def _like(path: Path) -> str | None:
+    names = [p.name for p in path.parent.glob(f"*{_SUFFIX}")] if path.parent.is_dir() else []
+    found = nearest_name(path.name, names)
+    return str(path.with_name(found)) if found else None

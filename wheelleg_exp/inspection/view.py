@@ -1,0 +1,81 @@
+"""A recording as far as it is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelleg_exp.inspection.frames import Frames
+from wheelleg_exp.inspection.selection import Selection
+from wheelleg_exp.inspection.statistics import Moment
+from wheelleg_exp.recording.events import Event
+from wheelleg_exp.recording.reader import Recording
+
+
+@dataclass(frozen=True)
+class View:
+    """The chosen rows of a recording.
+
+    Attributes:
+        recording: the recording.
+        selection: which rows.
+    """
+
+    recording: Recording
+    selection: Selection = field(default_factory=Selection)
+
+    @property
+    def env_ids(self) -> list[int]:
+        """The chosen environments."""
+        return self.selection.env_ids(self.recording)
+
+    def has(self, group: str, env_id: int) -> bool:
+        """Return whether an environment has numbers at a group or entity."""
+        branch = self.recording.branch(env_id)
+        path = f"{branch}/{group}" if branch else group
+        return path in self.recording.groups() or "scalars" in self.recording.columns(path)
+
+    def frames(self, group: str, env_id: int) -> Frames | None:
+        """Return the rows of a group of one environment; None when it has no numbers there."""
+        if not self.has(group, env_id):
+            return None
+        return Frames(self.selection.apply(self.recording.numbers(group, env_id)), env_id)
+
+    def names(self, group: str) -> list[str]:
+        """Return the names of a group's numbers."""
+        frames = self.frames(group, self.env_ids[0])
+        return [] if frames is None else frames.names
+
+    def column(self, group: str, name: str) -> NDArray[np.float64]:
+        """Return a number over the rows of all chosen environments, one after the other."""
+        parts = [frames.column(name) for frames in self._all(group) if name in frames.names]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def moment(self, group: str, row: int) -> Moment:
+        """Return when a row of ``column`` was."""
+        for frames in self._all(group):
+            if row < len(frames):
+                return frames.moment(row)
+            row -= len(frames)
+        raise IndexError(row)
+
+    def static(self, path: str) -> dict[str, list]:
+        """Return what holds at all times at a path of the first chosen environment."""
+        branch = self.recording.branch(self.env_ids[0])
+        return self.recording.static(f"{branch}/{path}" if branch else path)
+
+    def events(self, kind: str) -> list[Event]:
+        """Return what was told in words of the chosen rows."""
+        found = [event for env_id in self.env_ids for event in self.recording.events(kind, env_id)]
+        return [
+            event for event in dict.fromkeys(found) if self.selection.has(event.step, event.time_s, event.iteration)
+        ]
+
+    def _all(self, group: str) -> Iterator[Frames]:
+        for env_id in self.env_ids:
+            frames = self.frames(group, env_id)
+            if frames is not None:
+                yield frames

@@ -1,0 +1,71 @@
+"""Where a report is written: whole or not at all, over an earlier report of the same run, and over nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from markupsafe import escape
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.report.page import MARK
+from wheelleg_exp.report.subject import KIND, Subject
+from wheelleg_exp.run.files import for_people, sha256, write_text
+
+NAME = "report.html"
+_HEAD = 4096  # bytes in which the mark stands
+
+
+@dataclass(frozen=True)
+class Written:
+    """A report on the disk: its path, its size in bytes, and whether the run's manifest tells of it."""
+
+    path: Path
+    size: int
+    recorded: bool
+
+
+def place(subject: Subject, output: Path | None) -> Path:
+    """Return where the report goes.
+
+    Raises:
+        RunDirectoryError: there is something else than a report of this run.
+    """
+    path = subject.path / NAME if output is None else output
+    if path.is_dir():
+        raise RunDirectoryError(f"'{path}' is a folder", expected="the name of a file, such as report.html")
+    if (path.exists() or path.is_symlink()) and not _is_report(path, subject.id):
+        raise RunDirectoryError(
+            f"'{path}' exists and is not a report of this run, so it is not overwritten",
+            expected="-o with another name",
+        )
+    return path
+
+
+def write(subject: Subject, path: Path, html: str, command: Sequence[str]) -> Written:
+    """Write the page, and record it in the manifest when it stands in the run directory.
+
+    Raises:
+        WheellegError: it cannot be written.
+    """
+    write_text(path, html)
+    inside = subject.run is not None and path.resolve().is_relative_to(subject.path.resolve())
+    if subject.run is not None and inside and not _recorded(subject, path):
+        subject.run.manifest().add(KIND, [path], command=command)
+    return Written(path, path.stat().st_size, inside)
+
+
+def _is_report(path: Path, run: str) -> bool:
+    if path.is_symlink() or not path.is_file():
+        return False
+    with for_people(path, "read"), path.open("rb") as file:
+        head = file.read(_HEAD).decode("utf-8", errors="replace")
+    return f'{MARK}{escape(run)}">' in head
+
+
+def _recorded(subject: Subject, path: Path) -> bool:
+    """Return whether the manifest knows this very file already."""
+    name = path.resolve().relative_to(subject.path.resolve()).as_posix()
+    entries = [entry["files"][name] for entry in subject.additions(KIND) if name in entry.get("files", {})]
+    return bool(entries) and entries[-1]["sha256"] == sha256(path)
