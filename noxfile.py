@@ -21,7 +21,7 @@ def _python(session: nox.Session, *words: str) -> None:
 @nox.session
 def tests(session: nox.Session) -> None:
     """Run the test suite."""
-    _python(session, "pytest", "-m", "not repro", *session.posargs)
+    _python(session, "pytest", "-m", "not repro and not full", *session.posargs)
 
 
 @nox.session
@@ -39,5 +39,7 @@ def typecheck(session: nox.Session) -> None:
 
 @nox.session
 def repro(session: nox.Session) -> None:
-    """Prove that runs repeat to the bit, on small sizes: one named check a line."""
-    _python(session, "pytest", "-m", "repro", "--no-header", "-v", "tests/repro", *session.posargs)
+    """Prove that runs repeat to the bit, on small sizes: one named check a line; `-- full` adds full trainings."""
+    words = [word for word in session.posargs if word != "full"]
+    marks = "repro or full" if "full" in session.posargs else "repro"
+    _python(session, "pytest", "-m", marks, "--no-header", "-vv", "tests/repro", *words)

@@ -1,0 +1,175 @@
+"""The proofs: each trains small runs in processes of their own and returns what should be equal and is not."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import random
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import torch
+import yaml
+
+from repro.runs import ITERATIONS, Lab, differences, only_run
+from wheelleg_exp.config.compose import compose
+
+
+def two_processes(lab: Lab) -> list[str]:
+    """The same command in two processes, with other hash seeds."""
+    return differences(lab.once(), lab.train(PYTHONHASHSEED="12345"))
+
+
+def torch_threads(lab: Lab) -> list[str]:
+    """One and two threads of torch."""
+    return differences(lab.once(), lab.once("agent.torch_threads=1"))
+
+
+def physics_threads(lab: Lab) -> list[str]:
+    """One and three threads of MuJoCo."""
+    return differences(lab.once("env.sim.nthread=1"), lab.once("env.sim.nthread=3"))
+
+
+def recording(lab: Lab) -> list[str]:
+    """With and without a recording."""
+    return differences(lab.once(), lab.once("recording.enabled=false"))
+
+
+def tensorboard(lab: Lab) -> list[str]:
+    """With and without TensorBoard."""
+    return differences(lab.once(), lab.once("agent.logger=null"))
+
+
+def added_term(lab: Lab, target: str = "planted.terms.own_draw") -> list[str]:
+    """A further term that draws, first or last of its section: the policy must be the same."""
+    term = f"+env.events.idle={{_target_: {target}, mode: reset}}"
+    with_term = Lab(lab.folder, [*lab.planted, term])
+    plain, added = lab.once(), with_term.train()
+    return [
+        f"model_{i}.pt: {key}"
+        for i in range(ITERATIONS)
+        for key in _unequal_tensors(plain / f"model_{i}.pt", added / f"model_{i}.pt")
+    ]
+
+
+def _unequal_tensors(a: Path, b: Path) -> Iterator[str]:
+    one, other = (torch.load(path, weights_only=True) for path in (a, b))
+    for part in ("actor_state_dict", "critic_state_dict"):
+        for key, value in one[part].items():
+            if not torch.equal(value, other[part][key]):
+                yield f"{part}.{key}"
+    if not torch.equal(one["env"]["scene"]["sim"]["state"], other["env"]["scene"]["sim"]["state"]):
+        yield "physics"
+
+
+def splits(lab: Lab, every: Sequence[Sequence[int]] = ([1], [2], [3], [1, 2, 3])) -> list[str]:
+    """Stopped after each number of iterations, and after every one, then resumed."""
+    straight, found = lab.once(), []
+    for stops in every:
+        run = lab.train(f"agent.max_iterations={stops[0]}")
+        for stop in [*stops[1:], ITERATIONS]:
+            lab.resume(run, f"agent.max_iterations={stop}")
+        found += [f"stopped after {stops}: {what}" for what in differences(straight, run)]
+    return found
+
+
+def killed(lab: Lab, kills: int = 2, seed: int = 0, longest_s: float = 6.0) -> list[str]:
+    """Killed with SIGKILL at random moments, again after each resume, then resumed to the end.
+
+    Args:
+        lab: where.
+        kills: how often.
+        seed: of the moments.
+        longest_s: latest moment of a kill, from the first sign of the run, s; the earliest is 0.
+    """
+    straight = lab.once()
+    root = lab.folder / f"runs_killed_{seed}"
+    moments = random.Random(seed)
+    kill(lab, lab.words(root), moments.uniform(0.0, longest_s), awaited=root)
+    run = only_run(root)
+    for _ in range(kills - 1):
+        kill(lab, lab.resume_words(run), moments.uniform(0.0, longest_s))
+    if status(run) != "finished":
+        lab.resume(run)
+    return differences(straight, run)
+
+
+def kill(lab: Lab, words: list[str | Path], delay_s: float, awaited: Path | None = None) -> None:
+    """Start a command and kill it after a delay, which begins with the first manifest below ``awaited``."""
+    process = subprocess.Popen(
+        lab.command(*words), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=lab.variables()
+    )
+    while awaited is not None and process.poll() is None and not list(awaited.glob("*/*/manifest.json")):
+        time.sleep(0.005)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(delay_s)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def status(run: Path) -> str:
+    """Return what the manifest says of a run."""
+    return json.loads((run / "manifest.json").read_text())["status"]
+
+
+def replay(lab: Lab) -> list[str]:
+    """Trained again from the run's own snapshot, in a folder of its own."""
+    run = copy_of(lab.once(), lab.folder / "replayed")
+    answer = lab.wheelleg("replay", run, "--json", statuses=(0, 1))
+    if answer.status:
+        return [answer.out[-2000:] or answer.err[-2000:]]
+    again = only_run(run.parents[1] / "replays")
+    return differences(run, again)
+
+
+def snapshot(lab: Lab) -> list[str]:
+    """What the snapshot says is what its overrides compose to."""
+    return snapshot_differences(lab.once())
+
+
+def snapshot_differences(run: Path) -> list[str]:
+    """Return the leaves in which a run's snapshot differs from what its overrides compose to today."""
+    overrides = yaml.safe_load((run / ".hydra/overrides.yaml").read_text())
+    composed = compose(overrides).config
+    kept = yaml.safe_load((run / ".hydra/config.yaml").read_text())
+    parts = {part: yaml.safe_load((run / "params" / f"{part}.yaml").read_text()) for part in ("env", "agent")}
+    found = [f"params: {key}" for key in _unequal_leaves({p: composed[p] for p in parts}, parts)]
+    resolved = {key: value for key, value in kept.items() if "${" not in str(value)}
+    return found + [f"config: {key}" for key in _unequal_leaves({k: composed[k] for k in resolved}, resolved)]
+
+
+def _unequal_leaves(a: object, b: object, path: str = "") -> list[str]:
+    if isinstance(a, dict) and isinstance(b, dict) and list(a) == list(b):
+        return [leaf for key in a for leaf in _unequal_leaves(a[key], b[key], f"{path}.{key}".lstrip("."))]
+    return [] if a == b else [path]
+
+
+def flipped_byte(lab: Lab) -> list[str]:
+    """One changed bit in any file of a run is found."""
+    run = copy_of(lab.once(), lab.folder / "flipped")
+    assert lab.inside("verify", run).status == 0
+    names = sorted(path.relative_to(run).as_posix() for path in run.rglob("*") if path.is_file())
+    listed = [name for name in names if not name.startswith(".lock") and not name.startswith(".manifest")]
+    return [name for name in listed if not notices(lab, run, name)]
+
+
+def notices(lab: Lab, run: Path, name: str) -> bool:
+    """Return whether a flipped bit in the middle of one file is found and named; the file is mended again."""
+    path = run / name
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :] if whole else b"x")
+    answer = lab.inside("verify", run)
+    path.write_bytes(whole)
+    return answer.status in (1, 2) and name in answer.out + answer.err
+
+
+def copy_of(run: Path, root: Path) -> Path:
+    """Return a copy of a run below another root."""
+    target = root / run.parent.name / run.name
+    shutil.copytree(run, target)
+    return target

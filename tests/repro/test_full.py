@@ -1,0 +1,33 @@
+"""The long proofs: full trainings, and many kills. `nox -s repro -- full` runs them; they take most of an hour."""
+
+from __future__ import annotations
+
+import pytest
+
+from repro import checks
+from repro.runs import Lab
+
+pytestmark = [pytest.mark.full, pytest.mark.train]
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """Trainings of the whole task, as a user starts them."""
+    return Lab(tmp_path_factory.mktemp("full"), base=["task=stand", "agent.save_interval=10"])
+
+
+def test_a_full_training_killed_five_times_is_the_uninterrupted_one(stand: Lab):
+    assert checks.killed(stand, kills=5, seed=1, longest_s=60.0) == []
+
+
+def test_a_full_training_repeats_in_another_process_with_other_threads(stand: Lab):
+    assert checks.torch_threads(stand) == []
+
+
+def test_a_full_training_is_replayed(stand: Lab):
+    assert checks.replay(stand) == []
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_kills_at_many_moments(lab: Lab, seed: int):
+    assert checks.killed(lab, kills=3, seed=100 + seed, longest_s=10.0) == []

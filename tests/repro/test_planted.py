@@ -1,0 +1,83 @@
+"""Each proof fails when its cause is planted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import pytest
+import yaml
+
+from repro import checks
+from repro.runs import Lab, Refused
+from wheelleg_exp.run.files import sha256
+from wheelleg_exp.run.seal import sealed
+
+pytestmark = [pytest.mark.repro, pytest.mark.train]
+
+Planter = Callable[..., Lab]
+
+
+def test_two_processes_show_a_draw_that_has_no_stream(planted: Planter):
+    assert "model_0.pt" in checks.two_processes(planted("entropy"))
+
+
+def test_torch_threads_show_a_term_that_depends_on_them(planted: Planter):
+    assert "model_0.pt" in checks.torch_threads(planted("torch_threads"))
+
+
+def test_physics_threads_show_a_term_that_depends_on_them(planted: Planter):
+    assert "model_0.pt" in checks.physics_threads(planted("physics_threads"))
+
+
+def test_recording_shows_a_term_that_sees_it(planted: Planter):
+    assert "model_0.pt" in checks.recording(planted("observers"))
+
+
+def test_another_term_shows_a_draw_from_a_stream_that_is_not_its_own(lab: Lab):
+    assert any("actor_state_dict" in what for what in checks.added_term(lab, "planted.terms.borrowed_draw"))
+
+
+def test_a_draw_from_the_shared_generator_is_refused(lab: Lab):
+    with pytest.raises(Refused, match="generator"):
+        checks.added_term(lab, "planted.terms.global_draw")
+
+
+def test_a_split_shows_state_that_is_not_saved(planted: Planter):
+    found = checks.splits(planted("hidden_steps"), every=[[2]])
+    assert "stopped after [2]: model_2.pt" in found
+    assert "stopped after [2]: model_1.pt" not in found
+
+
+def test_kill_9_shows_state_that_is_not_saved(planted: Planter):
+    assert "model_3.pt" in checks.killed(planted("hidden_steps"), kills=1)
+
+
+def test_a_replay_shows_what_the_snapshot_does_not_hold(planted: Planter, tmp_path):
+    outside = tmp_path / "outside.txt"
+    outside.write_text("1.0")
+    lab = planted("outside_file", PLANTED_FILE=str(outside))
+    lab.once()
+    outside.write_text("2.0")
+    assert checks.replay(lab) != []
+
+
+def test_a_changed_snapshot_is_not_what_the_source_composes_to(lab: Lab, tmp_path):
+    run = checks.copy_of(lab.once(), tmp_path)
+    params = run / "params" / "env.yaml"
+    changed = yaml.safe_load(params.read_text())
+    changed["rewards"]["base_height"]["weight"] *= 1.001
+    params.write_text(yaml.safe_dump(changed, sort_keys=False))
+    assert checks.snapshot_differences(run) == ["params: env.rewards.base_height.weight"]
+
+
+def test_a_flipped_bit_is_not_found_once_the_manifest_was_changed_as_well(lab: Lab, tmp_path):
+    """The manifest is the yardstick: the proof sees that without it nothing would be found."""
+    run = checks.copy_of(lab.once(), tmp_path)
+    changed = run / "environment.txt"
+    changed.write_bytes(changed.read_bytes() + b"#")
+    assert "environment.txt" in lab.inside("verify", run).out
+    manifest = json.loads((run / "manifest.json").read_text())
+    manifest["files"]["environment.txt"] = {"sha256": sha256(changed), "size": changed.stat().st_size}
+    (run / "manifest.json").write_text(json.dumps(sealed(manifest)))
+    assert lab.inside("verify", run).status == 0
