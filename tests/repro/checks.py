@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import random
 import shutil
@@ -15,7 +14,7 @@ from pathlib import Path
 import torch
 import yaml
 
-from repro.runs import ITERATIONS, Lab, differences, only_run
+from repro.runs import ITERATIONS, Lab, Refused, differences, only_run
 from wheelleg_exp.config.compose import compose
 
 
@@ -77,43 +76,49 @@ def splits(lab: Lab, every: Sequence[Sequence[int]] = ([1], [2], [3], [1, 2, 3])
     return found
 
 
-def killed(lab: Lab, kills: int = 2, seed: int = 0, longest_s: float = 6.0) -> list[str]:
-    """Killed with SIGKILL at random moments, again after each resume, then resumed to the end.
+def killed(lab: Lab, lines: Sequence[int] = (1, 3), seed: int = 0, longest_s: float = 0.2) -> list[str]:
+    """Killed with SIGKILL again and again, then resumed to the end.
 
     Args:
         lab: where.
-        kills: how often.
-        seed: of the moments.
-        longest_s: latest moment of a kill, from the first sign of the run, s; the earliest is 0.
+        lines: how many iterations stand in the log when each kill is aimed; it strikes a little later.
+        seed: of how much later.
+        longest_s: the latest moment of that, s.
     """
     straight = lab.once()
     root = lab.folder / f"runs_killed_{seed}"
     moments = random.Random(seed)
-    kill(lab, lab.words(root), moments.uniform(0.0, longest_s), awaited=root)
+    kill(lab, lab.words(root), root, lines[0], moments.uniform(0.0, longest_s))
     run = only_run(root)
-    for _ in range(kills - 1):
-        kill(lab, lab.resume_words(run), moments.uniform(0.0, longest_s))
-    if status(run) != "finished":
-        lab.resume(run)
-    return differences(straight, run)
+    for count in lines[1:]:
+        kill(lab, lab.resume_words(run), root, count, moments.uniform(0.0, longest_s))
+    lab.resume(run)
+    resumes = json.loads((run / "manifest.json").read_text())["resumes"]
+    told = [] if len(resumes) == len(lines) else [f"{len(resumes)} resumes"]
+    return told + differences(straight, run)
 
 
-def kill(lab: Lab, words: list[str | Path], delay_s: float, awaited: Path | None = None) -> None:
-    """Start a command and kill it after a delay, which begins with the first manifest below ``awaited``."""
+def kill(lab: Lab, words: list[str | Path], root: Path, lines: int, delay_s: float) -> None:
+    """Start a command, wait until it has written so many iterations, and a little, and kill it.
+
+    Raises:
+        Refused: it ended before it could be killed.
+    """
+    began = time.time()
     process = subprocess.Popen(
         lab.command(*words), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=lab.variables()
     )
-    while awaited is not None and process.poll() is None and not list(awaited.glob("*/*/manifest.json")):
-        time.sleep(0.005)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(delay_s)
+    while process.poll() is None and not _has_written(root, lines, began):
+        time.sleep(0.002)
+    time.sleep(delay_s)
     process.send_signal(signal.SIGKILL)
-    process.wait()
+    if process.wait() != -signal.SIGKILL:
+        raise Refused(f"ended with {process.returncode} before it could be killed")
 
 
-def status(run: Path) -> str:
-    """Return what the manifest says of a run."""
-    return json.loads((run / "manifest.json").read_text())["status"]
+def _has_written(root: Path, lines: int, since: float) -> bool:
+    found = [path for path in root.glob("*/*/iterations.jsonl") if path.stat().st_mtime >= since]
+    return any(path.read_bytes().count(b"\n") >= lines for path in found)
 
 
 def replay(lab: Lab) -> list[str]:

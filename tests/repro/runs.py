@@ -98,6 +98,10 @@ class Lab:
             self._runs[overrides] = self.train(*overrides)
         return self._runs[overrides]
 
+    def take(self, run: Path) -> None:
+        """Take a run of another laboratory for the plain one."""
+        self._runs[()] = run
+
     def resume(self, run: Path, *overrides: str) -> None:
         """Go on with a run, to the end unless the overrides say otherwise."""
         self.wheelleg(*self.resume_words(run, *overrides))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
 from repro import checks
@@ -17,7 +19,8 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
 
 def test_a_full_training_killed_five_times_is_the_uninterrupted_one(stand: Lab):
-    assert checks.killed(stand, kills=5, seed=1, longest_s=60.0) == []
+    lines = sorted(random.Random(1).sample(range(5, 105), 5))
+    assert checks.killed(stand, lines, seed=1, longest_s=1.5) == []
 
 
 def test_a_full_training_repeats_in_another_process_with_other_threads(stand: Lab):
@@ -30,4 +33,5 @@ def test_a_full_training_is_replayed(stand: Lab):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_kills_at_many_moments(lab: Lab, seed: int):
-    assert checks.killed(lab, kills=3, seed=100 + seed, longest_s=10.0) == []
+    lines = random.Random(seed).choices(range(5), k=3)
+    assert checks.killed(lab, lines, seed=100 + seed, longest_s=0.5) == []
