@@ -250,8 +250,9 @@ def test_state_that_comes_later_is_refused_when_it_is_saved(make, kind, word):
     env.reset()
     env.state_dict()
     act(env, 1)
-    with pytest.raises(ConfigError, match=word):
+    with pytest.raises(ConfigError, match=word) as caught:
         env.state_dict()
+    assert caught.value.key == "env.rewards.own"
 
 
 def test_settings_that_a_curriculum_changed_are_state(make):

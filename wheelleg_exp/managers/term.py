@@ -147,8 +147,8 @@ def instantiate_term(term: Term, env: Env) -> None:
             key=term.path,
             expected="a subclass of TermBase or a function",
         )
-    note_class(kind)
     try:
+        note_again = note_class(kind, term.path)
         term_object: Any = cast(Any, kind)(env=env, **term.params)
     except ConfigError as error:
         raise _placed(error, term.path) from error
@@ -158,6 +158,7 @@ def instantiate_term(term: Term, env: Env) -> None:
             key=term.path,
             expected="the parameters that its documentation names",
         ) from error
+    note_again()
     made(term_object, term.path)
     term.func, term.params = term_object, {}
     term.bound()

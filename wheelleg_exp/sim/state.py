@@ -3,24 +3,30 @@
 Tensors among an object's attributes are its state and are always saved, but for those that the class names in
 ``settings``. Every other attribute (numbers, text, lists, dictionaries, arrays, random generators, helper objects and
 what they hold) is saved once it differs from what it was when the object was made, so that loading does not undo a
-setting that was changed in the config since. What cannot be saved is refused when the object is made, or when it
-appears later, when the state is saved.
+setting that was changed in the config since. What stands for one thing (a tensor in two lists, a view of another)
+does so afterwards. What cannot be saved is refused when the object is made, or when it appears later, when the state
+is saved.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Mapping
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.state_binding import Binder, Nodes, bindings, require_writable
+from wheelleg_exp.sim.state_class import is_noted, note_class, require_class_untouched
+from wheelleg_exp.sim.state_restoring import made_again, put
+from wheelleg_exp.sim.state_settings import Settings
 from wheelleg_exp.sim.state_values import (
     BASE,
+    BOUND,
     CONSTANTS,
+    NODES,
     NOTHING,
+    PLAIN,
     TAG,
     Inside,
     Kept,
@@ -28,7 +34,6 @@ from wheelleg_exp.sim.state_values import (
     Unsaveable,
     attributes,
     look,
-    made_again,
     require_plain,
     same,
     slots_of,
@@ -73,9 +78,14 @@ def made(value: Any, key: str | None = None) -> None:
     Raises:
         ConfigError: it keeps something whose state cannot be saved.
     """
+    if not is_noted(type(value)):
+        note_class(type(value), key)
     vars(value).pop(BASE, None)
     try:
-        vars(value)[BASE] = _without_tensors(attributes(value), getattr(value, "settings", ()))
+        base = _without_tensors(attributes(value), getattr(value, "settings", ()))
+        nodes = Nodes(value, key)
+        require_writable(nodes)
+        vars(value).update({BASE: base, NODES: nodes})
     except Unsaveable as error:
         raise _refusal(value, error, key) from error
 
@@ -92,20 +102,31 @@ def save(value: Any) -> dict[str, Any]:
     Raises:
         ConfigError: it now keeps something whose state cannot be saved.
     """
-    _require_class_untouched(value)
+    base = vars(value).get(BASE)
+    key = None if base is None else vars(value)[NODES].key
+    if base is not None:
+        require_class_untouched(type(value), key)
+    settings = getattr(value, "settings", ())
     try:
-        return _changes(attributes(value), vars(value).get(BASE), "", settings=getattr(value, "settings", ()))
+        if base is None:
+            return {n: i for n, i in attributes(value).items() if isinstance(i, torch.Tensor) and n not in settings}
+        bound, forced = bindings(Nodes(value), vars(value)[NODES])
+        found = _changes(attributes(value), base, forced, settings=settings)
     except Unsaveable as error:
-        raise _refusal(value, error, None) from error
+        raise _refusal(value, error, key) from error
+    bound = {path: binding for path, binding in bound.items() if _saves(found, path)}
+    return {**found, BOUND: bound} if bound else found
 
 
 def restore(value: Any, saved: Mapping[str, Any]) -> None:
     """Give an object the state that ``save`` returned; what was not saved goes back to what it was made with."""
     base = vars(value).get(BASE)
+    binder = Binder(vars(value)[NODES] if base is not None else Nodes(value), saved.get(BOUND))
+    found = {name: item for name, item in saved.items() if name != BOUND}
     if base is not None:
-        _restore_made(value, base, saved)
-    for name, item in saved.items():
-        _set(value, name, item, base)
+        _restore_made(value, base, found, binder)
+    for name, item in found.items():
+        _set(value, name, item, base, binder)
 
 
 class _Stateless:
@@ -141,8 +162,10 @@ def stateful(value: Any, key: str) -> Any:
     """
     if hasattr(value, "state_dict") and hasattr(value, "load_state_dict"):
         return value
-    if value is None or isinstance(value, CONSTANTS) or not hasattr(value, "__dict__"):
+    if value is None or isinstance(value, (*PLAIN, *CONSTANTS)):
         return _Stateless()
+    if not hasattr(value, "__dict__"):
+        raise _refusal(value, Unsaveable("__slots__", value), key)
     return _ByAttributes(value, key)
 
 
@@ -161,126 +184,53 @@ def _refusal(value: Any, error: Unsaveable, key: str | None) -> ConfigError:
     return ConfigError(
         f"'{type(value).__qualname__}' {error}, whose state cannot be saved, so that a resumed run would differ",
         key=key,
-        expected="tensors, arrays, numbers, text, lists, dictionaries, or state_dict and load_state_dict of its own",
+        expected="tensors, arrays, numbers, text, lists, dictionaries (a list and the place in it instead of an "
+        "iterator, a clone instead of shared memory), or state_dict and load_state_dict of its own",
     )
-
-
-class Settings:
-    """The settings of a term, as its config gave them: what differs from them is state, set by a curriculum perhaps.
-
-    A change is saved beside the setting that it was made on, and is not restored on another: who changed the
-    setting in the config means it.
-
-    Args:
-        groups: dictionaries of settings by name.
-        key: config key of the term, for messages.
-        skip: names of settings that save their state themselves.
-    """
-
-    def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
-        self._groups = dict(groups)
-        self._key = key
-        self._skip = frozenset(skip)
-        self._base = self._look()
-
-    def _look(self) -> dict[str, Inside]:
-        try:
-            return {
-                group: Inside({n: look(v, n) for n, v in values.items() if n not in self._skip})
-                for group, values in self._groups.items()
-            }
-        except Unsaveable as error:
-            raise ConfigError(f"a setting {error}, whose state cannot be saved", key=self._key) from error
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the changed settings by group and name, each with what it was."""
-        found: dict[str, Any] = {}
-        for group, values in self._look().items():
-            for name, now in values.items():
-                was = self._base[group].get(name, NOTHING)
-                if not same(now, was):
-                    found.setdefault(group, {})[name] = self._change(name, was, now)
-        return found
-
-    def _change(self, name: str, was: Any, now: Any) -> dict[str, Any]:
-        change = {"was": None if was is NOTHING else was, "now": now}
-        try:
-            for item in change.values():
-                require_plain(item, name)
-        except Unsaveable as error:
-            raise ConfigError(f"the changed setting {error}, which cannot be saved", key=self._key) from error
-        return change
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; settings that had not changed are what the config says."""
-        for group, values in self._groups.items():
-            changes, base = saved.get(group, {}), self._base[group]
-            for name in list(values.keys() - base.keys() - changes.keys() - self._skip):
-                del values[name]
-            for name in [*base, *(n for n in changes if n not in base)]:
-                change = changes.get(name)
-                own = base.get(name)
-                wanted = change["now"] if change is not None and same(change["was"], own) else own
-                if not isinstance(wanted, Inside) and not same(look(values.get(name), name), wanted):
-                    values[name] = made_again(wanted, None)
 
 
 # --- comparing ---
 
 
 def _changes(
-    now: Inside, base: Mapping[str, Any] | None, path: str, *, settings: Collection[str] = ()
+    now: Inside, base: Mapping[str, Any], forced: Collection[str], path: str = "", *, settings: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Return tensors, and whatever else differs from ``base`` (tensors alone when that was never noted)."""
-    if base is None:
-        return {n: item for n, item in now.items() if isinstance(item, torch.Tensor) and n not in settings}
+    """Return tensors, whatever else differs from ``base``, and what is bound to another thing."""
     found: dict[str, Any] = {}
     for name, item in now.items():
+        here = path + name
         if isinstance(item, Inside) and isinstance(base.get(name), Inside):
-            inner = _changes(item, base[name], f"{path}{name}.")
+            inner = _changes(item, base[name], forced, f"{here}.")
             found.update({name: {TAG: "object", "data": inner}} if inner else {})
-        elif (isinstance(item, torch.Tensor) and name not in settings) or not same(item, base.get(name, NOTHING)):
-            require_plain(item, path + name)
+        elif (
+            (isinstance(item, torch.Tensor) and name not in settings)
+            or not same(item, base.get(name, NOTHING))
+            or any(_is_within(p, here) for p in forced)
+        ):
+            require_plain(item, here)
             found[name] = item
     return found
 
 
-def _require_class_untouched(value: Any) -> None:
-    """Refuse state in the class itself, which every object of the class shares."""
-    base = vars(value).get(BASE)
-    for kind in type(value).__mro__ if base is not None else ():
-        for name, item in vars(kind).items():
-            if isinstance(item, (list, dict, set, deque, torch.Tensor, np.ndarray)) and not name.startswith("__"):
-                before = _class_values.setdefault((kind, name), _look_safely(item, name))
-                if not same(_look_safely(item, name), before):
-                    raise ConfigError(
-                        f"'{kind.__qualname__}' changes its class attribute '{name}', which is no object's state",
-                        expected=f"self.{name}, made in __init__",
-                    )
+def _is_within(path: str, outer: str) -> bool:
+    return path == outer or path.startswith((f"{outer}.", f"{outer}["))
 
 
-_class_values: dict[tuple[type, str], Any] = {}
-
-
-def note_class(kind: type) -> None:
-    """Note the values of a class's own containers, before any object of it has run."""
-    for base in kind.__mro__:
-        for name, item in vars(base).items():
-            if isinstance(item, (list, dict, set, deque, torch.Tensor, np.ndarray)) and not name.startswith("__"):
-                _class_values.setdefault((base, name), _look_safely(item, name))
-
-
-def _look_safely(item: Any, name: str) -> Any:
-    try:
-        return look(item, name)
-    except Unsaveable:
-        return None
+def _saves(found: Mapping[str, Any], path: str, above: str = "") -> bool:
+    """Return whether what stands at a path is among what is saved."""
+    for name, item in found.items():
+        if _is_within(path, above + name):
+            inside = isinstance(item, dict) and item.get(TAG) == "object"
+            return not inside or _saves(item["data"], path, f"{above}{name}.")
+    return False
 
 
 # --- restoring ---
 
 
-def _restore_made(value: Any, base: Mapping[str, Any], saved: Mapping[str, Any]) -> None:
+def _restore_made(
+    value: Any, base: Mapping[str, Any], saved: Mapping[str, Any], binder: Binder, path: str = ""
+) -> None:
     present = dict(slots_of(value))
     for name in present.keys() - base.keys() - saved.keys():
         delattr(value, name)
@@ -288,20 +238,26 @@ def _restore_made(value: Any, base: Mapping[str, Any], saved: Mapping[str, Any])
         if name in saved:
             continue
         if isinstance(item, Inside):
-            _restore_made(present[name], item, {})
-        elif name not in present or not same(look(present[name], name), item):
-            _set(value, name, item, None)
+            put(value, name, binder.made[path + name])
+            _restore_made(binder.made[path + name], item, {}, binder, f"{path}{name}.")
+        elif name not in present or _may_stray(item) or not same(look(present[name], name), item):
+            put(value, name, made_again(item, path + name, binder))
 
 
-def _set(owner: Any, name: str, item: Any, base: Mapping[str, Any] | None) -> None:
-    present = getattr(owner, name, None)
-    if isinstance(item, dict) and item.get(TAG) == "object":
-        inside = None if base is None else base.get(name)
-        if isinstance(inside, Inside):
-            _restore_made(present, inside, item["data"])
-        for inner, value in item["data"].items():
-            _set(present, inner, value, inside)
+def _may_stray(item: Any) -> bool:
+    """Return whether an equal item could stand in another thing than it was made in."""
+    return isinstance(item, dict) and item[TAG] != "stateful"
+
+
+def _set(owner: Any, name: str, item: Any, base: Mapping[str, Any] | None, binder: Binder, path: str = "") -> None:
+    here = path + name
+    if not (isinstance(item, dict) and item.get(TAG) == "object"):
+        put(owner, name, made_again(item, here, binder))
         return
-    value = made_again(item, present)
-    if value is not present:
-        setattr(owner, name, value)
+    inside = None if base is None else base.get(name)
+    present = binder.made.get(here, getattr(owner, name, None))
+    put(owner, name, present)
+    if isinstance(inside, Inside):
+        _restore_made(present, inside, item["data"], binder, f"{here}.")
+    for inner, value in item["data"].items():
+        _set(present, inner, value, inside, binder, f"{here}.")

@@ -11,9 +11,9 @@ import random
 import re
 import struct
 import types
-from collections import OrderedDict, defaultdict, deque
+from collections import OrderedDict, deque
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import PurePath
 from typing import Any
 
@@ -21,8 +21,10 @@ import numpy as np
 import torch
 
 BASE = "_state_when_made"
+NODES = "_bound_when_made"
+BOUND = "__bound__"
 TAG = "__kind__"
-_NUMBERS = (bool, int, float, str, type(None))
+PLAIN = (bool, int, float, str, type(None))
 # Never changed in place: what is bound to the name is all there is.
 CONSTANTS = (
     bytes,
@@ -59,8 +61,13 @@ class NamedStream(Kept, torch.Generator):
 class Unsaveable(Exception):
     """Something whose state cannot be saved."""
 
-    def __init__(self, path: str, value: Any) -> None:
-        super().__init__(f"keeps a {type(value).__module__}.{type(value).__name__} in '{path}'")
+    def __init__(self, path: str, value: Any, why: str = "") -> None:
+        kind = type(value).__name__ if type(value).__module__ == "builtins" else _full_name(type(value))
+        super().__init__(f"keeps a {kind} in '{path}'" + (f" ({why})" if why else ""))
+
+
+def _full_name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__name__}"
 
 
 class Constant:
@@ -93,30 +100,51 @@ def attributes(value: Any) -> Inside:
 def slots_of(value: Any) -> Iterator[tuple[str, Any]]:
     """Yield an object's attributes, those in slots included."""
     for name, item in getattr(value, "__dict__", {}).items():
-        if name != BASE:
+        if name not in (BASE, NODES):
             yield name, item
     for kind in type(value).__mro__:
-        names = vars(kind).get("__slots__", ())
-        for name in (names,) if isinstance(names, str) else names:
-            if name not in ("__dict__", "__weakref__") and hasattr(value, name):
+        for name in _slot_names(kind):
+            if hasattr(value, name):
                 yield name, getattr(value, name)
+
+
+@cache
+def _slot_names(kind: type) -> list[str]:
+    """Return the names of a class's own slots, as its objects have them."""
+    slots = vars(kind).get("__slots__", ())
+    names = [
+        name for name in ((slots,) if isinstance(slots, str) else slots) if name not in ("__dict__", "__weakref__")
+    ]
+    private = [name.startswith("__") and not name.endswith("__") for name in names]
+    owner = kind.__name__.lstrip("_")
+    return [f"_{owner}{name}" if mangled else name for name, mangled in zip(names, private, strict=True)]
 
 
 def look(value: Any, path: str) -> Any:
     """Return a copy of a value in tensors, numbers and tagged dictionaries."""
-    if type(value) in _NUMBERS:
+    if type(value) in PLAIN:
         return value
     if isinstance(value, torch.Tensor):
         return value.detach().clone()
     if isinstance(value, (np.ndarray, np.generic)):
         return _array(value, path)
+    if isinstance(value, (list, tuple, set, frozenset, deque, dict)):
+        _require_no_attributes(value, path)
     if isinstance(value, (list, tuple, set, frozenset, deque)):
         return _sequence(value, path)
     if isinstance(value, Mapping) and isinstance(value, dict):
         return _mapping(value, path)
+    if isinstance(value, partial):
+        look([value.args, value.keywords], path)  # raises for what nobody could see
     if isinstance(value, CONSTANTS):
         return Constant(value)
     return _object(value, path)
+
+
+def _require_no_attributes(value: Any, path: str) -> None:
+    """Refuse attributes of a container of its own class, which are not among its items."""
+    for name, _ in slots_of(value) if type(value) is not OrderedDict else ():  # torch notes versions on these
+        raise Unsaveable(path, value, f"with an attribute '{name}' beside its items")
 
 
 def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
@@ -144,7 +172,7 @@ def _mapping(value: dict[Any, Any], path: str) -> dict[str, Any]:
 
 
 def _object(value: Any, path: str) -> Any:
-    if isinstance(value, Kept) or id(value) in _in_progress or type(value).__module__.split(".")[0] in _FOREIGN:
+    if is_elsewhere(value) or id(value) in _in_progress:
         return Constant(value)
     if isinstance(value, torch.Generator):
         return {TAG: "generator", "data": value.get_state()}
@@ -152,13 +180,13 @@ def _object(value: Any, path: str) -> Any:
         return {TAG: "python random", "data": look(value.getstate(), path)}
     if isinstance(value, np.random.Generator):
         return {TAG: "numpy random", "data": look(value.bit_generator.state, path)}
-    if hasattr(value, "state_dict") and hasattr(value, "load_state_dict"):
+    if _saves_itself(value):
         _in_progress.add(id(value))
         try:
             return {TAG: "stateful", "data": look(value.state_dict(), path)}
         finally:
             _in_progress.discard(id(value))
-    if _is_its_attributes(value):
+    if is_attributes_alone(value):
         try:
             return attributes(value)
         except Unsaveable as error:
@@ -166,12 +194,24 @@ def _object(value: Any, path: str) -> Any:
     raise Unsaveable(path, value)
 
 
-def _is_its_attributes(value: Any) -> bool:
-    """Return whether an object is nothing but its attributes: one that is larger holds something of C's."""
+def is_elsewhere(value: Any) -> bool:
+    """Return whether somebody else saves an object, or it belongs to the simulation or the config."""
+    return isinstance(value, Kept) or type(value).__module__.split(".")[0] in _FOREIGN
+
+
+def is_attributes_alone(value: Any) -> bool:
+    """Return whether an object is nothing but its attributes: one that is larger by a word holds something of C's."""
     kind = type(value)
-    slots = sum(len([s] if isinstance(s, str) else s) for s in (vars(k).get("__slots__", ()) for k in kind.__mro__))
     word = struct.calcsize("P")
-    return kind.__basicsize__ <= object.__basicsize__ + (2 + slots) * word and kind.__itemsize__ == 0
+    slots = sum(len(_slot_names(k)) for k in kind.__mro__)
+    # An offset above zero: room for the dictionary, or for weak references, within the object.
+    slots += (kind.__dictoffset__ > 0) + (kind.__weakrefoffset__ > 0)
+    known = isinstance(value, (torch.Generator, random.Random, np.random.Generator)) or _saves_itself(value)
+    return not known and kind.__itemsize__ == 0 and kind.__basicsize__ == object.__basicsize__ + slots * word
+
+
+def _saves_itself(value: Any) -> bool:
+    return hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
 
 
 # --- comparing ---
@@ -190,11 +230,18 @@ def same(a: Any, b: Any) -> bool:
     if isinstance(a, Constant):
         # A bound method is a new object each time, and equal.
         return a.value is b.value or (isinstance(a.value, CONSTANTS) and a.value == b.value)
-    return a == b or (a != a and b != b)
+    if isinstance(a, float):
+        return struct.pack("d", a) == struct.pack("d", b)
+    return bool(a == b)
 
 
 def _equal_bytes(a: torch.Tensor, b: torch.Tensor) -> bool:
-    return torch.equal(a, b) or (a.is_floating_point() and torch.equal(a.nan_to_num(), b.nan_to_num()))
+    """NaN is equal to itself alone, and 0.0 is not -0.0."""
+    return a.device == b.device and torch.equal(_bytes_of(a), _bytes_of(b))
+
+
+def _bytes_of(value: torch.Tensor) -> torch.Tensor:
+    return value.detach().resolve_conj().resolve_neg().contiguous().reshape(-1).view(torch.uint8)
 
 
 def require_plain(item: Any, path: str) -> None:
@@ -209,70 +256,3 @@ def require_plain(item: Any, path: str) -> None:
     elif isinstance(item, list):
         for value in item:
             require_plain(value, path)
-
-
-# --- making again ---
-
-
-def made_again(item: Any, present: Any) -> Any:
-    """Return the value that a looked-at item stands for, in place of ``present`` where that can be written."""
-    if isinstance(item, torch.Tensor):
-        return _tensor(item, present)
-    if isinstance(item, Constant):
-        return item.value
-    if not isinstance(item, dict):
-        return item
-    kind = item[TAG]
-    if kind in ("array", "scalar"):
-        array = item["data"].numpy()
-        return array.copy() if kind == "array" else array[()]
-    if kind in ("generator", "python random", "numpy random", "stateful"):
-        _load_into(present, kind, item["data"])
-        return present
-    items = [made_again(value, None) for value in item["items"]]
-    if kind == "dict":
-        pairs = dict(zip([made_again(key, None) for key in item["keys"]], items, strict=True))
-        return _filled(present, pairs) if isinstance(present, (dict, OrderedDict, defaultdict)) else pairs
-    return _container(kind, items, present, item.get("maxlen"))
-
-
-def _tensor(item: torch.Tensor, present: Any) -> torch.Tensor:
-    fits = isinstance(present, torch.Tensor) and (present.shape, present.dtype) == (item.shape, item.dtype)
-    if not fits or (present.is_inference() and not torch.is_inference_mode_enabled()):
-        return item.clone()
-    with torch.no_grad():
-        present.copy_(item)
-    return present
-
-
-def _load_into(present: Any, kind: str, data: Any) -> None:
-    if kind == "generator":
-        present.set_state(data)
-    elif kind == "python random":
-        present.setstate(made_again(data, None))
-    elif kind == "numpy random":
-        present.bit_generator.state = made_again(data, None)
-    else:
-        present.load_state_dict(made_again(data, None))
-
-
-def _filled(present: dict[Any, Any], pairs: dict[Any, Any]) -> dict[Any, Any]:
-    present.clear()
-    present.update(pairs)
-    return present
-
-
-def _container(kind: str, items: list[Any], present: Any, maxlen: int | None) -> Any:
-    if kind == "tuple":
-        make = getattr(type(present), "_make", tuple)  # a named tuple's own
-        return make(items)
-    if kind == "frozenset":
-        return frozenset(items)
-    if kind == "deque":
-        return deque(items, maxlen)
-    if kind == "set":
-        return set(items)
-    if isinstance(present, list):
-        present[:] = items
-        return present
-    return items
