@@ -73,6 +73,28 @@ def test_a_changed_byte_is_exit_status_1(run):
     assert (status, found["verdict"]) == (1, "damaged")
 
 
+def test_a_recording_that_could_not_be_put_together_is_told_and_the_run_is_sound(tmp_path, tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        patch.setattr("wheelleg_exp.recording.finishing.rerun_program", lambda: str(tmp_path / "none"))
+        said = wheelleg("train", *SHORT, f"run.root={tmp_path / 'runs'}")
+    assert said.status == 0
+    (warning,) = [line for line in (said.out + said.err).splitlines() if line.startswith("warning: the recording")]
+    assert "rerun's program is not there" in warning
+    (path,) = (tmp_path / "runs" / "stand").iterdir()
+    assert json.loads((path / "manifest.json").read_text())["recording_unfinished"] == "rerun's program is not there"
+    status, found = verify(path)
+    assert (status, found["verdict"]) == (0, "sound")
+    (check,) = [check for check in found["checks"] if check["name"] == "recording"]
+    assert check["state"] == "note"
+    assert "(rerun's program is not there)" in check["notes"][0]
+    assert wheelleg("inspect", path, "--repair").status == 0  # as it advises
+    again = wheelleg("resume", path, "agent.max_iterations=3")
+    assert again.status == 0, again.err
+    assert json.loads((path / "manifest.json").read_text())["recording_unfinished"] is None
+    assert "--repair" not in wheelleg("verify", path).out
+
+
 def test_the_same_training_twice_is_identical(trained, others):
     status, found = verify(trained.run.path, others["again"].path)
     assert (status, found["verdict"], found["first_divergence"]) == (0, "identical", None)

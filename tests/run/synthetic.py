@@ -117,13 +117,14 @@ def _write_asset(folder: Path) -> None:
     write_json(folder / "asset.json", {"sources": {"robot.usda": "d" * 64}, "model_sha256": "e" * 64})
 
 
-def write_policy(folder: Path, weights: bytes = b"weights", code: bytes = b"code") -> None:
+def write_policy(folder: Path, weights: bytes = b"weights", code: bytes = b"code", places: bytes = b"places") -> None:
     """Write an exported policy: an archive as TorchScript's, and its description."""
     folder.mkdir(exist_ok=True)
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
-        for name, data in (("policy/data/0", weights), ("policy/code/__torch__.py", code)):
-            file.writestr(zipfile.ZipInfo(name), data)
+        records = {"data/0": weights, "code/__torch__.py": code, "code/__torch__.py.debug_pkl": places}
+        for name, data in records.items():
+            file.writestr(zipfile.ZipInfo(f"policy/{name}"), data)
     (folder / "policy.pt").write_bytes(archive.getvalue())
     (folder / "policy.json").write_text('{"format_version": 1}\n')
 

@@ -13,9 +13,12 @@ from onnx import helper
 
 from run import synthetic
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.jobs.resume_changes import Change
+from wheelleg_exp.rl.torchscript import serialize
 from wheelleg_exp.run.files import dump_json
 from wheelleg_exp.run.process import this_process
 from wheelleg_exp.run.verification import compare_runs, environment_differences
+from wheelleg_exp.run.verification.settings import plain_changes
 
 
 @pytest.fixture
@@ -233,25 +236,43 @@ def test_a_recording_that_cannot_be_read_is_different(a, b):
     assert different(a, b).part == "recording"
 
 
-def test_exported_policies_differ_by_their_weights_and_not_by_their_wrapping(a, b):
-    synthetic.write_policy(b.exported, code=b"other code")
-    assert "weights equal, other bytes" in identical(a, b).parts["exported"].text
+def test_exported_policies_differ_by_their_weights_and_code_and_not_by_their_wrapping(a, b):
+    synthetic.write_policy(b.exported, places=b"other places")
+    assert "weights and code equal, other bytes" in identical(a, b).parts["exported"].text
     synthetic.write_policy(b.exported, weights=b"weightz")
-    assert different(a, b).part == "exported"
+    assert "policy.pt: weights differ" in different(a, b).name
+    synthetic.write_policy(b.exported, code=b"other code")
+    assert "policy.pt: code differs" in different(a, b).name
 
 
-def test_an_onnx_policy_differs_by_its_weights_and_not_by_who_wrote_it(a, b):
-    def write(run, weight, producer):
-        weights = [helper.make_tensor("w", onnx.TensorProto.FLOAT, [1], [weight])]
-        value = helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1])
-        graph = helper.make_graph([helper.make_node("Add", ["x", "w"], ["y"])], "g", [value], [value], weights)
-        onnx.save(helper.make_model(graph, producer_name=producer), run.exported / "policy.onnx")
+def test_torchscript_that_computes_something_else_with_the_same_weights_is_different(a, b):
+    torch.manual_seed(0)
+    layer = torch.nn.Linear(2, 2)
+    for run, activation in ((a, torch.nn.ELU()), (b, torch.nn.SELU())):
+        (run.exported / "policy.pt").write_bytes(serialize(torch.nn.Sequential(layer, activation)))
+    assert different(a, b).name == "policy.pt: code differs"
+    for run, alpha in ((a, 1.0), (b, 1.5)):  # a number that is no tensor
+        (run.exported / "policy.pt").write_bytes(serialize(torch.nn.Sequential(layer, torch.nn.ELU(alpha))))
+    assert different(a, b).name == "policy.pt: code differs"
 
-    write(a, 0.5, "one")
-    write(b, 0.5, "two")
-    assert "policy.onnx: weights equal, other bytes" in identical(a, b).parts["exported"].text
-    write(b, 0.75, "one")
+
+def write_onnx(run, weight=0.5, producer="one", operator="Add", place="/a"):
+    weights = [helper.make_tensor("w", onnx.TensorProto.FLOAT, [1], [weight])]
+    value = helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1])
+    node = helper.make_node(operator, ["x", "w"], ["y"], doc_string=f"made at {place}")
+    node.metadata_props.add(key="stack_trace", value=place)
+    graph = helper.make_graph([node], "g", [value], [value], weights, doc_string=place)
+    onnx.save(helper.make_model(graph, producer_name=producer), run.exported / "policy.onnx")
+
+
+def test_an_onnx_policy_differs_by_weights_and_graph_and_not_by_who_wrote_it_and_where(a, b):
+    write_onnx(a)
+    write_onnx(b, producer="two", place="/b")
+    assert "policy.onnx: weights and code equal, other bytes" in identical(a, b).parts["exported"].text
+    write_onnx(b, weight=0.75)
     assert "policy.onnx: weights differ" in different(a, b).name
+    write_onnx(b, operator="Mul")
+    assert different(a, b).name == "policy.onnx: code differs"
 
 
 def test_a_description_of_a_policy_differs_by_key(a, b):
@@ -482,6 +503,99 @@ def test_a_run_that_was_resumed_elsewhere_was_made_on_both_machines(a, b):
     assert (difference.a, difference.b) == (here, ["another CPU", here])
 
 
+def other_code(run):
+    record = json.loads((run.source / "git.json").read_text())
+    (run.source / "git.json").write_text(json.dumps({**record, "tree": "b" * 40}))
+
+
+def test_other_code_is_never_within_tolerance_whatever_else_could_excuse_it(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    assert compare_runs(a, b).verdict == "within tolerance"
+    other_code(b)
+    first = different(a, b)
+    assert (first.iteration, first.part) == (0, "digests")
+    found = compare_runs(a, b)
+    assert found.reason.endswith("; the code differs, which another CPU cannot excuse")
+    assert found.tolerance is None
+
+
+def test_other_code_that_changes_no_number_is_identical_and_told(a, b):
+    other_code(b)
+    found = identical(a, b)
+    assert found.reason == "equal to the bit in 5 iterations, though the code differs"
+    assert any(line.strip().startswith("code.tree") for line in found.lines())
+
+
+def test_code_that_was_not_kept_is_not_shown_to_be_equal(a, b):
+    drop_nan(a, b)
+    for run in (a, b):
+        record = json.loads((run.source / "git.json").read_text())
+        unkept = {"status": "patch_too_large", "tree": None, "patch_sha256": None}
+        (run.source / "git.json").write_text(json.dumps({**record, **unkept}))
+    assert identical(a, b).reason.endswith("though the code was not kept")
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    assert different(a, b).iteration == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "decides"),
+    [
+        ("agent.max_iterations", False),
+        ("agent.save_interval", False),
+        ("agent.torch_threads", False),
+        ("agent.logger", False),
+        ("env.sim.nthread", False),
+        ("recording", False),
+        ("recording.interval", False),
+        ("agent.run_name", True),  # there is no such setting
+        ("env.sim", True),
+        ("run.root", True),
+    ],
+)
+def test_a_resume_and_a_comparison_agree_on_what_changes_no_number(key, decides):
+    assert Change(tuple(key.split(".")), 1, 2, removed=False).decides == decides
+    assert [change.decides for change in plain_changes(1, 2, key)] == [decides]
+
+
+MACHINE = {"section": "hardware", "name": "cpu", "was": "x", "now": "y"}
+SOURCE = {"section": "source", "name": "tree (1)", "was": "a" * 40, "now": "b" * 40}
+
+
+@pytest.mark.parametrize(
+    ("why", "differences", "verdict"),
+    [
+        (["hardware cpu was x and is y"], [MACHINE], "within tolerance"),
+        (["source tree (1) was a and is b"], [SOURCE], "different"),
+        (["source tree (1) was a and is b", "hardware cpu was x and is y"], [SOURCE, MACHINE], "different"),
+        (["the log after loading are not what was saved", "hardware cpu was x and is y"], [MACHINE], "different"),
+        (["iteration 3 is not what it was before the stop: environment differ"], [], "different"),
+        ([], [], "different"),
+    ],
+)
+def test_only_a_resume_that_was_inexact_for_the_machine_alone_allows_a_tolerance(a, b, why, differences, verdict):
+    drop_nan(a, b)
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    entry = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "exact": False, "why": why, "differences": differences}
+    synthetic.edit(b, lambda data: data["resumes"].append(entry))
+    found = compare_runs(a, b)
+    assert found.verdict == verdict
+    assert ("B was resumed from iteration 3" in found.reason) == (verdict == "different")
+
+
+def test_all_inexact_resumes_from_one_checkpoint_count(a, b):
+    """The later one must not hide the earlier one's other code."""
+    for why, differences in ((["source tree (1) was a and is b"], [SOURCE]), (["hardware cpu was x"], [MACHINE])):
+        entry = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "exact": False, "why": why}
+        synthetic.edit(b, lambda data, e={**entry, "differences": differences}: data["resumes"].append(e))
+    (difference,) = identical(a, b).environment
+    assert difference.forbids
+    assert difference.b == "source tree (1) was a and is b; hardware cpu was x"
+
+
 KERNELS = ("Linux-6.1-x86_64-with-glibc2.36", "Linux-6.9-x86_64-with-glibc2.36", "Linux-6.1-x86_64-with-glibc2.41")
 STRICT = {"environment_variables": {"MKL_CBWR": "AVX2,STRICT"}}
 FREE = {"environment_variables": {}}
@@ -527,7 +641,7 @@ def test_other_code_is_told_and_allows_nothing(a, b):
     (b.source / "git.json").write_text(json.dumps({**record, "tree": "b" * 40}))
     set_scalar(b, 2, 0.75)
     found = compare_runs(a, b)
-    assert (found.verdict, found.reason) == ("different", "scalars differ; the code differs too")
+    assert (found.verdict, found.reason) == ("different", "scalars differ; the code differs")
     assert [(d.section, d.name, d.allows) for d in found.environment] == [("code", "tree", None)]
     assert any(line.strip().startswith("code.tree") for line in found.lines())
 

@@ -13,6 +13,7 @@ import torch
 
 from run import synthetic
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.recording.contents import Contents
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run import inventory
 from wheelleg_exp.run.directory import RunDirectory
@@ -267,6 +268,36 @@ def test_a_recording_that_is_cut_off_is_wrong(run):
     assert list(failures(run)) == ["recording"]
 
 
+def unfinished(run):
+    """A recording whose writer could not put it together in the end: everything but the index."""
+    contents = Contents(run.recording)
+    kept = b"".join(contents.kept())
+    run.recording.write_bytes(kept)
+    return kept
+
+
+def test_a_recording_without_an_index_that_is_as_the_run_left_it_is_no_damage(run):
+    unfinished(run)
+    assert "files" in failures(run)
+    synthetic.record(run)
+    (note,) = [note for note in notes(run) if "index" in note]
+    assert "wheelleg inspect RUN --repair" in note
+    synthetic.edit(run, lambda data: data.update(recording_unfinished="no room"))
+    assert any("(no room)" in note for note in notes(run))
+
+
+def test_a_recording_without_an_index_that_the_manifest_does_not_know_is_wrong(run):
+    unfinished(run)
+    synthetic.edit(run, lambda data: data["files"].pop("recording.rrd"))
+    assert set(failures(run)) == {"files", "recording"}
+
+
+def test_a_recording_without_an_index_that_ends_in_the_middle_of_a_message_is_wrong(run):
+    run.recording.write_bytes(unfinished(run)[:-10])
+    synthetic.record(run)
+    assert list(failures(run)) == ["recording"]
+
+
 def test_a_damaged_exported_policy_is_wrong(run):
     path = run.exported / "policy.pt"
     synthetic.flip(path, path.read_bytes().index(b"weights"))
@@ -323,6 +354,15 @@ def test_a_resume_is_told_with_what_it_changed(run):
     facts = {"iteration": 3, "overrides": ["agent.algorithm.gamma=0.9"], "exact": False}
     synthetic.edit(run, lambda data: data["resumes"].append({"when": "2026-11-20T10:00:00.000000Z", **facts}))
     assert any("from iteration 3" in n and "not exactly: agent.algorithm.gamma=0.9" in n for n in notes(run))
+
+
+def test_of_many_resumes_the_inexact_ones_are_told_first(run):
+    for iteration in range(20):
+        entry = {"when": "2026-11-20T10:00:00Z", "iteration": iteration, "exact": iteration != 17}
+        synthetic.edit(run, lambda data, entry=entry: data["resumes"].append(entry))
+    told = [line for line in verify_run(run).lines() if "resumed on" in line]
+    assert "from iteration 17, not exactly" in told[0]
+    assert "from iteration 0, exactly" in told[1]
 
 
 def test_a_checkpoint_from_before_a_resume_is_held_against_its_old_record(run):

@@ -79,3 +79,48 @@ def test_short_runs_and_runs_that_go_on_have_no_end_to_compare(iterations, whole
     found = judge(a, b, None, whole=whole)
     assert found.end == []
     assert "ends were not compared" in found.lines()[-1]
+
+
+def late(i):
+    """A figure that is not there before the first episode has ended."""
+    return None if i == 0 else float(i)
+
+
+def without(lines, *names):
+    return [Line(x.iteration, {}, {k: v for k, v in x.scalars.items() if k not in names}) for x in lines]
+
+
+def test_iterations_without_the_figure_do_not_spare_the_run_the_comparison_of_its_end():
+    a, b = run(reward=late), run(reward=lambda i: late(i) and late(i) * 0.05, value=lambda i: 1.0 + 1e-6)
+    found = judge(a, b, None, whole=True)
+    (end,) = [excess for excess in found.end if excess.name == "Train/mean_reward"]
+    assert end.allowed == pytest.approx(END * (99 - 0.05))
+    assert end.off == pytest.approx(94.5 * 0.95)  # the mean of 90 to 99, less a twentieth of it
+    assert not found.within
+
+
+def test_what_neither_run_has_is_noted_and_the_other_figure_decides():
+    a, b = (without(lines, "Train/mean_reward") for lines in (run(), run(value=lambda i: 1.0 + 1e-6)))
+    found = judge(a, b, None, whole=True)
+    assert found.within
+    assert [excess.name for excess in found.end] == ["Train/mean_episode_length"]
+    assert found.lines()[-1] == "not compared at the end, for neither run has it: Train/mean_reward"
+
+
+@pytest.mark.parametrize("gone", [None, "nan"])
+def test_a_figure_that_one_run_alone_has_at_the_end_is_not_alike(gone):
+    a, b = run(), run(reward=lambda i: gone if i >= 90 else float(i), value=lambda i: 1.0 + 1e-6)
+    found = judge(a, b, None, whole=True)
+    assert not found.within
+    assert any("too few values to compare" in line for line in found.lines())
+
+
+@pytest.mark.parametrize(("iterations", "within"), [(49, True), (50, False)])
+def test_a_long_run_of_which_no_figure_can_be_compared_is_not_shown_to_be_within(iterations, within):
+    a, b = (
+        without(lines, "Train/mean_reward", "Train/mean_episode_length")
+        for lines in (run(iterations=iterations), run(iterations=iterations, value=lambda i: 1.0 + 1e-6))
+    )
+    found = judge(a, b, None, whole=True)
+    assert (found.within, found.unknown) == (within, not within)
+    assert "not compared" in found.note

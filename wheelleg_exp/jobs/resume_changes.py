@@ -19,21 +19,13 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.run import environment
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.files import read_yaml
+from wheelleg_exp.run.harmless import decides
 from wheelleg_exp.run.params import load_params
 from wheelleg_exp.run.plain_yaml import dump_yaml
 from wheelleg_exp.terms import RESERVED
 
 Keys = tuple[str, ...]
 
-# They change when and what is written, or how fast, and no number.
-_HARMLESS: tuple[Keys, ...] = (
-    ("agent", "max_iterations"),
-    ("agent", "save_interval"),
-    ("agent", "torch_threads"),
-    ("agent", "logger"),
-    ("env", "sim", "nthread"),
-    ("recording",),
-)
 # What the saved state was made with, and why it must stay.
 _FIXED: dict[Keys, str] = {
     ("seed",): "the random streams go on where they stood",
@@ -75,7 +67,7 @@ class Change:
     @property
     def decides(self) -> bool:
         """Whether it can change a number."""
-        return not any(_begins(self.keys, harmless) for harmless in _HARMLESS)
+        return decides(self.keys)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the manifest records."""

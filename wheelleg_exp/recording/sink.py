@@ -31,6 +31,9 @@ class Sink:
         name: the name that the viewer shows.
         aside: whether to write beside an existing file until ``take_place``.
 
+    Attributes:
+        unfinished: why the closed file was not put together and has no index; None when it was, or is open.
+
     Raises:
         RunDirectoryError: the file exists, or cannot be written.
     """
@@ -38,6 +41,7 @@ class Sink:
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:
         self.path = path
         self.is_open = False
+        self.unfinished: str | None = None
         self._is_broken = False
         self._written = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp") if aside else path
         _claim(self._written)
@@ -110,7 +114,7 @@ class Sink:
         finally:
             self._disconnect()
         if not self._is_broken:
-            finish(self.path)
+            self.unfinished = finish(self.path)
 
     def _disconnect(self) -> None:
         if not self._is_broken:

@@ -8,7 +8,7 @@
 | ``divergence`` | the first place where they part |
 | ``log`` | ``iterations.jsonl``, read back |
 | ``settings`` | what two runs were asked to compute |
-| ``parts``, ``checkpoints``, ``tensors`` | what came out of them |
+| ``parts``, ``checkpoints``, ``tensors``, ``exported`` | what came out of them |
 | ``environment`` | what they were made with, and which of it may change rounding |
 | ``tolerance`` | when numbers that are not equal count as the same training |
 | ``text`` | a comparison in words |

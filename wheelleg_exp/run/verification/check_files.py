@@ -36,7 +36,8 @@ def manifest(subject: Subject) -> Check:
     error = data.get("error")
     if isinstance(error, Mapping):
         notes.append(f"it ended with {error.get('type')}: {error.get('message')}")
-    notes += [_resume_note(entry) for entry in data["resumes"] if isinstance(entry, Mapping)]
+    resumes = [entry for entry in data["resumes"] if isinstance(entry, Mapping)]
+    notes += map(_resume_note, sorted(resumes, key=lambda entry: entry.get("exact") is not False))
     return Check("manifest", f"format {data['format']}, {len(data['files'])} files recorded", failures, notes)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.directory import checkpoint_iteration
-from wheelleg_exp.run.files import read_json
+from wheelleg_exp.run.files import read_json, sha256
 from wheelleg_exp.run.verification.findings import Check
 from wheelleg_exp.run.verification.subject import Subject
 
@@ -96,9 +96,22 @@ def recording(subject: Subject) -> Check:
     health = contents.health
     told = health.lines()[1:]
     text = f"{len(contents.pieces)} entities in {health.messages} messages, {health.size / 1e6:.1f} MB"
-    if health.damaged or (subject.has_ended and not health.is_whole):
+    if health.damaged or (subject.has_ended and health.readable < health.size):
         return Check("recording", text, told)
+    if subject.has_ended and not health.is_closed:
+        return _unfinished(subject, text, told)
     return Check("recording", text, notes=told)
+
+
+def _unfinished(subject: Subject, text: str, told: list[str]) -> Check:
+    """Tell a recording without an index: whole, when its bytes are those that the run left; else who knows what."""
+    record = subject.manifest.recorded_files().get(subject.run.recording.name)
+    if record is None or record["sha256"] != sha256(subject.run.recording):
+        return Check("recording", text, told)
+    why = subject.data.get("recording_unfinished")
+    reason = f" ({why})" if isinstance(why, str) else ""
+    note = "it is as the run left it, and lacks nothing but the index that makes it quick to open"
+    return Check("recording", text, notes=[f"{note}{reason}: 'wheelleg inspect RUN --repair' writes a copy with one"])
 
 
 def exported(subject: Subject) -> Check:

@@ -12,7 +12,14 @@ from wheelleg_exp.run.verification import parts as part
 from wheelleg_exp.run.verification import text
 from wheelleg_exp.run.verification.checkpoints import CheckpointComparison, compare_checkpoints
 from wheelleg_exp.run.verification.divergence import Divergence, first_divergence
-from wheelleg_exp.run.verification.environment import FactDifference, allowing, run_differences
+from wheelleg_exp.run.verification.environment import (
+    UNKNOWN_CODE,
+    FactDifference,
+    allowing,
+    forbidding,
+    run_differences,
+)
+from wheelleg_exp.run.verification.exported import exported_part
 from wheelleg_exp.run.verification.parts import Part, Parting
 from wheelleg_exp.run.verification.settings import Change, recording_changes, robot_changes, setting_changes
 from wheelleg_exp.run.verification.sides import Measured, Span, measure, span_of
@@ -37,7 +44,8 @@ class Comparison:
         parts: the numbers, by part.
         checkpoints: the pairs of checkpoints.
         environment: how code, versions, hardware, threads and variables differ.
-        tolerance: what was measured where a difference is allowed; None when none is, or nothing differs.
+        tolerance: what was measured where a difference is allowed; None when none is, as between runs of other code,
+            or nothing differs.
     """
 
     a: Measured
@@ -114,7 +122,8 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         **_whole_parts(a.run, b.run, span, settings),
     }
     parted = part.parting(ones, others)
-    tolerance = _tolerance(ones, others, parted, checkpoints, span) if allowing(environment) else None
+    allowed = allowing(environment) and not forbidding(environment)
+    tolerance = _tolerance(ones, others, parted, checkpoints, span) if allowed else None
     verdict, reason = _verdict(parts, span, (a, b), environment, tolerance)
     return Comparison(
         a=a,
@@ -167,7 +176,7 @@ def _whole_parts(a: RunDirectory, b: RunDirectory, span: Span, settings: list[Ch
     recording = part.recording_part(a, b)
     if recording.state == "different" and options and "unreadable" not in recording.details:
         recording = Part("not compared", f"recorded with other options: {text.changes_text(options)}")
-    return {"recording": recording, "exported": part.exported_part(a, b), "results": part.results_part(a, b)}
+    return {"recording": recording, "exported": exported_part(a, b), "results": part.results_part(a, b)}
 
 
 def _tolerance(
@@ -204,7 +213,8 @@ def _verdict(
     if all(parts[name].state == "not compared" for name in ("digests", "checkpoints")):
         return "different", "not shown to be equal: there are neither digests nor checkpoints to compare"
     went_on = "" if span.closed else ", as far as they were compared"
-    return "identical", f"equal to the bit in {span.until} iterations{went_on}"
+    told = "".join(f", though {_code_text(forbidden)}" for forbidden in [forbidding(environment)] if forbidden)
+    return "identical", f"equal to the bit in {span.until} iterations{went_on}{told}"
 
 
 def _verdict_on_numbers(
@@ -213,15 +223,27 @@ def _verdict_on_numbers(
     reasons = "; ".join(dict.fromkeys(str(difference.allows) for difference in allowing(environment)))
     unreadable = "unreadable" in parts["recording"].details or _damaged(parts)
     if unreadable or tolerance is None:
-        return "different", _differ(numbers) + ("" if reasons else _not_allowed(environment))
+        return "different", _differ(numbers) + _not_allowed(forbidding(environment), reasons)
+    if tolerance.unknown:
+        return "different", f"not shown to be within tolerance: {tolerance.note}"
     if not tolerance.within:
         return "different", f"further apart than rounding allows, even with {reasons}"
     return "within tolerance", f"{tolerance.summary()}, which is allowed: {reasons}"
 
 
-def _not_allowed(environment: list[FactDifference]) -> str:
-    code = any(difference.section in ("code", "resumed") for difference in environment)
-    return "; the code differs too" if code else ", and nothing in the environment allows it"
+def _not_allowed(forbidden: list[FactDifference], reasons: str) -> str:
+    if forbidden:
+        return f"; {_code_text(forbidden)}" + (f", which {reasons} cannot excuse" if reasons else "")
+    return "" if reasons else ", and nothing in the environment allows it"
+
+
+def _code_text(forbidden: Sequence[FactDifference]) -> str:
+    """Return what forbids a tolerance: the recorded source, or a resume with other code or of a lost state."""
+    code = [d.name for d in forbidden if d.section == "code"]
+    if code:
+        return "the code was not kept" if all(n.startswith(UNKNOWN_CODE) for n in code) else "the code differs"
+    first = forbidden[0]
+    return f"{'B' if first.a is None else 'A'} was resumed {first.name} ({text.brief(first.b or first.a)})"
 
 
 def _differ(names: Sequence[str]) -> str:

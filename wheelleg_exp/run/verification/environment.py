@@ -1,8 +1,9 @@
 """What two runs were made with: code, versions, hardware, threads, variables; and which of it may change rounding.
 
 A difference *allows* other numbers when it is known to change the order or the kind of floating-point operations,
-and nothing else: another CPU, other vector instructions, another build of the libraries that compute. Other code,
-other settings and another number of physics threads never do.
+and nothing else: another CPU, other vector instructions, another build of the libraries that compute. Other
+settings and another number of physics threads never do. Other code *forbids* it, for nobody could tell what it changed
+from what rounding did.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.source import RECORD_NAME
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
+UNKNOWN_CODE = "files, not kept"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
 
 _ALLOWING: dict[str, dict[str, str]] = {
@@ -64,6 +66,8 @@ class FactDifference:
         a: its value in A; a list when A was resumed under another.
         b: its value in B.
         allows: why it may change the last digits of a number; None when it must not.
+        forbids: whether it may change any number by any amount: the code, or a resume that was inexact for more than
+            the machine. No tolerance holds then.
     """
 
     section: str
@@ -71,6 +75,7 @@ class FactDifference:
     a: Any
     b: Any
     allows: str | None = None
+    forbids: bool = False
 
 
 def environment_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[FactDifference]:
@@ -152,28 +157,46 @@ def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
 
 
 def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) -> Iterator[FactDifference]:
-    for number in range(max(len(a), len(b))):
+    for number in range(max(len(a), len(b), 1)):
         one, other = (side[number] if number < len(side) else {} for side in (a, b))
-        if not _same_code(one, other):
-            mark = f" ({number + 1})" if number else ""
-            for name in _CODE:
-                if one.get(name) != other.get(name):
-                    yield FactDifference("code", name + mark, one.get(name), other.get(name))
+        if _same_code(one, other):
+            continue
+        mark = f" ({number + 1})" if number else ""
+        facts = [name for name in _CODE if one.get(name) != other.get(name)]
+        for name in facts:
+            yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True)
+        if not facts:  # nothing tells what the files were
+            yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
 
 def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
     """Tell resumes that were not exact, with why: with other code, or on another machine."""
     ones, others = _inexact(a), _inexact(b)
     for name in dict.fromkeys([*ones, *others]):
-        if ones.get(name) != others.get(name):
-            yield FactDifference("resumed", name, ones.get(name), others.get(name))
+        one, other = ("; ".join(map(_why, side.get(name, ()))) or None for side in (ones, others))
+        if one != other:
+            entries = [*ones.get(name, ()), *others.get(name, ())]
+            yield FactDifference("resumed", name, one, other, forbids=not all(map(_is_the_machine, entries)))
 
 
-def _inexact(manifest: Manifest) -> dict[str, str]:
-    resumes = [
-        entry for entry in manifest.data["resumes"] if isinstance(entry, Mapping) and entry.get("exact") is False
-    ]
-    return {f"from iteration {e.get('iteration')}": "; ".join(map(str, e.get("why") or ())) for e in resumes}
+def _inexact(manifest: Manifest) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the resumes that were not exact, by where they began; several may begin at one checkpoint."""
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for entry in manifest.data["resumes"]:
+        if isinstance(entry, Mapping) and entry.get("exact") is False:
+            found.setdefault(f"from iteration {entry.get('iteration')}", []).append(entry)
+    return found
+
+
+def _why(entry: Mapping[str, Any]) -> str:
+    return "; ".join(map(str, entry.get("why") or ())) or "not exactly"
+
+
+def _is_the_machine(entry: Mapping[str, Any]) -> bool:
+    """Return whether the recorded differences of machine and versions are all that made a resume inexact."""
+    differences = entry.get("differences") or ()
+    sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
+    return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())
 
 
 def _same_code(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
@@ -207,3 +230,8 @@ def _normal(name: str) -> str:
 def allowing(differences: Iterable[FactDifference]) -> list[FactDifference]:
     """Return the differences that allow other numbers."""
     return [difference for difference in differences if difference.allows]
+
+
+def forbidding(differences: Iterable[FactDifference]) -> list[FactDifference]:
+    """Return the differences with which no tolerance holds."""
+    return [difference for difference in differences if difference.forbids]

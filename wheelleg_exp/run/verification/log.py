@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,16 @@ class Line:
         digests: short digests by name.
         scalars: what is compared: numbers by name, without wall-clock times.
         digest_format: the definition of the digests; None when the line does not say.
+        content: the whole line, wall-clock times included.
+        end: the position in the file at which it ends.
     """
 
     iteration: int
     digests: dict[str, str]
     scalars: dict[str, Any]
     digest_format: int | None = None
+    content: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    end: int = 0
 
 
 @dataclass(frozen=True)
@@ -56,9 +61,10 @@ def read_log(path: Path) -> IterationLog:
     with for_people(path, "read"):
         data = path.read_bytes()
     *whole, rest = data.split(b"\n")
-    log = IterationLog(cut_off=bool(rest))
+    log, end = IterationLog(cut_off=bool(rest)), 0
     for number, raw in enumerate(whole, start=1):
-        line = _parse(raw)
+        end += len(raw) + 1
+        line = _parse(raw, end)
         expected = len(log.lines)
         if line is None:
             log.problems.append(f"line {number} cannot be read")
@@ -76,14 +82,18 @@ def _out_of_order(number: int, iteration: int, expected: int) -> str:
     return f"line {number} {kind} iteration {iteration}, where {expected} was expected"
 
 
-def _parse(raw: bytes) -> Line | None:
+def _parse(raw: bytes, end: int) -> Line | None:
     try:
         value = json.loads(raw)
+        if type(value["iteration"]) is not int:
+            return None
         return Line(
-            iteration=int(value["iteration"]),
+            iteration=value["iteration"],
             digests={str(name): str(digest) for name, digest in value["digests"].items()},
             scalars={str(k): v for k, v in value["scalars"].items() if not k.startswith(_TIMES)},
             digest_format=value.get("digest_format"),
+            content=value,
+            end=end,
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -1,16 +1,13 @@
-"""The smaller parts of two runs: scalars, digests, recordings, exported policies, results."""
+"""The smaller parts of two runs: scalars, digests, recordings, results."""
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import for_people, read_json
 from wheelleg_exp.run.verification.log import Line
 from wheelleg_exp.run.verification.settings import plain_changes
 
@@ -126,68 +123,13 @@ def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
 
 def _entities_text(one: Mapping[str, str], changed: list[str], only_a: list[str], only_b: list[str]) -> str:
     counted = [(changed, f"of {len(one)} entities differ"), (only_a, "only in A"), (only_b, "only in B")]
-    return "; ".join(f"{len(names)} {what} ({_some(names)})" for names, what in counted if names)
+    return "; ".join(f"{len(names)} {what} ({some(names)})" for names, what in counted if names)
 
 
-def _some(names: Sequence[str], shown: int = 3) -> str:
+def some(names: Sequence[str], shown: int = 3) -> str:
+    """Return the first few names, and how many more there are."""
     rest = len(names) - shown
     return ", ".join(names[:shown]) + (f" and {rest} more" if rest > 0 else "")
-
-
-def exported_part(a: RunDirectory, b: RunDirectory) -> Part:
-    """Compare the exported policies: bytes, and where these differ what the files hold."""
-    ones, others = ({path.name: path for path in _files(run.exported)} for run in (a, b))
-    if not ones or not others:
-        there = [side for side, files in (("A", ones), ("B", others)) if files]
-        return Part("not compared", f"only {there[0]} exported a policy" if there else "neither run exported a policy")
-    files: dict[str, str] = {}
-    for name in sorted({*ones, *others}):
-        files[name] = _compare_exported(ones.get(name), others.get(name))
-    odd = {name: what for name, what in files.items() if what != "equal"}
-    details = {"files": files}
-    if not odd:
-        return Part("equal", f"{len(files)} files, byte for byte", details)
-    text = "; ".join(f"{name}: {what}" for name, what in odd.items())
-    return Part(
-        "equal" if all(what.startswith("weights equal") for what in odd.values()) else "different", text, details
-    )
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
-
-
-def _compare_exported(a: Path | None, b: Path | None) -> str:
-    if a is None or b is None:
-        return "only in A" if a else "only in B"
-    with for_people(a, "compare"):
-        one, other = a.read_bytes(), b.read_bytes()
-    if one == other:
-        return "equal"
-    try:
-        if a.suffix == ".json":
-            changes = plain_changes(read_json(a), read_json(b))
-            return f"differs in {_some([change.key for change in changes])}" if changes else "weights equal"
-        weights = _onnx_weights if a.suffix == ".onnx" else _archived_weights
-        return "weights equal, other bytes" if weights(a) == weights(b) else "weights differ"
-    except Exception as error:  # a damaged file may fail in any way; nothing in it is run
-        return f"cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
-
-
-def _archived_weights(path: Path) -> dict[str, bytes]:
-    """Return the tensors of a TorchScript archive without loading it, which would run what it holds."""
-    with zipfile.ZipFile(path) as archive:
-        names = [name for name in archive.namelist() if "/data/" in name or "/constants/" in name]
-        return {name.split("/", 1)[1]: archive.read(name) for name in names}
-
-
-def _onnx_weights(path: Path) -> dict[str, tuple[Any, ...]]:
-    import onnx
-    from onnx import numpy_helper
-
-    graph = onnx.load(path, load_external_data=False).graph
-    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    return {name: (array.shape, str(array.dtype), array.tobytes()) for name, array in arrays.items()}
 
 
 def results_part(a: RunDirectory, b: RunDirectory) -> Part:
@@ -201,7 +143,7 @@ def results_part(a: RunDirectory, b: RunDirectory) -> Part:
     if not changes:
         return Part("equal", f"{len(ones)} figures", details)
     told = [f"{change.key} {_shown(change.a)} and {_shown(change.b)}" for change in changes]
-    return Part("different", _some(told), details)
+    return Part("different", some(told), details)
 
 
 def _shown(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +10,9 @@ from typing import Any
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.files import read_json, read_yaml, sha256
+from wheelleg_exp.run.harmless import decides
 from wheelleg_exp.run.params import load_params
 
-# Settings that decide how a run is made and how much of it is kept, and never change a number.
-_HARMLESS = re.compile(
-    r"env\.sim\.nthread|agent\.(torch_threads|save_interval|max_iterations|logger|experiment_name|run_name)"
-    r"|(recording|run|check|hydra)(\..*)?"
-)
 _MISSING = "(absent)"
 
 
@@ -81,7 +76,7 @@ def _settings(run: RunDirectory) -> dict[str, Any]:
 def _resume_changes(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a resume changed of the settings that decide numbers."""
     changes = [change for change in entry.get("changes") or () if isinstance(change, Mapping)]
-    return {str(c.get("key")): c.get("now") for c in changes if not _HARMLESS.fullmatch(str(c.get("key")))}
+    return {str(c.get("key")): c.get("now") for c in changes if _decides(str(c.get("key")))}
 
 
 def _recording(path: Path) -> dict[str, Any]:
@@ -110,7 +105,11 @@ def _walk(key: str, a: Any, b: Any) -> Iterator[Change]:
             inner = f"{key}.{name}" if key else str(name)
             yield from _walk(inner, a.get(name, _MISSING), b.get(name, _MISSING))
     elif not _same(a, b):
-        yield Change(key, a, b, _HARMLESS.fullmatch(key) is None)
+        yield Change(key, a, b, _decides(key))
+
+
+def _decides(key: str) -> bool:
+    return decides(tuple(key.split(".")))
 
 
 def _order(key: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[Change]:

@@ -152,7 +152,7 @@ def _environment(found: Comparison) -> Iterator[str]:
 
 def _by_weight(differences: Sequence[FactDifference]) -> list[FactDifference]:
     """Order: code first, then what allows other numbers, then the rest; installed distributions last."""
-    return sorted(differences, key=lambda d: (d.section == "distributions", d.section != "code", d.allows is None))
+    return sorted(differences, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
 
 
 def _fact_row(difference: FactDifference) -> tuple[str, str, str, str]:

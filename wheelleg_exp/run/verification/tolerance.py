@@ -10,6 +10,9 @@ iteration can hold, and two things are asked instead:
 - they end alike: the return and the length of episodes, averaged over the last tenth of the iterations, agree within
   ``END`` of the range that they went through or, where that is more, within ``SPREADS`` times their own fluctuation
   in these iterations, which is large while they still learn fast (measured after 110 iterations: 0.001 of the range).
+  Iterations without the figure, as before the first episode has ended, are left out. A figure that one run alone has at
+  the end is not alike; one that neither has is noted; and runs of at least 50 iterations of which no figure can be
+  compared are not shown to be within tolerance. Shorter runs, and the beginnings of runs, are held to the start alone.
 
 Neither is asked of runs between which nothing allows a difference: there, every bit must be equal.
 """
@@ -60,16 +63,29 @@ class Excess:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What was measured against the tolerances: the worst number at the start, and each figure at the end."""
+    """What was measured against the tolerances.
+
+    Attributes:
+        start: the worst numbers where the runs part.
+        end: each figure at the end.
+        note: what was not compared.
+        needs_end: whether the ends had to be compared.
+    """
 
     start: list[Excess]
     end: list[Excess]
     note: str = ""
+    needs_end: bool = False
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the start is allowed, and the ends would have had to be compared and could not."""
+        return self.needs_end and not self.end and all(excess.within for excess in self.start)
 
     @property
     def within(self) -> bool:
-        """Whether everything is allowed."""
-        return all(excess.within for excess in (*self.start, *self.end))
+        """Whether everything is allowed, and everything that had to be compared was."""
+        return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
         """Return where the runs part, and by how much at most."""
@@ -106,7 +122,10 @@ def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | 
     if not whole or len(a) < _SHORTEST:
         note = "one run went on" if not whole else f"{len(a)} iterations are fewer than {_SHORTEST}"
         return Tolerance(start, [], f"the ends were not compared: {note}")
-    return Tolerance(start, [excess for name in FIGURES if (excess := _end(name, a, b)) is not None])
+    ends = {name: _end(name, a, b) for name in FIGURES}
+    missing = [name for name, excess in ends.items() if excess is None]
+    note = f"not compared at the end, for neither run has it: {', '.join(missing)}" if missing else ""
+    return Tolerance(start, [excess for excess in ends.values() if excess is not None], note, needs_end=True)
 
 
 def _start(a: Line, b: Line) -> list[Excess]:
@@ -124,16 +143,27 @@ def _relative(name: str, iteration: int, a: Any, b: Any) -> Excess:
 
 
 def _end(name: str, a: Sequence[Line], b: Sequence[Line]) -> Excess | None:
+    """Return how far a figure is off over the last tenth; None when neither run has it there."""
     ones, others = ([_number(line.scalars.get(name)) for line in lines] for lines in (a, b))
-    if not all(map(math.isfinite, [*ones, *others])):
-        return None
     last = max(len(a) // 10, 2)
-    one, other = ones[-last:], others[-last:]
-    spread = max(*ones, *others) - min(*ones, *others)
+    one, other = _finite(ones[-last:]), _finite(others[-last:])
+    if not (one or other):
+        return None
+    if min(len(one), len(other)) < 2:  # no mean with a fluctuation
+        return Excess(name, None, _mean(one), _mean(other), math.inf, 0.0)
+    values = _finite([*ones, *others])
+    spread = max(values) - min(values)
     fluctuation = math.sqrt(statistics.variance(one) + statistics.variance(other))
     allowed = max(END * spread, SPREADS * fluctuation)
-    means = statistics.fmean(one), statistics.fmean(other)
-    return Excess(name, None, *means, abs(means[0] - means[1]), allowed)
+    return Excess(name, None, _mean(one), _mean(other), abs(_mean(one) - _mean(other)), allowed)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return statistics.fmean(values) if values else math.nan
+
+
+def _finite(values: Sequence[float]) -> list[float]:
+    return [value for value in values if math.isfinite(value)]
 
 
 def _is_number(value: Any) -> bool:
@@ -153,4 +183,6 @@ def _start_line(excess: Excess) -> str:
 def _end_line(excess: Excess) -> str:
     sign = "within" if excess.within else "more than"
     means = f"{excess.name} {excess.a:.4g} and {excess.b:.4g}"
+    if math.isinf(excess.off):
+        return f"mean over the last tenth: {means}, and too few values to compare"
     return f"mean over the last tenth: {means}, apart {excess.off:.3g}, {sign} {excess.allowed:.3g}"

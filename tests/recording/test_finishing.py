@@ -1,0 +1,47 @@
+"""Finishing a recording that cannot be finished: the file stays as it is, and why is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.recording import finishing
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "r.rrd"
+    path.write_bytes(b"as it is")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("script", "why"),
+    [
+        ("echo first >&2; echo 'no such chunk' >&2; exit 1", "no such chunk"),
+        ("exit 3", "rerun ended with status 3"),
+        ("exit 0", "rerun ended with status 0"),  # and has written nothing
+        ('echo "no recording" > "$5"', "rerun ended with status 0"),
+        ("sleep 9", "rerun did not end within 0 s"),
+    ],
+)
+def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, script, why):
+    program = path.with_name("rerun")
+    program.write_text(f"#!/bin/sh\n{script.replace('sleep', 'exec sleep')}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(finishing, "rerun_program", lambda: str(program))
+    monkeypatch.setattr(finishing, "_TIMEOUT_S", 0.3)
+    assert finishing.finish(path) == why
+    assert path.read_bytes() == b"as it is"
+    assert sorted(p.name for p in path.parent.iterdir()) == ["r.rrd", "rerun"]
+
+
+def test_a_disk_without_room_for_the_copy_is_named(path, monkeypatch):
+    class Usage:
+        free = 3
+
+    monkeypatch.setattr(finishing, "rerun_program", lambda: "false")
+    monkeypatch.setattr(finishing.shutil, "disk_usage", lambda folder: Usage)
+    assert finishing.finish(path) == "there is no room for a second copy on the disk"
+    assert path.read_bytes() == b"as it is"
