@@ -220,7 +220,7 @@ def join(project: Project) -> None:
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
     """Let configs call the packages of the given config folders, or of the recorded ones when none are given.
 
-    A recorded folder that is gone is left out; its packages' targets will say that they are not there.
+    A recorded folder that is gone is left out (see ``gone_folders``): a run may need nothing of it any more.
 
     Raises:
         ConfigError: a folder is not there, or a recorded one lies in another user's project.
@@ -234,6 +234,11 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
     for folder in found:
         join_folder(folder)
     return found
+
+
+def gone_folders(recorded: Sequence[str]) -> list[str]:
+    """Return the recorded config folders that are not there any more."""
+    return [folder for folder in recorded if not Path(folder).is_dir()]
 
 
 def join_folder(folder: Path) -> None:

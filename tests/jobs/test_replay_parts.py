@@ -10,13 +10,17 @@ from types import SimpleNamespace
 import pytest
 
 from jobs.replays import commit, git
-from wheelleg_exp.errors import WheellegError
+from jobs.test_play import Silent
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
 from wheelleg_exp.jobs import replay, replay_boot
+from wheelleg_exp.jobs.circumstances import require_variables
 from wheelleg_exp.jobs.replay_machine import replay_environ
 from wheelleg_exp.jobs.replay_source import RestoredSource, _take_in, restore_all, what_runs
 from wheelleg_exp.jobs.snapshot_training import PROTOCOL, ReplayEvents, Request, _first_difference
 from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.run import snapshot
 from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.files import write_text
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.source import snapshot_source
 
@@ -250,7 +254,70 @@ def test_files_that_look_like_keys_are_not_restored_and_told(program, tmp_path):
     (program / "deploy.pem").write_text("x")
     source = restored(run_of(tmp_path, program), tmp_path)
     assert not (source.places["wheelleg_exp"] / "deploy.pem").exists()
-    assert any("deploy.pem" in note and "was not kept" in note for note in source.notes)
+    (note,) = source.notes
+    assert note.startswith("'deploy.pem' was not kept with the run (its name matches *.pem)")
+    assert note.endswith("and is not there")  # it never was committed
+
+
+def test_a_committed_file_whose_change_looks_like_a_key_is_restored_as_committed(program, tmp_path):
+    (program / "settings.py").write_text("NAME = 'none'\n")
+    commit(program)
+    (program / "settings.py").write_text("NAME = 'hf" + "_" + "a1" * 17 + "'\n")
+    source = restored(run_of(tmp_path, program), tmp_path)
+    assert (source.places["wheelleg_exp"] / "settings.py").read_text() == "NAME = 'none'\n"
+    (note,) = source.notes
+    assert note.endswith("and is as committed")
+
+
+# --- variables that the config asks for, and secrets ---
+
+
+def asking(tmp_path, text, monkeypatch, **variables) -> RunDirectory:
+    """Return a run whose config asks for variables, with what its manifest keeps of those that were set."""
+    run = RunDirectory.create(tmp_path / "runs", "stand", 0)
+    write_text(run.hydra / "config.yaml", text)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    manifest = Manifest.begin(run.path, task="stand", seed=0, command=["wheelleg"], threads={})
+    manifest.record(config_variables=snapshot._config_variables({"config.yaml": text}))
+    for name in variables:
+        monkeypatch.delenv(name)
+    return run
+
+
+def test_a_variable_that_was_not_kept_for_its_name_is_asked_for_by_name(tmp_path, monkeypatch):
+    run = asking(tmp_path, "run: {name: '${oc.env:MY_TOKEN}'}\n", monkeypatch, MY_TOKEN="abc")
+    kept = replay._kept_variables(run.manifest())
+    with pytest.raises(RunDirectoryError, match=r"variable MY_TOKEN, .* because its name says that it holds a secret"):
+        require_variables(run, kept)
+    monkeypatch.setenv("MY_TOKEN", "abc")
+    require_variables(run, kept)
+    assert replay._environ(run, run.manifest())["MY_TOKEN"] == "abc"  # the training finds it as well
+
+
+@pytest.mark.parametrize("text", ["${oc.env:MY_TOKEN,x}", "${oc.env:RUN_NAME}", "${oc.env:USER_OF,${oc.env:OTHER,y}}"])
+def test_variables_that_were_kept_or_have_a_default_need_not_be_set(tmp_path, monkeypatch, text):
+    run = asking(tmp_path, f"run: {{name: '{text}'}}\n", monkeypatch, RUN_NAME="mine")
+    require_variables(run, replay._kept_variables(run.manifest()))
+
+
+def test_what_the_config_asked_for_in_vain_is_unset(tmp_path, monkeypatch):
+    run = asking(tmp_path, "run: {name: '${oc.env:RUN_NAME,x}'}\n", monkeypatch)
+    monkeypatch.setenv("RUN_NAME", "later")
+    assert "RUN_NAME" not in replay._environ(run, run.manifest())
+
+
+def test_a_name_that_comes_from_a_variable_is_that_of_the_run(tmp_path, monkeypatch):
+    run = asking(tmp_path, "run: {name: '${oc.env:RUN_NAME}'}\n", monkeypatch, RUN_NAME="mine")
+    made = replay._request(run, run.manifest(), 1, tmp_path, tmp_path, RestoredSource(), [])
+    assert made.name == "mine_replay"
+
+
+@pytest.mark.parametrize("word", ["--root=hf" + "_" + "a1" * 17, "--root=${oc.env:MY_TOKEN}"])
+def test_a_secret_on_the_command_line_of_a_replay_is_refused_before_the_run_is_read(tmp_path, word):
+    nothing = RunDirectory(tmp_path / "none")
+    with pytest.raises(ConfigError, match="the command line: "):
+        replay.replay(nothing, ["wheelleg", "replay", word], Silent(), StopRequest(), root=tmp_path)
 
 
 def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(tmp_path):

@@ -14,14 +14,17 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from jobs.replays import change_manifest
 from jobs.small import SMALL, cache_of, wheelleg
 from wheelleg_exp import projects
-from wheelleg_exp.jobs import circumstances, outputs
+from wheelleg_exp.jobs import circumstances, outputs, resume_changes
 from wheelleg_exp.recording.digest import entity_digests
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.listing import summarize
 from wheelleg_exp.run.lock import RunLock
 
 pytestmark = pytest.mark.train
@@ -270,6 +273,43 @@ def test_a_run_that_was_killed_while_its_source_was_kept_is_completed(straight, 
     assert manifest(run)["source"]["status"]
 
 
+def test_what_was_half_written_is_removed_wherever_it_stands(run, straight):
+    (run / "model_3.pt").unlink()
+    for folder in (".", "source", ".hydra", "params", "asset", "exported"):
+        (run / folder / ".some.file.0123456789ab.tmp").write_bytes(b"half")
+    resume(run)
+    require_equal(run, straight)
+
+
+def test_a_run_without_event_files_has_none_after_a_resume(tmp_path):
+    said = wheelleg("train", *SMALL, "agent.max_iterations=1", "agent.logger=null", f"run.root={tmp_path}")
+    assert said.status == 0, said.err
+    run = only(tmp_path)
+    resume(run, "agent.max_iterations=2")
+    assert not list(run.glob("events.out.tfevents.*"))
+
+
+def test_event_files_from_before_a_logger_was_switched_off_stay_as_they_are(run):
+    before = {path: sha256(path) for path in run.glob("events.out.tfevents.*")}
+    resume(run, "agent.max_iterations=5", "agent.logger=null")
+    assert {path: sha256(path) for path in run.glob("events.out.tfevents.*")} == before
+    resume(run, "agent.max_iterations=6", "agent.logger=tensorboard")
+    assert events_left(run) == [0, 1, 2, 3, 4, 5]
+
+
+def test_the_list_says_of_every_state_that_is_resumed_here_that_it_can_be(run, straight):
+    assert not summarize(straight).resumable
+    change_manifest(run, status="running", ended=None, process={**manifest(run)["process"], "boot_id": "another"})
+    assert (summarize(run).status, summarize(run).resumable) == ("crashed", True)  # killed while exporting
+    (run / "model_3.pt").unlink()
+    assert summarize(run).resumable
+    for path in run.glob("model_*.pt"):
+        path.unlink()
+    assert summarize(run).resumable
+    resume(run)
+    assert not summarize(run).resumable
+
+
 # --- with changes ---
 
 
@@ -432,6 +472,32 @@ def test_a_run_that_is_not_there_is_told_with_the_nearest(run):
     assert f"did you mean '{run.name}'?" in said.err
 
 
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("run.name=${oc.env:MY_TOKEN}", "the command line: ${oc.env:MY_TOKEN} would bring the value of MY_TOKEN"),
+        ("run.name=hf" + "_" + "a1" * 17, "the command line: this would be kept in the run directory"),
+        ("+agent.api_key=abc", "agent.api_key: this would be kept in the run directory, and its name says"),
+    ],
+)
+def test_a_secret_is_refused(run, monkeypatch, word, said):
+    monkeypatch.setattr(resume_changes, "check_tree", lambda *_: [])
+    assert said in refuse(run, "agent.max_iterations=9", word)
+
+
+def test_a_variable_that_was_not_kept_is_asked_for_by_name(run, monkeypatch):
+    """A run from before such variables were refused."""
+    path = run / ".hydra" / "config.yaml"
+    config = yaml.safe_load(path.read_text())
+    config["run"]["note"] = "${oc.env:MY_TOKEN}"
+    path.write_text(yaml.safe_dump(config))
+    change_manifest(run)
+    message = refuse(run, "agent.max_iterations=5")
+    assert "variable MY_TOKEN, which was not kept with the run because its name says that it holds a secret" in message
+    assert "expected MY_TOKEN set to what it was" in message
+    assert "KeyError" not in message
+
+
 def test_the_lock_is_free_after_a_refusal(run):
     refuse(run)
     with RunLock(run):
@@ -487,6 +553,8 @@ def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(proje
     projects.forget(project)
     said = resume(runs[1], "agent.max_iterations=3", status=2)
     assert "pet.terms.Patience" in said.err
+    assert f"what the run was made with is gone: {project / 'configs'}" in said.err
+    assert "--config-dir" in said.err
     assert "Traceback" not in said.err
     try:
         resume(runs[1], "agent.max_iterations=3", "--config-dir", str(moved))

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from wheelleg_exp.run.directory import NEEDED
 from wheelleg_exp.run.listing import list_runs, list_sweeps
 from wheelleg_exp.run.process import is_alive, this_process
 from wheelleg_exp.run.sweep import SweepIndex
@@ -111,17 +112,50 @@ def test_how_far_a_crashed_run_came_is_told_from_the_end_of_its_lines(make_run, 
 
 @pytest.mark.parametrize(("end", "resumable"), [("interrupted", True), ("failed", True), ("finished", False)])
 def test_what_stopped_early_can_be_resumed_and_what_is_whole_cannot(make_run, tmp_path, end, resumable):
-    run = written(make_run(), 10 if end == "finished" else 6, checkpoints=(5,))
+    run = written(make_run(), 10 if end == "finished" else 6, checkpoints=(9 if end == "finished" else 5,))
     run.manifest().finish(end, {"iterations": 6}, "disk full" if end == "failed" else None)
     (found,) = list_runs(tmp_path / "runs")
     assert (found.status, found.resumable) == (end, resumable)
     assert found.problem == ("disk full" if end == "failed" else None)
 
 
-def test_without_a_checkpoint_and_while_it_runs_nothing_can_be_resumed(make_run, tmp_path):
+def test_while_it_runs_nothing_can_be_resumed(make_run, tmp_path):
     written(make_run(), 3, checkpoints=(0,))
-    written(make_run(), 3).manifest().finish("interrupted")
-    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [False, False]
+    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [False]
+
+
+def test_a_run_that_was_killed_while_exporting_can_be_resumed(make_run, tmp_path, dead_pid):
+    set_process(written(make_run(), 10, checkpoints=(9,)), pid=dead_pid)
+    (found,) = list_runs(tmp_path / "runs")
+    assert (found.status, found.iterations, found.max_iterations, found.resumable) == ("crashed", 10, 10, True)
+
+
+@pytest.mark.parametrize("iterations", [0, 2])
+@pytest.mark.parametrize("lacks", [None, *NEEDED])
+def test_without_a_checkpoint_a_run_begins_again_if_what_it_needs_is_there(
+    make_run, tmp_path, dead_pid, iterations, lacks
+):
+    run = written(make_run(), iterations)
+    for name in NEEDED:
+        (run.path / name).parent.mkdir(exist_ok=True)
+        (run.path / name).touch()
+    if lacks is not None:
+        (run.path / lacks).unlink()
+    set_process(run, pid=dead_pid)
+    (found,) = list_runs(tmp_path / "runs")
+    assert (found.status, found.checkpoint, found.resumable) == ("crashed", None, lacks is None)
+
+
+def test_a_log_that_ends_before_the_last_checkpoint_cannot_be_gone_on_with(make_run, tmp_path):
+    run = written(make_run(), 3, checkpoints=(5,))
+    run.manifest().finish("interrupted", {"iterations": 3})
+    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [False]
+
+
+def test_a_finished_run_whose_last_checkpoint_is_lost_can_be_resumed(make_run, tmp_path):
+    run = written(make_run(), 10, checkpoints=(5,))
+    run.manifest().finish("finished", {"iterations": 10})
+    assert [s.resumable for s in list_runs(tmp_path / "runs")] == [True]
 
 
 def test_what_a_play_found_stands_beside(make_run, tmp_path):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelleg_exp.run.secrecy import secret_content, secret_keys, secret_name, without_credentials
+from wheelleg_exp.run.secrecy import secret_content, secret_keys, secret_name, secret_variables, without_credentials
 
 
 @pytest.mark.parametrize(
@@ -70,6 +70,19 @@ def test_tokens_of_many_services_are_known(token):
 def test_a_key_that_says_it_holds_a_secret_is_one_and_numbers_are_not():
     tree = {"wandb": {"api_key": "abc", "token": None, "secret": ""}, "password": "x", "token_dim": "y", "max_token": 3}
     assert [path for path, _ in secret_keys(tree)] == ["wandb.api_key", "password"]
+
+
+@pytest.mark.parametrize("name", ["MY_TOKEN", "HF_TOKEN_2", "wandb_api_key", "DB_PASSWORD", "CLIENT_SECRET", "SSH_KEY"])
+@pytest.mark.parametrize(
+    "asked", ["${oc.env:%s}", "${ oc.env : %s , x}", "'${oc.env:''%s''}'", '"a-${oc.env:\\"%s\\"}"']
+)
+def test_a_variable_whose_name_says_secret_is_found_however_it_is_asked_for(name, asked):
+    assert secret_variables(f"run:\n  name: {asked % name}\n") == [name]
+
+
+@pytest.mark.parametrize("name", ["ROBOT_MASS", "KEYFRAME", "MONKEYS", "USER", "WHEELLEG_USD_CORPUS"])
+def test_other_variables_may_be_asked_for(name):
+    assert secret_variables(f"a: ${{oc.env:{name}}}, and {name}_TOKEN is only named") == []
 
 
 @pytest.mark.parametrize("content", [b"", b"-----BEGIN PUBLIC KEY-----", b"a PRIVATE KEY here", bytes(range(256))])

@@ -8,7 +8,7 @@ import yaml
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.params import load_params, write_params
-from wheelleg_exp.run.snapshot import begin
+from wheelleg_exp.run.snapshot import begin, refuse_secrets
 
 PARAMS = {
     "env": {
@@ -207,6 +207,61 @@ def test_a_token_in_a_config_or_on_the_command_line_is_refused_before_anything_i
         snapshot_of(tmp_path, **change)
     (directory,) = (tmp_path / "runs" / "walk").iterdir()
     assert list(directory.iterdir()) == []
+
+
+TOKEN = "hf" + "_" + "a1" * 17
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("run: {name: '${oc.env:NAME_OF_RUN}'}\n", "run.name"),
+        ("recording: {notes: ['x', '${run.note}']}\nrun: {note: '${oc.env:NAME_OF_RUN}'}\n", "recording.notes.1"),
+    ],
+)
+def test_a_token_that_the_resolved_config_would_hold_is_refused_wherever_it_stands(tmp_path, monkeypatch, text, where):
+    monkeypatch.setenv("NAME_OF_RUN", TOKEN)
+    with pytest.raises(ConfigError, match="kept in the run directory") as caught:
+        snapshot_of(tmp_path, hydra_files={"config": text})
+    assert caught.value.key == where
+    assert TOKEN not in str(caught.value)
+    (directory,) = (tmp_path / "runs" / "walk").iterdir()
+    assert list(directory.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"hydra_files": {"config": "run: {name: '${oc.env:MY_TOKEN}'}\n"}},
+        {"hydra_files": {"config.yaml": "a: ${oc.decode:${oc.env:MY_TOKEN,1}}\n"}},
+        {"hydra_files": {"overrides": "- run.name=${oc.env:MY_TOKEN}\n"}},
+        {"command": ["wheelleg", "train", "run.name=${oc.env:MY_TOKEN}"]},
+    ],
+)
+def test_a_variable_whose_name_says_secret_is_not_asked_for(tmp_path, monkeypatch, change):
+    """Its value need not look like a token; it would be written resolved."""
+    monkeypatch.setenv("MY_TOKEN", "abc123")
+    with pytest.raises(ConfigError, match=r"\$\{oc\.env:MY_TOKEN\} would bring .* its name says that it is a secret"):
+        snapshot_of(tmp_path, **change)
+    (directory,) = (tmp_path / "runs" / "walk").iterdir()
+    assert list(directory.iterdir()) == []
+
+
+def test_a_config_that_cannot_be_resolved_here_is_kept_as_it_is_written(tmp_path):
+    snapshot_of(tmp_path, hydra_files={"config": "a: '${oc.env:NOWHERE_SET}'\n"})
+
+
+def test_what_a_run_holds_already_is_not_asked_about_again():
+    kept = {"env": {"a": {"api_key": "abc"}}}
+    refuse_secrets([], {}, {**kept, "seed": 1}, kept)
+    with pytest.raises(ConfigError, match=r"agent\.token"):
+        refuse_secrets([], {}, {**kept, "agent": {"token": "x"}}, kept)
+
+
+def test_a_token_as_the_name_of_a_run_makes_no_folder(tmp_path):
+    with pytest.raises(ConfigError, match=r"run\.name: .* access token"):
+        RunDirectory.create(tmp_path / "runs", "walk", 7, TOKEN)
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):

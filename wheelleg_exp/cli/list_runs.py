@@ -79,7 +79,7 @@ def _run_row(run: RunSummary) -> list[Any]:
         _number(run.figures, "time_out", "{:.0%}"),
         _number(run.played, "survival", "{:.0%}"),
         _duration(run.seconds),
-        f"from {run.checkpoint}" if run.resumable else None,
+        ("from start" if run.checkpoint is None else f"from {run.checkpoint}") if run.resumable else None,
     ]
 
 

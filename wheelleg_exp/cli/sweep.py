@@ -41,7 +41,9 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
 
         from wheelleg_exp.cli.figures import shown
         from wheelleg_exp.jobs.sweep import SweepRunner
+        from wheelleg_exp.run.snapshot import refuse_secrets
 
+        refuse_secrets(args.command)
         at_once, named = _at_once(sweep), _named(args.config_dirs)
         index = _make_index(sweep, at_once, args.command)
         display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")

@@ -20,6 +20,7 @@ from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandFigures
 from wheelleg_exp.recording.recorder import require_env_ids
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.files import write_json, write_yaml
+from wheelleg_exp.run.snapshot import refuse_secrets
 from wheelleg_exp.sim.contact import ContactSensor
 
 AgentKind = Literal["zero", "random"]
@@ -54,10 +55,14 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
         composed: the composed task.
         steps: control steps; None is one episode.
         display: receives progress.
+
+    Raises:
+        WheellegError: the config is wrong, or holds a key or a token; nothing has been made.
     """
     config = composed.config
     with composed.placing():
         require_env_ids(config["recording"]["env_ids"], config["env"]["num_envs"])
+        refuse_secrets((), composed.hydra_files(), config)
         env = build_env(config, composed.asset_roots)
     display.environment(env.describe())
     run, task, seed = config["run"], config["task"]["name"], config["seed"]
@@ -70,6 +75,8 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
     options = config["recording"]
     recording = _recording(directory, kind, env, config) if options["enabled"] else None
+    if recording is not None:
+        recording.warn(display.note)
     with recording or nullcontext():
         _roll(env, _actor(kind, env), steps or env.max_episode_length, display)
         contacts = {name: meter.figures() for name, meter in meters.items()}

@@ -81,6 +81,11 @@ class Outputs:
         """What became of an earlier recording that could not be gone on with."""
         return None if self._recording is None else self._recording.note
 
+    @property
+    def unfinished(self) -> str | None:
+        """Why the recording was not put together when it was closed, for want of room or of rerun's program."""
+        return None if self._recording is None else self._recording.unfinished
+
     def write(self, iteration: Iteration) -> dict[str, str]:
         """Write one iteration's scalars and digests; return the digests.
 

@@ -31,6 +31,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory, create_exclusively
 from wheelleg_exp.run.files import sha256, write_json
 from wheelleg_exp.run.params import load_params
+from wheelleg_exp.run.snapshot import refuse_secrets
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,13 @@ def play(
         display: receives progress.
 
     Raises:
-        WheellegError: the run, the checkpoint or an override is wrong.
+        WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
     kept = {**_own_settings(), "env": env_params, "agent": agent}
     tree = amend(kept, overrides)
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree, kept)
     _require_playable(kept, tree)
     env = ManagerBasedRLEnv(tree["env"], kept_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
@@ -90,6 +92,8 @@ def play(
     folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     try:
         recording = _recording(env, folder, tree, run, about, command) if tree["recording"]["enabled"] else None
+        if recording is not None:
+            recording.warn(display.note)
         with recording or nullcontext():
             _roll(env, adapter, policy, meter, display)
             content |= meter.figures().as_dict()

@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from omegaconf import OmegaConf
+
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
+from wheelleg_exp.jobs.circumstances import brief, require_variables
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.replay_child import Event, TrainingProcess
 from wheelleg_exp.jobs.replay_machine import replay_environ, this_machine
@@ -20,10 +23,11 @@ from wheelleg_exp.jobs.snapshot_training import PROTOCOL, Request
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.rl.trainer import Iteration
 from wheelleg_exp.run.directory import REPLAYS, RunDirectory
-from wheelleg_exp.run.environment import variables, variables_asked_for
+from wheelleg_exp.run.environment import as_recorded, variables, variables_asked_for
 from wheelleg_exp.run.files import for_people, read_yaml, sha256
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.snapshot import refuse_secrets
 from wheelleg_exp.run.verification import Comparison, FactDifference, compare_runs, environment_differences
 from wheelleg_exp.run.verification.log import read_log
 
@@ -105,12 +109,16 @@ def replay(
         keep: whether the restored source stays.
 
     Raises:
-        RunDirectoryError: the run's snapshot is damaged or incomplete, or its source cannot be restored.
+        ConfigError: the command line holds a key or a token.
+        RunDirectoryError: the run's snapshot is damaged or incomplete, its source cannot be restored, or its config
+            asks for a variable that is not known.
         SimulationFailure: the training failed, or the disk is full.
         KeyboardInterrupt: it was stopped.
     """
+    refuse_secrets(command)
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
+    require_variables(run, _kept_variables(manifest))
     total = iterations_to_train(run, manifest, iterations)
     display.note(what_runs(run))
     with _workplace(keep) as workplace:
@@ -176,14 +184,21 @@ def _times(count: int) -> str:
 
 
 def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
-    asked_values = manifest.data.get("config_variables")
-    recorded = {**(manifest.data.get("environment_variables") or {}), **(asked_values or {})}
+    recorded = _kept_variables(manifest)
     with for_people(run.hydra, "read"):
         asked_for = variables_asked_for([(run.hydra / "config.yaml").read_text(encoding="utf-8")])
     environ = replay_environ(recorded, also=asked_for)
-    if asked_values is not None:  # what the config asked for in vain was not set
-        environ = {name: value for name, value in environ.items() if name not in asked_for or name in recorded}
-    return environ
+    if manifest.data.get("config_variables") is None:
+        return environ
+    # What the config asked for in vain was not set, but for what no manifest keeps.
+    in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
+    return {name: value for name, value in environ.items() if name not in in_vain}
+
+
+def _kept_variables(manifest: Manifest) -> dict[str, str]:
+    """Return the environment variables that a run has kept."""
+    kept = manifest.data.get("environment_variables"), manifest.data.get("config_variables")
+    return {name: value for known in kept for name, value in (known or {}).items()}
 
 
 def _differences(manifest: Manifest, environ: Mapping[str, str]) -> list[FactDifference]:
@@ -201,16 +216,11 @@ def _tell(display: Display, source: RestoredSource, machine: list[FactDifference
             display.note(f"source: {tree.root}: {tree.how}")
     for difference in machine:
         why = f" ({difference.allows})" if difference.allows else ""
-        display.note(f"differs: {difference.name} was {_short(difference.a)}, is {_short(difference.b)}{why}")
+        display.note(f"differs: {difference.name} was {brief(difference.a)}, is {brief(difference.b)}{why}")
     if not machine:
         display.note("versions, hardware and variables are those of the run")
     for note in notes:
         display.note(f"note: {note}")
-
-
-def _short(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 # --- training ---
@@ -246,7 +256,8 @@ def _request(
     source: RestoredSource,
     command: Sequence[str],
 ) -> Request:
-    name = (read_yaml(run.hydra / "config.yaml").get("run") or {}).get("name")
+    with as_recorded(_kept_variables(manifest)):
+        name = OmegaConf.select(OmegaConf.create(read_yaml(run.hydra / "config.yaml")), "run.name")
     facts = {
         "replay_of": _id(run, manifest),
         "replay": {

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.directory import NEEDED, RunDirectory
 from wheelleg_exp.run.files import sha256
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.manifest import Manifest
@@ -15,15 +15,7 @@ from wheelleg_exp.run.seal import seal_holds
 from wheelleg_exp.run.verification.log import read_log
 
 SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
-_NEEDED = (
-    ".hydra/config.yaml",
-    ".hydra/overrides.yaml",
-    "params/env.yaml",
-    "params/agent.yaml",
-    "source/git.json",
-    "asset/asset.json",
-    "asset/robot.xml",
-)
+_NEEDED = (*NEEDED, ".hydra/overrides.yaml", "source/git.json")
 
 
 def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | None) -> int:

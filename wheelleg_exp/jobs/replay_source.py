@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -145,7 +146,7 @@ def _restore(
     if number == 0:
         _require_entry(folders[0], record)
         source.places[PACKAGE] = folders.pop(0)
-    _note_gaps(record, source)
+    _note_gaps(record, destination, source)
     source.source_roots += folders
 
 
@@ -175,10 +176,11 @@ def _require_entry(folder: Path, record: dict[str, Any]) -> None:
         )
 
 
-def _note_gaps(record: dict[str, Any], source: RestoredSource) -> None:
+def _note_gaps(record: dict[str, Any], folder: Path, source: RestoredSource) -> None:
     """Tell what a record says was left out of it."""
     for entry in record["refused"]:
-        source.notes.append(f"'{entry['path']}' was not kept with the run ({entry['reason']}) and is as committed")
+        now = "is as committed" if os.path.lexists(folder / entry["path"]) else "is not there"
+        source.notes.append(f"'{entry['path']}' was not kept with the run ({entry['reason']}) and {now}")
     nested = [entry["path"] for entry in record["submodules"]]
     if nested:
         source.notes.append(f"submodules are as far restored as the run has kept them: {', '.join(nested)}")

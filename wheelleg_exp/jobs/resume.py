@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
+from wheelleg_exp.config.problems import join, parts
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs import training
 from wheelleg_exp.jobs.assets import kept_model_digest, kept_robot
-from wheelleg_exp.jobs.circumstances import differences_now
+from wheelleg_exp.jobs.circumstances import brief, differences_now, require_variables
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.event_files import cut_events
 from wheelleg_exp.jobs.log_files import cut
@@ -21,20 +22,19 @@ from wheelleg_exp.jobs.resume_point import ResumePoint, find_point
 from wheelleg_exp.jobs.threads import thread_notes
 from wheelleg_exp.jobs.training import Recipe, Training
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.projects import join_recorded, read_project
+from wheelleg_exp.projects import gone_folders, join_recorded, read_project
 from wheelleg_exp.recording.recorder import require_env_ids
 from wheelleg_exp.rl import digests
 from wheelleg_exp.rl.trainer import Trainer
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import TEMPORARY_SUFFIX, for_people, sha256
+from wheelleg_exp.run.directory import NEEDED, RunDirectory
+from wheelleg_exp.run.files import for_people, sha256, temporaries
 from wheelleg_exp.run.lock import RunLock
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.process import is_alive, this_process
-from wheelleg_exp.run.snapshot import complete
+from wheelleg_exp.run.snapshot import complete, refuse_secrets
 
-# What a snapshot must hold for a run to be built from it.
-_NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
 _DAMAGED = ".damaged"
+_NOT_ALLOWED = "outside the allowed packages"
 
 
 def prepare(
@@ -59,6 +59,7 @@ def prepare(
         WheellegError: the run is being written, is damaged or finished, or an override is wrong. Nothing of the run
             has changed then.
     """
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)})
     lock = RunLock(run)
     lock.acquire()
     try:
@@ -80,8 +81,15 @@ def _prepare(
     _require_ended(manifest, display)
     manifest.settle()
     _require_snapshot(run, manifest)
-    folders = join_recorded(config_dirs, manifest.data.get("config_dirs") or _named(manifest))
-    tree, changes = changed(kept_tree(run, manifest.data.get("config_variables")), overrides)
+    recorded = manifest.data.get("config_dirs") or _named(manifest)
+    folders = join_recorded(config_dirs, recorded)
+    gone = [] if config_dirs else gone_folders(recorded)
+    variables = manifest.data.get("config_variables") or {}
+    require_variables(run, variables)
+    kept = kept_tree(run, variables)
+    with _telling_what_is_gone(gone):
+        tree, changes = changed(kept, overrides)
+    refuse_secrets((), {}, tree, kept)
     require_env_ids(tree["recording"]["env_ids"], tree["env"]["num_envs"])
     point = find_point(run)
     _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
@@ -93,13 +101,14 @@ def _prepare(
         asset=kept_robot(run),
         config_dirs=folders,
     )
-    trainer, threads = training.build(recipe)
+    with _telling_what_is_gone(gone):
+        trainer, threads = training.build(recipe)
     if not manifest.data["source"]:  # killed before the first step, while its source was being kept
         roots = [configs_dir().parent, *folders]
         complete(run, manifest, recipe.hydra_files, roots, threads, tree["run"].get("max_patch_mb"))
     why = _loaded(run, trainer, point, changes)
     differences = differences_now(run, threads, folders)
-    why += [f"{d.section} {d.name} was {_brief(d.a)} and is {_brief(d.b)}" for d in differences]
+    why += [f"{d.section} {d.name} was {brief(d.a)} and is {brief(d.b)}" for d in differences]
     exact = not why
     notes = [f"{path.name} cannot be used: {reason}" for path, reason in point.damaged.items()]
     manifest.restart(
@@ -116,7 +125,7 @@ def _prepare(
         notes=notes,
     )
     with manifest.failing():
-        _cut(run, point)
+        _cut(run, point, events=tree["agent"].get("logger") is not None)
     _tell(display, point, why, [*notes, *thread_notes(threads)])
     proof = _proof(manifest, point, display) if exact else Proof()
     return Training(recipe, trainer, run, manifest, lock, point.kept, proof)
@@ -147,7 +156,7 @@ def _require_ended(manifest: Manifest, display: Display) -> None:
 def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     """Refuse a snapshot that is not whole, or not what the run was started with."""
     recorded = manifest.data["files"]
-    for name in _NEEDED:
+    for name in NEEDED:
         path = run.path / name
         if not path.is_file():
             raise RunDirectoryError(
@@ -183,6 +192,20 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
         )
 
 
+@contextmanager
+def _telling_what_is_gone(folders: Sequence[str]) -> Iterator[None]:
+    """Let errors about targets that are not found name the recorded config folders that are not there any more."""
+    try:
+        yield
+    except ConfigError as error:
+        errors = parts(error)
+        for part in errors if folders else ():
+            if _NOT_ALLOWED in part.message:
+                part.message += f", and what the run was made with is gone: {', '.join(folders)}"
+                part.expected = "--config-dir with the place where that folder is now"
+        raise join(errors) from error.__cause__
+
+
 # --- loading ---
 
 
@@ -195,7 +218,7 @@ def _loaded(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Se
             key=str(run.asset),
             expected="the MuJoCo version that the run was made with (environment.txt)",
         )
-    why = [f"{change.key} was {_brief(change.was)} and is {_brief(change.now)}" for change in deciding]
+    why = [f"{change.key} was {brief(change.was)} and is {brief(change.now)}" for change in deciding]
     if point.state is None:
         return why
     trainer.load_state_dict(point.state)
@@ -217,19 +240,29 @@ def _set_learning_rate(trainer: Trainer, changes: Sequence[Change]) -> None:
 # --- cutting ---
 
 
-def _cut(run: RunDirectory, point: ResumePoint) -> None:
-    """Drop from the run's files what stands past the checkpoint, and what a kill left unfinished."""
+def _cut(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
+    """Drop from the run's files what stands past the checkpoint, and what a kill left unfinished.
+
+    Without ``events`` the run writes none, and those of earlier days stay as they are.
+    """
     for path in point.damaged:
         with for_people(path):
             path.replace(path.with_name(path.name + _DAMAGED))
     with for_people(run.path):
-        for left in (*run.path.glob(f".*{TEMPORARY_SUFFIX}"), *run.exported.glob(f".*{TEMPORARY_SUFFIX}")):
-            left.unlink(missing_ok=True)
+        for folder in (run.hydra, run.params, run.source, run.asset):
+            _remove(temporaries(folder, deep=True))
+        _remove(temporaries(run.path))
         shutil.rmtree(run.exported, ignore_errors=True)  # it would tell of a policy that is trained further
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.log_size)
-    cut_events(run.path, point.kept)
+    if events:
+        cut_events(run.path, point.kept)
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        path.unlink(missing_ok=True)
 
 
 # --- telling ---
@@ -258,8 +291,3 @@ def _tell(display: Display, point: ResumePoint, why: Sequence[str], notes: Seque
         display.note("not exact: what follows may differ from a run that was never stopped")
         for reason in why:
             display.note(f"  {reason}")
-
-
-def _brief(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

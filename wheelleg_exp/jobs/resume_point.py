@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.jobs.log_files import LogLine, whole_lines
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.run.directory import RunDirectory, checkpoint_iteration
+from wheelleg_exp.run.verification.log import Line, read_log
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ResumePoint:
     iteration: int
     checkpoint: Path | None
     state: Mapping[str, Any] | None
-    lines: Sequence[LogLine]
+    lines: Sequence[Line]
     damaged: Mapping[Path, str]
 
     @property
@@ -55,7 +55,7 @@ def find_point(run: RunDirectory) -> ResumePoint:
         RunDirectoryError: the log does not reach that far, or tells of another state; or the checkpoint is of a
             version that cannot be resumed.
     """
-    lines = whole_lines(run.iterations)
+    lines = read_log(run.iterations).lines
     damaged: dict[Path, str] = {}
     foreign: RunDirectoryError | None = None
     for path in reversed(run.checkpoints()):
@@ -70,7 +70,7 @@ def find_point(run: RunDirectory) -> ResumePoint:
         wrong = _differing(point)
         if not wrong:
             return point
-        damaged[path] = f"{', '.join(wrong)} differ from the digests that iteration {point.iteration - 1} left"
+        damaged[path] = f"{_differ(wrong)} from the digests that iteration {point.iteration - 1} left"
         foreign = foreign or RunDirectoryError(
             f"no checkpoint is of the training that {run.iterations.name} tells of: {damaged[path]}",
             key=str(path),
@@ -107,3 +107,8 @@ def _differing(point: ResumePoint) -> list[str]:
         return []
     found = digests.of_state(point.state)
     return [name for name, digest in line["digests"].items() if found.get(name, digest) != digest]
+
+
+def _differ(names: Sequence[str]) -> str:
+    plural = len(names) > 1 or names[0].endswith("s")
+    return f"{', '.join(names)} {'differ' if plural else 'differs'}"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ from wheelleg_exp.run.files import sync_folder, write_bytes, write_text
 from wheelleg_exp.run.lock import RunLock
 from wheelleg_exp.run.manifest import MANIFEST_NAME, Manifest
 from wheelleg_exp.run.restore import load_source
-from wheelleg_exp.run.snapshot import begin
+from wheelleg_exp.run.snapshot import begin, refuse_secrets
 from wheelleg_exp.run.source_lines import source_lines
 
 
@@ -105,6 +106,7 @@ def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
     trainer, threads = build(recipe)
     env = trainer.env.env
     run = config["run"]
+    refuse_secrets(command, recipe.hydra_files, config)
     directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
     try:
         display.environment(env.describe())
@@ -151,7 +153,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     trainer, directory = training.trainer, training.directory
     agent = training.recipe.config["agent"]
     total, started = int(agent["max_iterations"]), time.perf_counter()
-    with training.lock.held(), training.manifest.finishing() as results, _outputs(training) as outputs:
+    with training.lock.held(), training.manifest.finishing() as results, _outputs(training, display) as outputs:
         results |= _results(training.earlier)
         if outputs.note:
             display.note(f"warning: {outputs.note}")
@@ -170,7 +172,25 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     return results
 
 
-def _outputs(training: Training) -> Outputs:
+@contextmanager
+def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
+    """Open what the run writes; when it is closed, tell of a recording that could not be put together."""
+    outputs = _made_outputs(training)
+    try:
+        with outputs:
+            yield outputs
+    finally:
+        unfinished = outputs.unfinished
+        if unfinished:
+            display.note(
+                f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
+                "'wheelleg inspect RUN --repair' writes a copy with one"
+            )
+        if unfinished or "recording_unfinished" in training.manifest.data:  # of an earlier process
+            training.manifest.record(recording_unfinished=unfinished)
+
+
+def _made_outputs(training: Training) -> Outputs:
     config = training.recipe.config
     documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
     options = RecordingOptions(**config["recording"])

@@ -14,6 +14,7 @@ from wheelleg_exp.run.files import for_people
 from wheelleg_exp.run.inventory import MANIFEST_NAME, is_inside
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.options import NAME, NAME_WORDS
+from wheelleg_exp.run.secrecy import secret_content
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 LATEST = "latest"
@@ -22,8 +23,11 @@ SWEEPS = "sweeps"
 REPLAYS = "replays"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, LATEST)
 
+CHECKPOINT = re.compile(r"model_(\d+)\.pt")
+# What a run directory must hold for its run to be built from it.
+NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
+
 _NAME = re.compile(NAME)
-_CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class RunDirectory(os.PathLike[str]):
         root, where ``latest`` and the listing do not look.
 
         Raises:
-            ConfigError: the task or the name has characters that a folder should not have.
+            ConfigError: the task or the name has characters that a folder should not have, or is a key or a token.
             RunDirectoryError: the folder cannot be made.
         """
         _require_name(task, "task.name")
@@ -163,7 +167,7 @@ class RunDirectory(os.PathLike[str]):
     def checkpoints(self) -> list[Path]:
         """Return the checkpoints, by rising iteration."""
         with for_people(self.path, "read"):
-            found = [p for p in self.path.iterdir() if _CHECKPOINT.fullmatch(p.name) and p.is_file()]
+            found = [p for p in self.path.iterdir() if CHECKPOINT.fullmatch(p.name) and p.is_file()]
         return sorted(found, key=checkpoint_iteration)
 
     def latest_checkpoint(self) -> Path:
@@ -192,7 +196,7 @@ class RunDirectory(os.PathLike[str]):
 
 def checkpoint_iteration(path: Path) -> int:
     """Return the iteration in a checkpoint's file name (RunDirectoryError when it is none)."""
-    match = _CHECKPOINT.fullmatch(path.name)
+    match = CHECKPOINT.fullmatch(path.name)
     if match is None:
         raise RunDirectoryError(f"'{path.name}' is not a checkpoint's name", expected="model_<iteration>.pt")
     return int(match.group(1))
@@ -281,3 +285,5 @@ def _require_name(name: str, key: str) -> None:
             key=key,
             expected=NAME_WORDS,
         )
+    if reason := secret_content(os.fsencode(name)):
+        raise ConfigError(f"this would be part of a folder's name, and {reason}", key=key, expected="another name")

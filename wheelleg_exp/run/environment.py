@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import wheelleg_exp
-from wheelleg_exp.run.secrecy import secret_content, without_credentials
+from wheelleg_exp.run.secrecy import is_secret_variable, secret_content, without_credentials
 from wheelleg_exp.threads import cpu_quota
 
 # The distributions whose version can change a number or a file of a run.
@@ -46,7 +46,6 @@ _PREFIXES = (
     *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
 )
 _VARIABLES = re.compile(rf"({'|'.join(_PREFIXES)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+")
-_PRIVATE = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY", re.IGNORECASE)
 
 _ASKED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
 
@@ -97,7 +96,7 @@ def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
-    chosen = [k for k in sorted(environ) if (_VARIABLES.fullmatch(k) or k in wanted) and not _PRIVATE.search(k)]
+    chosen = [k for k in sorted(environ) if (_VARIABLES.fullmatch(k) or k in wanted) and not is_secret_variable(k)]
     return {k: environ[k] for k in chosen if secret_content(os.fsencode(environ[k])) is None}
 
 

@@ -162,6 +162,12 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def temporaries(folder: Path, *, deep: bool = False) -> list[Path]:
+    """Return what a killed writer has left half written in a folder, or anywhere below it when ``deep``."""
+    pattern = f".*{TEMPORARY_SUFFIX}"
+    return sorted(folder.rglob(pattern) if deep else folder.glob(pattern))
+
+
 def sync_folder(folder: Path) -> None:
     """Bring every file below a folder, and the names that lead to it, to the disk: it outlives a power cut."""
     for path in sorted(folder.rglob("*")):

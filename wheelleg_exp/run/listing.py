@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.directory import SWEEPS, run_folders, start_moment, task_folders
+from wheelleg_exp.run.directory import CHECKPOINT, NEEDED, SWEEPS, run_folders, start_moment, task_folders
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.process import is_alive
@@ -22,7 +22,6 @@ from wheelleg_exp.run.timestamps import folder_moment, parse_utc, utc_now
 CRASHED = "crashed"
 DAMAGED = "damaged"
 
-_CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d+)", re.MULTILINE)
 _TAIL_BYTES = 65536  # of which the last whole line is one iteration
@@ -53,7 +52,7 @@ class RunSummary:
         iterations: how many are done.
         max_iterations: how many it shall have.
         checkpoint: iteration of the last checkpoint.
-        resumable: whether ``resume`` has something to go on from and something left to do.
+        resumable: whether ``resume`` can go on: from the last checkpoint or, without one, from the beginning.
         resumes: how often it has been resumed.
         figures: mean return and length of the last episodes, share of them that ran to their time limit.
         played: results of the last play.
@@ -98,7 +97,6 @@ def summarize(folder: Path) -> RunSummary:
     checkpoint, size = _top(folder)
     done, scalars = _progress(folder, data["results"])
     total = _total(folder)
-    left = total is None or done is None or done < total
     return RunSummary(
         id=folder.name,
         task=data["task"],
@@ -113,7 +111,7 @@ def summarize(folder: Path) -> RunSummary:
         iterations=done,
         max_iterations=total,
         checkpoint=checkpoint,
-        resumable=checkpoint is not None and left and status != "running",
+        resumable=_resumable(folder, status, checkpoint, done, total),
         resumes=len(data["resumes"]),
         figures={name: scalars[key] for name, key in FIGURES.items() if isinstance(scalars.get(key), (int, float))},
         played=_played(data["additions"]),
@@ -172,6 +170,18 @@ def _without_manifest(root: Path) -> Iterator[Path]:
                 yield folder
 
 
+def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | None, total: int | None) -> bool:
+    """Return whether ``resume`` can go on with a run, as far as is seen without reading its files."""
+    if status == "running" or total is None:
+        return False
+    if checkpoint is None:  # it begins again, unless it was killed before all was there that this needs
+        return total > 0 and all((folder / name).is_file() for name in NEEDED)
+    computed = checkpoint + 1
+    if (done or 0) < computed:  # its log would have a gap
+        return False
+    return computed < total or (computed == total and status != "finished")  # all computed: what is left is the export
+
+
 def _name(folder: str) -> str | None:
     match = _FOLDER.fullmatch(folder)
     return match["name"] if match else None
@@ -182,7 +192,7 @@ def _top(folder: Path) -> tuple[int | None, int]:
     newest, size = None, 0
     with os.scandir(folder) as entries:
         for entry in entries:
-            match = _CHECKPOINT.fullmatch(entry.name)
+            match = CHECKPOINT.fullmatch(entry.name)
             if match is not None:
                 newest = max(newest or 0, int(match[1]))
             if entry.is_file(follow_symlinks=False):

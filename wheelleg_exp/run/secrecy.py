@@ -79,6 +79,13 @@ _SECRET_KEY = re.compile(
 )
 
 
+_SECRET_VARIABLE = re.compile(
+    r"TOKEN|SECRET|PASSW|PASSPHRASE|CREDENTIAL|(API|ACCESS|AUTH|PRIVATE)_?KEY|(^|_)KEYS?(_?\d+)?$", re.IGNORECASE
+)
+# Quotes around the name are no part of it; those of YAML may stand around these.
+_ASKED = re.compile(r"""\$\{\s*oc\.env\s*:[\s\\"']*([A-Za-z_]\w*)""")
+
+
 def secret_name(path: str) -> str | None:
     """Return why a file's name says that it holds a key or a token, or None.
 
@@ -119,6 +126,16 @@ def secret_keys(tree: Any, path: str = "") -> Iterator[tuple[str, str]]:
             yield path, reason
         elif _SECRET_KEY.fullmatch(path.rsplit(".", 1)[-1].lower()):
             yield path, "its name says that it holds a secret"
+
+
+def secret_variables(text: str) -> list[str]:
+    """Return the environment variables that a text asks for with ``${oc.env:NAME}`` and whose names say secret."""
+    return [name for name in dict.fromkeys(_ASKED.findall(text)) if is_secret_variable(name)]
+
+
+def is_secret_variable(name: str) -> bool:
+    """Return whether the name of an environment variable says that it holds a key or a token."""
+    return _SECRET_VARIABLE.search(name) is not None
 
 
 def without_credentials(url: str) -> str:

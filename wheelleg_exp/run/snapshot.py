@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -15,10 +16,12 @@ from wheelleg_exp.run.files import write_text
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.options import RunOptions
 from wheelleg_exp.run.params import write_params
-from wheelleg_exp.run.secrecy import secret_content, secret_keys
+from wheelleg_exp.run.secrecy import secret_content, secret_keys, secret_variables
 from wheelleg_exp.run.source import snapshot_source
 
 _HYDRA_NAME = re.compile(r"[A-Za-z0-9_-]+(\.yaml)?")
+_CONFIG = "config.yaml"
+_NO_SECRETS = "no keys or tokens in a config; let the code that needs one read it from the environment"
 _SUMMARY = ("status", "root", "commit", "branch", "tree", "dirty", "note")
 
 
@@ -56,7 +59,7 @@ def begin(
         ConfigError: a key or a token would get into the run (nothing has been written).
         RunDirectoryError: a parameter is not plain, or the directory holds a run already.
     """
-    _refuse_secrets(command, params, hydra_files)
+    refuse_secrets(command, hydra_files, {**_resolved(hydra_files), **params})
     hydra_paths = {directory.hydra / _hydra_name(name): text for name, text in hydra_files.items()}
     manifest = Manifest.begin(directory.path, task=task, seed=seed, command=command, threads=threads)
     with manifest.failing():
@@ -96,20 +99,52 @@ def _config_variables(hydra_files: Mapping[str, str]) -> dict[str, str]:
     return {name: told[name] for name in asked if name in told}
 
 
-def _refuse_secrets(
-    command: Sequence[str], params: Mapping[str, dict[str, Any]], hydra_files: Mapping[str, str]
+def refuse_secrets(
+    command: Sequence[str],
+    texts: Mapping[str, str] | None = None,
+    config: Mapping[str, Any] | None = None,
+    kept: Mapping[str, Any] | None = None,
 ) -> None:
-    """Refuse to write down what looks like a key or a token: run directories are handed on."""
-    found = [*secret_keys(dict(params))]
-    texts = {"the command line": "\n".join(command), **hydra_files}
-    found += [(name, reason) for name, text in texts.items() if (reason := secret_content(os.fsencode(text)))]
-    if found:
-        key, reason = found[0]
-        raise ConfigError(
-            f"this would be kept in the run directory, and {reason}",
-            key=key,
-            expected="no keys or tokens in a config; let the code that needs one read it from the environment",
-        )
+    """Refuse to write down what looks like a key or a token, or would become one: run directories are handed on.
+
+    Args:
+        command: the command line.
+        texts: further texts that are kept as they are written, by name: configs and overrides.
+        config: the resolved config.
+        kept: a resolved config that stands in the run already; what it holds is not asked about again.
+
+    Raises:
+        ConfigError: a text is one, the name of its key says so, or ``${oc.env:NAME}`` asks for a variable of such a
+            name, so that its value would be written.
+    """
+    named = {"the command line": "\n".join(command), **(texts or {})}
+    for place, text in named.items():
+        for variable in secret_variables(text):
+            raise ConfigError(
+                f"${{oc.env:{variable}}} would bring the value of {variable} into the run directory, and its name says "
+                "that it is a secret",
+                key=place,
+                expected=_NO_SECRETS,
+            )
+    known = set(secret_keys(kept or {}))
+    found = [entry for entry in secret_keys(config or {}) if entry not in known]
+    found += [(place, reason) for place, text in named.items() if (reason := secret_content(os.fsencode(text)))]
+    for key, reason in found:
+        raise ConfigError(f"this would be kept in the run directory, and {reason}", key=key, expected=_NO_SECRETS)
+
+
+def _resolved(hydra_files: Mapping[str, str]) -> dict[str, Any]:
+    """Return the config of Hydra's files, resolved; a section that cannot be resolved here is left out."""
+    from omegaconf import DictConfig, OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    config = OmegaConf.create(next((text for name, text in hydra_files.items() if _hydra_name(name) == _CONFIG), ""))
+    found: dict[str, Any] = {}
+    for key in config if isinstance(config, DictConfig) else ():
+        with contextlib.suppress(OmegaConfBaseException):
+            value = OmegaConf.select(config, str(key))
+            found[str(key)] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+    return found
 
 
 def _hydra_name(name: str) -> str:
