@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.jobs.documents import json_document
+from wheelleg_exp.jobs.observing_recording import ObservingRecording
 from wheelleg_exp.recording.blueprint import FIGURES, Purpose
-from wheelleg_exp.recording.live import LiveView
 from wheelleg_exp.recording.recorder import Recorder
 
 
-class EpisodeRecording:
+class EpisodeRecording(ObservingRecording):
     """Records every control step from entering to leaving, as far as the bound on the size allows.
 
     Each simulated second is in the file as soon as it is over.
@@ -40,8 +39,7 @@ class EpisodeRecording:
         about: Mapping[str, Any],
         documents: Mapping[str, str],
     ) -> None:
-        self._env, self._options = env, options
-        self._recorder = Recorder(
+        recorder = Recorder(
             path,
             env,
             recording_id=name,
@@ -52,8 +50,12 @@ class EpisodeRecording:
             flush_every=max(round(1.0 / env.step_dt), 1),
         )
         for title, text in {**documents, FIGURES: "None yet: the episode is not over."}.items():
-            self._recorder.document(title, text)
-        self._live: LiveView | None = None
+            recorder.document(title, text)
+        super().__init__(env, recorder, live=options["live"])
+        self._bound = float(options["max_mb"])
+        self._frames = recorder.frames_within(self._bound)
+        if self._frames < env.max_episode_length:
+            self.notes = (self._warning(),)
 
     @property
     def path(self) -> Path:
@@ -65,24 +67,15 @@ class EpisodeRecording:
         for name, text in json_document(FIGURES, value).items():
             self._recorder.document(name, text)
 
-    def __enter__(self) -> Self:
-        bound = self._options["max_mb"]
-        words = f"the bound of {bound:g} MB is reached; what follows is not recorded"
-        self._recorder.start(steps=self._recorder.frames_within(bound), last_words=words)
-        if self._recorder.frames_within(bound) == 0:
+    def _begin_recording(self) -> None:
+        words = f"the bound of {self._bound:g} MB is reached; what follows is not recorded"
+        self._recorder.start(steps=self._frames, last_words=words)
+        if not self._frames:
             self._recorder.say(words)
-        self._recorder.flush()
-        self._env.observers.append(self._recorder.capture)
-        if self._options["live"]:
-            self._live = LiveView(self._recorder)
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._env.observers.remove(self._recorder.capture)
-        try:
-            self._recorder.close()
-        finally:
-            if self._live is not None:
-                self._live.close()
+    def _warning(self) -> str:
+        room = f"{self._frames} steps surely fit" if self._frames else "no step surely fits"
+        return (
+            f"the bound of {self._bound:g} MB is small: {room} beside shapes and texts; "
+            f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
+        )

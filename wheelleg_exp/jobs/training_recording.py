@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.jobs.documents import run_documents
+from wheelleg_exp.jobs.observing_recording import ObservingRecording
 from wheelleg_exp.recording.aside import make_way
-from wheelleg_exp.recording.live import LiveView
 from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.recording.recorder import Recorder
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 
 
-class TrainingRecording:
+class TrainingRecording(ObservingRecording):
     """Records a training, from entering to leaving.
 
     Every iteration is in the file when ``write`` returns; of rollouts of less than 16 steps, the last few frames may
@@ -34,7 +33,8 @@ class TrainingRecording:
             lies past the environment's present control step is dropped, and a segment under way continues.
 
     Attributes:
-        note: what became of an earlier recording that could not be gone on with, None when there is nothing to tell.
+        note: what people should know of it: what became of an earlier recording that could not be gone on with, and
+            whether the bound on the size leaves room for a segment; None when there is nothing to tell.
     """
 
     def __init__(
@@ -46,9 +46,8 @@ class TrainingRecording:
         *,
         start_iteration: int = 0,
     ) -> None:
-        self._env, self._options, self._first = env, options, start_iteration
-        self.note = make_way(directory.recording, go_on=start_iteration > 0)
-        self._recorder = Recorder(
+        aside = make_way(directory.recording, go_on=start_iteration > 0)
+        recorder = Recorder(
             directory.recording,
             env,
             recording_id=directory.id,
@@ -58,34 +57,37 @@ class TrainingRecording:
             about={"task": _task(directory)},
             keep_until=env.common_step_counter if start_iteration > 0 else None,
         )
+        super().__init__(env, recorder, live=options.live)
+        self._options, self._first = options, start_iteration
         for name, text in {**run_documents(directory), **documents}.items():
             if name != "manifest" or not self._recorder.has_document(name):  # that of the start stays
                 self._recorder.document(name, text)
-        if self.note:
-            self._recorder.say(f"{self.note}; this one begins with iteration {start_iteration}")
+        if aside:
+            self._recorder.say(f"{aside}; this one begins with iteration {start_iteration}")
         frames = self._recorder.frames_within(options.max_mb)
         self._segments = frames // options.steps
-        self._live: LiveView | None = None
+        self.notes = [note for note in (aside, self._warning()) if note]
+        self.note = "; ".join(self.notes) or None
 
-    def __enter__(self) -> Self:
-        self._env.observers.append(self._recorder.capture)
+    def _begin_recording(self) -> None:
         self._begin(self._first)
         if self._first == 0:
             self._tell_bound(0)
-        self._recorder.flush()
-        if self._options.live:
-            self._live = LiveView(self._recorder)
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._env.observers.remove(self._recorder.capture)
-        try:
-            self._recorder.close()
-        finally:
-            if self._live is not None:
-                self._live.close()
+    def _warning(self) -> str | None:
+        """Return that not even one segment fits, and what would do; None when one does."""
+        if self._segments:
+            return None
+        steps, bound = self._options.steps, self._options.max_mb
+        return (
+            f"recording.max_mb={bound:g} leaves no room for a segment of {steps} steps beside shapes and texts, so no "
+            f"motion is recorded; {self._recorder.megabytes(steps):.1f} are enough for one"
+        )
+
+    @property
+    def unfinished(self) -> str | None:
+        """Why the file was not put together when it was closed; None when it was, or is open."""
+        return self._recorder.unfinished
 
     def write(self, scalars: Mapping[str, float], iteration: int) -> None:
         """Write one iteration's scalars, and start the next recorded episode when it is due."""
@@ -116,7 +118,9 @@ class TrainingRecording:
     def _tell_bound(self, iteration: int) -> None:
         """Mark the iteration with which the first segment would begin that does not fit any more."""
         number = iteration // self._options.interval
-        if number == self._segments:
+        if number == self._segments == 0:
+            self._recorder.say(str(self._warning()))
+        elif number == self._segments:
             self._recorder.say(
                 f"the bound of {self._options.max_mb:g} MB is reached after {number} recorded episodes; "
                 "from here on there are scalars alone"

@@ -95,6 +95,12 @@ class Recorder:
         frame = size.total(track.cost for track in self._tracks).frame(ROWS_TOGETHER)
         return max(int(room / frame), 0)
 
+    def megabytes(self, frames: int) -> float:
+        """Return a size into which so many frames surely fit, MB, rounded up to a tenth."""
+        frame = size.total(track.cost for track in self._tracks).frame(ROWS_TOGETHER)
+        room = frames * frame + size.surroundings(self._env.scene.model, len(self._tracks))
+        return float(np.ceil(10.0 * room / size.MEGABYTE) / 10.0)
+
     def start(
         self, iteration: int | None = None, steps: int | None = None, *, captured: int = 0, last_words: str = ""
     ) -> None:
@@ -184,6 +190,11 @@ class Recorder:
                 self.flush()
             finally:
                 self._sink.close()
+
+    @property
+    def unfinished(self) -> str | None:
+        """Why the closed file was not put together and has no index; None when it was, or is open."""
+        return self._sink.unfinished
 
     def blueprint(self) -> Any:
         """Return the layout of what is recorded so far."""
