@@ -67,6 +67,18 @@ def test_nothing_is_wider_than_the_screen(chrome: Chrome, width: int):
     assert smallest >= 12
 
 
+@pytest.mark.parametrize("px", [320, 375, 560, 700, 768, 820, 1000, 1100, 1280])
+def test_no_number_is_cut_off_by_the_box_that_it_stands_in(chrome: Chrome, report: Path, px: int):
+    chrome.size(px)
+    chrome.open(report.as_uri())
+    chrome.script("document.querySelectorAll('details').forEach(d => d.open = true)")
+    cut = chrome.script(
+        "return [...document.querySelectorAll('.scroll, .card, pre')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+        ".map(e => (e.ariaLabel || e.className) + ` ${e.scrollWidth} > ${e.clientWidth}`)"
+    )
+    assert cut == []
+
+
 def test_letters_in_plots_can_be_read(chrome: Chrome, width: int):
     heights = chrome.script(
         "return [...document.querySelectorAll('figure.plot svg text')].filter(t => t.textContent.trim()"

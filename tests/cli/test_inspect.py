@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+import rerun as rr
 from inspection.synthetic import Writer, drive, play, training
 
 from wheelleg_exp.cli.main import main
+from wheelleg_exp.recording import messages
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.lock import RunLock
+from wheelleg_exp.run.manifest import Manifest
+
+
+def spoil(path, entity=b"base/height"):
+    """Change bytes in the middle of the rows of one entity, as a failing disk does."""
+    content = bytearray(path.read_bytes())
+    begin, end = next(s for s in message_places(path) if entity in content[s[0] : s[1]] and s[1] - s[0] > 1500)
+    content[(begin + end) // 2 : (begin + end) // 2 + 8] = b"XXXXXXXX"
+    path.write_bytes(content)
+
+
+def message_places(path):
+    return [(span.begin, span.end) for span in messages.spans(messages.File(path))]
 
 
 @pytest.fixture
@@ -35,12 +54,77 @@ def test_the_summary_is_printed(inspect):
         assert words in out
 
 
+def test_the_summary_of_a_damaged_recording_is_printed(inspect, tmp_path):
+    spoil(play(tmp_path / "r.rrd"))
+    status, out, err = inspect("r.rrd")
+    assert (status, err) == (0, "")
+    assert re.search(r"health +not whole; damaged from byte \d+ to \d+: ", out)
+    assert "feet.left" in out
+    damaged = json.loads(inspect("r.rrd", "--json")[1])["summary"]["health"]["damaged"]
+    assert len(damaged) == 1
+    assert damaged[0]["begin"] < damaged[0]["end"]
+
+
+def test_what_happened_to_the_recording_is_told(inspect):
+    writer = Writer("r.rrd")
+    drive(writer)
+    writer.words("log/recording", [(1, "the bound of 3 MB is reached", "WARN")])
+    writer.numbers("training/Train/mean_reward", [1.0])
+    writer.static("spring", stiffness=[1.0])
+    writer.close()
+    out = inspect("r.rrd")[1]
+    assert re.search(r"note +the bound of 3 MB is reached\n", out)
+    (holds,) = [line for line in out.splitlines() if line.startswith("holds")]
+    assert "rewards" in holds
+    assert "spring" not in holds  # nothing of it over time
+
+
 def test_json_is_one_document(inspect):
     status, out, err = inspect(play("r.rrd"), "--json")
     document = json.loads(out, parse_constant=refuse)
     assert (status, err) == (0, "")
     assert document["recording"] == "r.rrd"
     assert document["summary"]["figures"]["survival"] == 0.5
+
+
+def test_times_can_be_pasted_back_as_they_are_printed(inspect):
+    """A step lasts 1/60 s: 28 of them are 0.466666… s, which is printed as 0.467 s."""
+    writer = Writer("r.rrd")
+    steps = np.arange(1, 61)
+    columns = [
+        rr.TimeColumn("step", sequence=steps),
+        rr.TimeColumn("sim_time", duration=1000 * np.round(steps / 60 * 1e6).astype("timedelta64[ns]")),
+    ]
+    writer.stream.send_columns("base/height", columns, rr.Scalars.columns(scalars=steps.astype(float)))
+    writer.close()
+
+    def extremes(*words):
+        stats = json.loads(inspect("r.rrd", "--term", "base.height", *words, "--json")[1])["stats"]["base.height"]
+        return stats["minimum"], stats["maximum"]
+
+    assert "0.467 s, step 28" in inspect("r.rrd", "--where", "base.height == 28")[1]
+    assert extremes("--from", "0.467s", "--to", "0.467s") == (28, 28)
+    assert extremes("--from", "0.016666667s", "--to", "0.016666667s") == (1, 1)
+    assert extremes("--from", "28steps", "--to", "500ms") == (28, 30)
+
+
+def test_units_stand_with_the_names(inspect):
+    assert "contacts.feet.left (N)" in inspect(play("r.rrd"), "--term", "contacts.feet.left")[1]
+    words = ("--where", "terminations.fallen", "--around", "1steps", "--term", "base.v_x")
+    assert "base.v_x (m/s)" in inspect("r.rrd", *words)[1]
+    assert json.loads(inspect("r.rrd", "--term", "base.v_x", "--json")[1])["stats"]["base.v_x"]["unit"] == "m/s"
+
+
+def test_a_selection_without_rows_is_told(inspect):
+    status, out, _ = inspect(play("r.rrd"), "--from", "100s")
+    assert status == 0
+    assert re.search(r"figures are of +0 of 200 frames\n", out)
+    assert "0.0%" not in out
+    assert re.search(r"alive +3 +- +-\n", out)
+    for words in (["--term", "base.pitch"], ["--where", "base.pitch"], ["--export", "csv", "-o", "out"]):
+        status, out, err = inspect("r.rrd", "--from", "100s", *words)
+        assert (status, out) == (2, "")
+        assert "no recorded row is chosen; expected times from 0.020 to 4.000 s, steps 1 to 200" in err
 
 
 def test_statistics_of_terms(inspect):
@@ -93,6 +177,34 @@ def test_repair_writes_beside_and_tells_what_is_lost(inspect, tmp_path):
     assert "whole" in inspect("other.rrd")[1]
 
 
+@pytest.fixture
+def run(tmp_path):
+    """A run with a recording of its training and one of a play."""
+    run = RunDirectory.create(tmp_path / "runs", "stand", 0)
+    Manifest.begin(run.path, task="stand", seed=0, command=["wheelleg"], threads={"torch": 1})
+    writer = Writer(run.recording)
+    drive(writer)
+    writer.kill()
+    (run.play / "one").mkdir(parents=True)
+    play(run.play / "one" / "recording.rrd")
+    return run
+
+
+def test_the_recording_of_a_run_that_goes_on_is_not_mended(inspect, run):
+    with RunLock(run):
+        status, out, err = inspect("latest", "--repair")
+    assert (status, out) == (2, "")
+    assert "is being written by process" in err
+    assert not list(run.path.glob("*.repaired.rrd"))
+    assert inspect("latest", "--repair")[0] == 0
+    assert re.search(r"\nrun +running\n", inspect("latest")[1])
+
+
+def test_a_play_is_compared_with_another_run_s_folder(inspect, run, tmp_path):
+    for other in (run.play / "one", run.play / "one" / "recording.rrd", "latest"):
+        assert inspect("latest", "--play", "--compare", other)[0] == 0
+
+
 def test_names_are_listed(inspect):
     status, out, _ = inspect(play("r.rrd"), "--names", "--json")
     assert status == 0
@@ -111,12 +223,25 @@ def test_names_are_listed(inspect):
         (["r.rrd", "--compare", "absent.rrd"], "there is no file 'absent.rrd'"),
         (["r.rrd", "--play"], "is no run"),
         (["text.rrd"], "no rerun recording"),
+        (["gone.rrd"], "'gone.rrd' is a link to nothing"),
+        (["r.rrd", "--viewer"], "--viewer: it means nothing here; expected --screenshot beside it"),
+        (["r.rrd", "--at", "1s"], "expected --screenshot beside it"),
+        (["r.rrd", "--fps", "3", "--screenshot", "a.png"], "expected --video beside it"),
+        (["r.rrd", "--width", "3"], "expected --screenshot or --video beside it"),
+        (["r.rrd", "--port", "3"], "expected --web beside it"),
+        (["r.rrd", "--around", "1s"], "expected --where beside it"),
+        (["r.rrd", "-o", "x"], "--output: it means nothing here; expected --repair or --export beside it"),
+        (["r.rrd", "--compare", "r.rrd", "--from", "1s"], "--from: it means nothing here"),
+        (["r.rrd", "--summary", "--term", "base.pitch"], "--stats or --where or --plot or --export"),
+        (["r.rrd", "--iteration", "5-2"], "ends before it begins"),
+        (["r.rrd", "--from", "3s", "--to", "2s"], "it lies before --from"),
         ([], "RUN|FILE"),
     ],
 )
 def test_wrong_input_is_one_line_and_status_2(inspect, tmp_path, words, said):
     play(tmp_path / "r.rrd")
     (tmp_path / "text.rrd").write_text("not one")
+    (tmp_path / "gone.rrd").symlink_to(tmp_path / "nowhere.rrd")
     status, out, err = inspect(*words)
     assert (status, out) == (2, "")
     assert said in err

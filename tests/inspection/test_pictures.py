@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from inspection.synthetic import Writer
 from inspection.written import CONTACT, DT, FELL_AT, HEIGHT, base_x, write_recording
 from PIL import Image
 
@@ -274,3 +275,29 @@ def test_a_terrain_and_meshes_without_an_area_are_no_trouble(shown: Scenery, gra
     image = pictures.picture(replace(shown, scene=scene), 5, WIDTH, HEIGHT_PX, caption=False).astype(int)
     assert ((image[..., 1] > 1.5 * image[..., 0]) & (image[..., 1] > 1.5 * image[..., 2])).mean() > 0.3
     assert is_orange(image).mean() > 0.03
+
+
+def test_the_moment_of_a_term_is_looked_for_in_every_environment(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r.rrd")
+    for env_id, fell_at in ((0, 40), (3, 25), (7, 60)):
+        fired = np.arange(1, 61) == fell_at
+        writer.numbers(f"env_{env_id}/terminations/fell", fired, None, None, np.arange(60) // 30)
+    recording = Recording(writer.close())
+    assert pictures.first_env(recording, "terminations.fell") == 3
+    assert pictures.first_env(recording, "terminations.fell", iteration=1) == 0
+    assert pictures.first_env(recording, "1.5s") is None
+    assert pictures.first_env(recording, "terminations.never") is None
+
+
+def test_moments_are_said_in_seconds_milliseconds_and_steps(played: Recording, trained: Recording) -> None:
+    shown = pictures.scenery(played)
+    assert {pictures.row_at(shown, at=word) for word in ("0.4s", "400ms", "0.4", "20steps")} == {19}
+    shown = pictures.scenery(trained)
+    assert pictures.row_at(shown, at="5steps", iteration=5) == pictures.row_at(shown, at="0.1s", iteration=5)
+
+
+def test_the_caption_names_the_environment_where_there_are_several(several: Recording, played: Recording) -> None:
+    shown = pictures.scenery(several, 3)
+    assert captions.lines(shown.motion, 0, shown.env_id)[0] == "environment 3 · t = 0.02 s"
+    shown = pictures.scenery(played)
+    assert captions.lines(shown.motion, 0, shown.env_id)[0] == "t = 0.02 s"

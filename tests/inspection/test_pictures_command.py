@@ -21,7 +21,7 @@ def test_a_plot_and_an_export_are_told_as_one_document(played, tmp_path: Path, c
     words = ("--plot", tmp_path / "p.svg", "--export", "parquet", "-o", tmp_path / "out", "--json")
     assert inspect(played, *words) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["plot"] == {"path": str(tmp_path / "p.svg")}
+    assert document["plot"] == {"path": str(tmp_path / "p.svg"), "env": 0}
     assert {entry["group"] for entry in document["export"]["files"]} >= {"base", "rewards"}
     assert all(Path(entry["path"]).is_file() for entry in document["export"]["files"])
 
@@ -37,7 +37,7 @@ def test_two_recordings_are_plotted_over_each_other(played, several, tmp_path: P
     assert inspect(played, "--compare", several.path, "--plot", tmp_path / "p.svg") == 1  # they differ
     text = (tmp_path / "p.svg").read_text()
     assert ">played<" in text
-    assert ">several<" in text
+    assert ">several, environment 0<" in text
 
 
 def test_a_screenshot_says_its_moment(trained, tmp_path: Path, capsys, graphics: str) -> None:
@@ -45,7 +45,7 @@ def test_a_screenshot_says_its_moment(trained, tmp_path: Path, capsys, graphics:
     words = ("--screenshot", path, "--iteration", 5, "--at", "0.1s", "--width", 64, "--height", 48, "--json")
     assert inspect(trained, *words) == 0
     told = json.loads(capsys.readouterr().out)["screenshot"]
-    assert told == {"path": str(path), "time_s": pytest.approx(126 * 0.02), "step": 126, "iteration": 5}
+    assert told == {"path": str(path), "time_s": pytest.approx(126 * 0.02), "step": 126, "iteration": 5, "env": 0}
     with Image.open(path) as image:
         assert image.size == (64, 48)
 
@@ -63,6 +63,7 @@ def test_a_video_says_how_long_it_is(played, tmp_path: Path, capsys, graphics: s
         (("--export", "csv"), "-o FOLDER"),
         (("--export", "xml", "-o", "out"), "parquet or csv"),
         (("--screenshot", "a.png", "--at", "soon"), "neither a time nor a recorded term"),
+        (("--screenshot", "a.png", "--width", "0"), "a picture of 0 x 720 is not drawn"),
         (("--video", "a.avi"), ".mp4"),
         (("--video", "a.mp4", "--from", "9s"), "nothing that is chosen was recorded"),
         (("--web", "--port", "99999"), "cannot be listened on"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+from inspection.synthetic import Writer
 from inspection.written import DT, FELL_AT, ITERATIONS, STEPS, numbers, scalar_values, steps_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -94,6 +95,43 @@ def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) ->
     assert any(f"({share:.0%})" in text.get_text() for text in axes.texts)
 
 
+def test_what_a_training_says_of_its_terms_is_not_called_per_second(trained: Recording) -> None:
+    titles = [axes.get_title("left") for axes in plots.make(trained, "reward_shares").get_axes()]
+    assert len(titles) == 2
+    for title in titles:
+        assert title.endswith("sum of an episode / longest episode's seconds")
+    assert not any("1/s" in axes.get_xlabel() for axes in plots.make(trained, "reward_shares").get_axes())
+
+
+def test_of_several_environments_the_page_names_the_one_that_it_shows(several: Recording, played: Recording) -> None:
+    def words(recording: Recording, **options) -> list[str]:
+        figure = plots.default_page(recording, **options)
+        return [part.get_suptitle() for part in figure.subfigs]
+
+    assert "Contact forces, environment 0" in words(several)
+    assert "Contact forces, environment 3" in words(several, selection=Selection(env_id=3))
+    assert "Contact forces" in words(played)
+    assert plots.terms_figure(several, ["base.height"]).get_suptitle() == "Environment 0"
+    assert plots.terms_figure(played, ["base.height"]).get_suptitle() == ""
+
+
+def test_terms_are_drawn_with_their_units(played: Recording) -> None:
+    figure = plots.terms_figure(played, ["rewards.effort", "base.height"])
+    assert [axes.get_title("left") for axes in figure.get_axes()] == ["rewards.effort (1/s)", "base.height (m)"]
+
+
+def test_the_largest_force_within_a_step_is_drawn_beside_that_at_its_end(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("base/height", [1.0, 1.0])
+    writer.numbers("contacts/feet", [[1.0, 0.0], [3.0, 0.0]], names=["l", "r"])
+    writer.numbers("contacts/feet/peak", [[9.0, 0.0], [3.0, 8.0]], names=["l", "r"])
+    figure = plots.make(Recording(writer.close()), "contact_forces")
+    end, largest = panel(figure, "l: contact force (N)").get_lines()
+    assert (end.get_label(), end.get_ydata().tolist()) == ("end of the step", [1.0, 3.0])
+    assert (largest.get_label(), largest.get_ydata().tolist()) == ("largest within it", [9.0, 3.0])
+    assert panel(figure, "r: contact force (N)").get_ylim()[1] > 9.0
+
+
 def test_terminations_are_marked_when_they_fired(played: Recording) -> None:
     axes = panel(plots.make(played, "terminations"), "When terminations fired")
     assert [t.get_text() for t in axes.get_yticklabels()] == ["fell  1×", "time_out  0×"]
@@ -172,7 +210,7 @@ def test_nothing_chosen_is_an_error(played: Recording) -> None:
 
 
 def test_terms_are_found_by_their_dotted_names(played: Recording, trained: Recording) -> None:
-    _, values = line(plots.terms_figure(played, ["rewards.effort"]), "rewards.effort")
+    _, values = line(plots.terms_figure(played, ["rewards.effort"]), "rewards.effort (1/s)")
     np.testing.assert_allclose(values, numbers(steps_of(training=False))["rewards/effort"])
     _, values = line(plots.terms_figure(trained, ["Loss.value"]), "Loss.value")
     np.testing.assert_allclose(values, scalar_values()["Loss/value"])
@@ -180,7 +218,10 @@ def test_terms_are_found_by_their_dotted_names(played: Recording, trained: Recor
 
 def test_every_number_of_a_term_gets_a_panel(played: Recording) -> None:
     figure = plots.terms_figure(played, ["contacts.feet"])
-    assert [axes.get_title("left") for axes in figure.get_axes()] == ["contacts.feet: base", "contacts.feet: wheel"]
+    assert [axes.get_title("left") for axes in figure.get_axes()] == [
+        "contacts.feet: base (N)",
+        "contacts.feet: wheel (N)",
+    ]
 
 
 def test_an_unknown_term_is_told_with_the_nearest(played: Recording) -> None:
@@ -191,7 +232,7 @@ def test_an_unknown_term_is_told_with_the_nearest(played: Recording) -> None:
 
 def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording) -> None:
     figure = plots.overlay({"one": played, "two": several}, "base.height", selection=None)
-    first, second = (line(figure, "base.height", label)[1] for label in ("one", "two"))
+    first, second = (line(figure, "base.height (m)", label)[1] for label in ("one", "two"))
     np.testing.assert_allclose(first, second)
     styles = {one.get_linestyle() for one in panel(figure, "base.height").get_lines()}
     assert len(styles) == 2  # told apart in grey print too

@@ -26,7 +26,7 @@ def test_what_it_holds_and_from_when_to_when(summary):
     assert (summary.timelines["step"].first, summary.timelines["step"].last) == (1, 200)
     assert summary.timelines["sim_time"].last == pytest.approx(4.0)
     assert {part.name: (part.entities, part.rows) for part in summary.parts}["base"] == (4, 800)
-    assert summary.health["is_whole"]
+    assert summary.health.is_whole
 
 
 def test_episodes_end_where_a_termination_fired(summary):
@@ -140,6 +140,32 @@ def test_sample_episodes_belong_to_the_stretch_of_frames_that_they_stand_in(tmp_
     ]
 
 
+def test_samples_and_the_whole_are_figures_of_the_same_episodes(tmp_path):
+    """Of a sample: an episode that began before it, one from its beginning to its end, and one that is cut off."""
+    writer = Writer(tmp_path / "r.rrd")
+    steps = np.arange(101, 161)
+    ends = np.isin(steps, [110, 130])
+    writer.numbers("terminations/fallen", ends, steps, None, np.zeros(60))
+    writer.numbers("rewards/total", np.where(ends, -100.0, 1.0), steps, None, np.zeros(60))
+    writer.numbers("episode/number", np.cumsum(np.r_[0, ends[:-1]]), steps)
+    writer.numbers("episode/step", np.r_[31:41, 1:21, 1:31], steps)
+    writer.numbers("episode/terminated", ends, steps)
+    writer.numbers("episode/truncated", 0 * steps, steps)
+    summary = summarize(Recording(writer.close()))
+    (sample,) = summary.samples
+    assert (sample.episodes, sample.ended, sample.survival) == (3, 2, 0.0)
+    assert sample.mean_reward == summary.figures.mean_reward == pytest.approx((19 - 100) * STEP_DT)
+    assert sample.mean_duration_s == summary.figures.mean_duration_s == pytest.approx((40 + 20) / 2 * STEP_DT)
+
+
+def test_without_an_ended_episode_a_sample_has_no_figures(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    writer.numbers("terminations/fallen", [0, 0], None, None, [0, 0])
+    writer.numbers("rewards/total", [1.0, 1.0], None, None, [0, 0])
+    (sample,) = summarize(Recording(writer.close())).samples
+    assert (sample.survival, sample.mean_duration_s, sample.mean_reward) == (None, None, None)
+
+
 def test_episodes_are_told_apart_by_their_own_marks_where_there_are(tmp_path):
     """The first frame is the 31st of its episode, and the second episode ends in the step that the third begins."""
     writer = Writer(tmp_path / "r.rrd")
@@ -191,7 +217,7 @@ def test_a_killed_recording_is_summarized_as_far_as_it_goes(tmp_path):
     writer = Writer(tmp_path / "r.rrd")
     drive(writer)
     summary = summarize(Recording(writer.kill()))
-    assert not summary.health["is_whole"]
+    assert not summary.health.is_whole
     assert summary.figures.count == 3
 
 

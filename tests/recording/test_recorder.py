@@ -354,7 +354,7 @@ def test_a_finished_recording_is_put_together_and_has_an_index(make_env, tmp_pat
     monkeypatch.setattr("wheelleg_exp.recording.sink.finish", lambda path: False)
     record(path, env, env_ids=(0,), steps=40, flush_every=4)
     before, pieces = entity_digests(path), Recording(path).health
-    assert finish(path)
+    assert finish(path) is None
     after = Recording(path).health
     assert entity_digests(path) == before
     assert after.is_whole
@@ -368,6 +368,6 @@ def test_a_recording_that_cannot_be_finished_stays_as_it_is(recorded, tmp_path, 
     path = tmp_path / "r.rrd"
     path.write_bytes(recorded[0].read_bytes())
     monkeypatch.setattr("wheelleg_exp.recording.finishing.rerun_program", lambda: str(tmp_path / "none"))
-    assert not finish(path)
+    assert finish(path) == "rerun's program is not there"
     assert path.read_bytes() == recorded[0].read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]

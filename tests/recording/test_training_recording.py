@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -255,6 +256,25 @@ def test_a_bound_of_nothing_leaves_the_scalars(env, directory):
     assert not recording.has_rows("base/height")
     assert len(recording.table("training/Loss/value")) == 3
     assert len(recording.table("log/recording")) == 1
+
+
+def test_a_bound_too_small_for_a_segment_is_told_before_it_begins(env, directory, bound):
+    made = TrainingRecording(directory, env, options(max_mb=0.1), {})
+    assert "recording.max_mb=0.1 leaves no room for a segment of 45 steps" in str(made.note)
+    enough = float(re.search(r"([\d.]+) are enough for one", str(made.note))[1])
+    assert bound <= enough < bound + 0.11
+    said: list[str] = []
+    made.warn(said.append)
+    assert said == [f"warning: {made.note}"]
+    with made:
+        pass
+    (event,) = Recording(directory.recording).events("recording")
+    assert event.text == made.note
+
+
+def test_a_bound_with_room_says_nothing(env, directory, bound):
+    with TrainingRecording(directory, env, options(max_mb=bound), {}) as made:
+        assert made.note is None
 
 
 def test_the_bound_is_the_same_for_a_split_training(env, directory, tmp_path, bound):

@@ -24,6 +24,18 @@ def test_a_policy_that_always_falls_is_said_to_fall(page, root):
     assert "The policy falls in every one of 8 episodes of 5 s." in page(run).text
 
 
+def test_figures_that_there_are_none_of_are_dashes_and_say_why(page, root):
+    """As JSON has them: a policy that falls before its episodes settle has neither height nor pitch."""
+    run = make_run(root)
+    none = dict.fromkeys(("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg"), float("nan"))
+    add_play(run, survival=0.0, **none)
+    add_play(run, survival=0.0, **none)
+    found = page(run)
+    assert "nan" not in found.text.split()
+    assert "Base height, mean – Pitch, RMS – Pitch, mean –" in found.section("standing")
+    assert "none lasted that long" in found.section("standing")
+
+
 def test_the_last_play_counts_and_all_are_listed(page, root):
     run = make_run(root)
     add_play(run, survival=0.25)

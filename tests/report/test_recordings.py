@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from inspection.synthetic import Writer
 from inspection.written import DT, FELL_AT, STEPS, write_recording
 
 from report.pages import Page
@@ -45,13 +46,40 @@ def test_pictures_go_from_the_beginning_of_an_episode_to_its_end(run, root, aske
     found = Page(make_report(run.path, root).path.read_text())
     duration = FELL_AT * DT
     standing, learning = found.section("standing"), found.section("learning")
-    assert f"The play: ended by fell after {duration:.2f} s 0.00 s 0.26 s 0.52 s 0.78 s" in standing
+    assert f"The play, first episode: ended by fell after {duration:.2f} s 0.00 s 0.26 s 0.52 s 0.78 s" in standing
     assert f"At first, iteration 0: ended by fell after {duration:.2f} s 0.00 s" in learning
     assert "At last, iteration 10: " in learning
     times = np.linspace(DT, duration, 4).round(3).tolist()
     assert times in asked  # the first row of the recording is the first step
     assert len(found.all("img")) == 1 + 3 * 4
     assert all(len(image.attributes["alt"]) > 20 for image in found.all("img"))
+
+
+def test_of_a_play_the_first_episode_is_shown_which_its_figures_are_of(root, page, asked):
+    """Both terminations end it after ten steps; what follows lasts longer, and the sample ends within it."""
+    run = make_run(root)
+    folder = run.play / "2026-03-01_11-00-00"
+    folder.mkdir(parents=True)
+    writer = Writer(folder / "recording.rrd")
+    rows = np.arange(1, 61)
+    writer.numbers("base/height", 0.0 * rows)
+    for name in ("base_contact", "leg_contact"):
+        writer.numbers(f"terminations/{name}", rows == 10)
+    writer.close()
+    run.manifest().add("play", [folder / "recording.rrd"], FIGURES, command=["wheelleg", "play"])
+    text = Page(make_report(run.path, root).path.read_text()).section("standing")
+    assert "The play, first episode: ended by base contact and leg contact after 0.20 s" in text
+
+
+def test_what_happened_to_a_recording_is_told(root, page):
+    run = make_run(root)
+    writer = Writer(run.recording)
+    writer.numbers("training/Train/mean_reward", [1.0], [1], None, [0])
+    writer.words("log/recording", [(1, "the bound of 3 MB is reached", "WARN")])
+    writer.close()
+    text = page(run).section("learning")
+    assert "Of the recording: the bound of 3 MB is reached." in text
+    assert "No motion of this training was recorded" in text
 
 
 def test_tables_hold_what_was_recorded(run, page):

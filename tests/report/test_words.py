@@ -21,7 +21,8 @@ def test_very_small_numbers_are_written_with_a_power_of_ten():
 
 
 def test_what_is_no_number_is_said_to_be_none():
-    assert words.number(math.nan) == "not a number"
+    assert words.number(math.nan) == "–"
+    assert words.numbers({"a": ["nan", math.nan, "infinite", 1.5]}) == {"a": [None, None, "infinite", 1.5]}
     assert words.number(math.inf) == "infinite"
     assert words.number(None) == "–"
     assert words.number("many") == "many"

@@ -76,6 +76,16 @@ def test_the_report_of_another_run_is_not_overwritten(root, tmp_path):
     make_report(first.path, root, shared, pictures=False)
 
 
+def test_a_run_that_was_renamed_knows_its_report(root):
+    run = make_run(root)
+    made = make_report(run.path, root, pictures=False)
+    renamed = made.path.parent.rename(run.path.with_name("2026-03-01_10-00-00_0_mine"))
+    assert make_report(renamed, root, pictures=False).path == renamed / "report.html"
+    (renamed / "report.html").write_text("notes of mine")
+    with pytest.raises(RunDirectoryError, match="not overwritten"):
+        make_report(renamed, root, pictures=False)
+
+
 def test_links_and_folders_are_refused(root, tmp_path):
     run = make_run(root)
     (tmp_path / "link.html").symlink_to(tmp_path / "somewhere")

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from wheelleg_exp.cli.common import add_json, print_json
-from wheelleg_exp.cli.inspect_action import Action, Inspected
+from wheelleg_exp.cli.inspect_action import Action, Inspected, require_used
 from wheelleg_exp.cli.inspect_pictures import ACTIONS as PICTURES
 from wheelleg_exp.cli.inspect_reading import ACTIONS as READING
 from wheelleg_exp.cli.inspect_reading import STATISTICS, SUMMARY, add_selection, selection_of
@@ -36,9 +36,10 @@ def run(args: argparse.Namespace) -> int:
     """Do what was asked for; the summary when nothing was."""
     from wheelleg_exp.inspection.target import find_target
 
+    chosen = [action for action in ACTIONS if action.is_chosen(args)] or [STATISTICS if args.term else SUMMARY]
+    require_used(args, chosen, ACTIONS)
     target = find_target(args.recording, args.root, play=args.play)
     inspected = Inspected(target, selection_of(args), args.id)
-    chosen = [action for action in ACTIONS if action.is_chosen(args)] or [STATISTICS if args.term else SUMMARY]
     results = {}
     for action in chosen:
         results[action.name] = result = action.run(args, inspected)

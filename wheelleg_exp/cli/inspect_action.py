@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.errors import EXIT_OK
+from wheelleg_exp.cli.common import UsageError
+from wheelleg_exp.errors import EXIT_OK, RunDirectoryError
 
 if TYPE_CHECKING:
     from wheelleg_exp.inspection.selection import Selection
     from wheelleg_exp.inspection.target import Target
     from wheelleg_exp.recording.reader import Recording
+
+ROWS = ("env", "iteration", "begin", "end")  # the options that choose rows
 
 
 @dataclass(frozen=True)
@@ -69,12 +72,42 @@ class Action:
         name: the option's name in ``args``; the action runs when that is neither None nor False.
         configure: adds its options.
         run: does it.
+        options: the options, by their names in ``args``, that mean something to it.
     """
 
     name: str
     configure: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace, Inspected], Result]
+    options: tuple[str, ...] = ()
 
     def is_chosen(self, args: argparse.Namespace) -> bool:
         """Return whether the command line asks for it."""
         return getattr(args, self.name) not in (None, False)
+
+
+# Options whose names in ``args`` are others.
+_WORDS = {"begin": "--from", "end": "--to"}
+
+
+def require_used(args: argparse.Namespace, chosen: Sequence[Action], actions: Sequence[Action]) -> None:
+    """Raise UsageError when an option is given that means nothing to any of the chosen actions."""
+    used = {option for action in chosen for option in action.options}
+    for option in dict.fromkeys(option for action in actions for option in action.options):
+        if option not in used and getattr(args, option) not in (None, False, []):
+            word = _WORDS.get(option, "--" + option.replace("_", "-"))
+            users = [f"--{action.name}" for action in actions if option in action.options]
+            raise UsageError("it means nothing here", key=word, expected=" or ".join(users) + " beside it")
+
+
+def other_recording(args: argparse.Namespace) -> Recording:
+    """Return the recording that ``--compare`` names; ``--play`` and ``--id`` are meant for it where it has such."""
+    from wheelleg_exp.inspection.target import find_target, names_a_run
+    from wheelleg_exp.recording.reader import Recording
+
+    path = find_target(args.compare, args.root, play=args.play and names_a_run(args.compare)).path
+    try:
+        return Recording(path)
+    except RunDirectoryError:
+        if args.id is None:
+            raise
+        return Recording(path, recording_id=args.id)

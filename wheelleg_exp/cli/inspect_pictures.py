@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.common import UsageError
-from wheelleg_exp.cli.inspect_action import Action, Inspected, Result
+from wheelleg_exp.cli.inspect_action import ROWS, Action, Inspected, Result, other_recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,10 +18,12 @@ if TYPE_CHECKING:
 
 def _plot(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection import plots
+    from wheelleg_exp.inspection.plot_data import Source
 
     plots.require_path(args.plot)
     plots.save(_figure(args, inspected), args.plot)
-    return _written(args.plot, {})
+    source = Source(inspected.recording, selection=inspected.selection)
+    return _written(args.plot, {"env": source.env_id}, f" ({source.whose})" if source.whose else "")
 
 
 def _figure(args: argparse.Namespace, inspected: Inspected) -> Figure:
@@ -37,11 +39,8 @@ def _figure(args: argparse.Namespace, inspected: Inspected) -> Figure:
 
 
 def _with_other(args: argparse.Namespace, inspected: Inspected) -> dict[str, Any]:
-    from wheelleg_exp.inspection.target import find_target
-    from wheelleg_exp.recording.reader import Recording
-
-    other = find_target(args.compare, args.root, play=args.play and not Path(args.compare).is_file())
-    return _labelled([(inspected.path, inspected.recording), (other.path, Recording(other.path))])
+    other = other_recording(args)
+    return _labelled([(inspected.path, inspected.recording), (other.path, other)])
 
 
 def _labelled(pairs: list[tuple[Path, Any]]) -> dict[str, Any]:
@@ -72,36 +71,54 @@ def _export(args: argparse.Namespace, inspected: Inspected) -> Result:
 def _screenshot(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection import pictures
 
-    shown = pictures.scenery(inspected.recording, inspected.selection.env_id)
     iterations = inspected.selection.iterations
-    row = pictures.row_at(shown, at=args.at, iteration=None if iterations is None else iterations[0])
+    iteration = None if iterations is None else iterations[0]
+    shown = pictures.scenery(inspected.recording, inspected.selection.env_id, args.at, iteration)
+    row = pictures.row_at(shown, at=args.at, iteration=iteration)
     time_s = float(shown.motion.time[row])
     if args.viewer:
         from wheelleg_exp.inspection.viewer import viewer_screenshot
 
-        size = {"width": args.width or 1600, "height": args.height or 900}
-        viewer_screenshot(inspected.path, args.screenshot, time_s=time_s, **size)
+        width, height = _size(args, 1600, 900)
+        viewer_screenshot(inspected.path, args.screenshot, time_s=time_s, width=width, height=height)
     else:
-        pictures.save(shown, row, args.screenshot, args.width or 1280, args.height or 720)
-    told = {"time_s": time_s, "step": int(shown.motion.step[row]), "iteration": shown.motion.iteration_at(row)}
-    return _written(args.screenshot, told, f" (t = {time_s:.2f} s)")
+        pictures.save(shown, row, args.screenshot, *_size(args, 1280, 720))
+    told = {
+        "time_s": time_s,
+        "step": int(shown.motion.step[row]),
+        "iteration": shown.motion.iteration_at(row),
+        "env": shown.source.env_id,
+    }
+    return _written(args.screenshot, told, f" ({_whose(shown.env_id)}t = {time_s:.3f} s)")
+
+
+def _size(args: argparse.Namespace, width: int, height: int) -> tuple[int, int]:
+    return width if args.width is None else args.width, height if args.height is None else args.height
+
+
+def _whose(env_id: int | None) -> str:
+    """Return of which of several recorded environments something is."""
+    return "" if env_id is None else f"environment {env_id}, "
 
 
 def _video(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.video import video
 
+    width, height = _size(args, 960, 540)
     done = video(
         inspected.recording,
         args.video,
         selection=inspected.selection,
-        fps=args.fps,
-        speed=args.speed,
-        width=args.width or 960,
-        height=args.height or 540,
+        fps=30.0 if args.fps is None else args.fps,
+        speed=1.0 if args.speed is None else args.speed,
+        width=width,
+        height=height,
         progress=_progress(),
     )
-    told = {"frames": done.frames, "fps": done.fps, "duration_s": done.duration, "codec": done.codec}
-    return _written(args.video, told, f" ({done.frames} pictures, {done.duration:.1f} s, {done.codec})")
+    told: dict[str, Any] = {"frames": done.frames, "fps": done.fps, "duration_s": done.duration, "codec": done.codec}
+    told["env"] = inspected.recording.env_ids[0] if inspected.selection.env_id is None else inspected.selection.env_id
+    words = f" ({_whose(done.env_id)}{done.frames} pictures, {done.duration:.1f} s, {done.codec})"
+    return _written(args.video, told, words)
 
 
 def _progress() -> Callable[[int, int], None] | None:
@@ -131,7 +148,7 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
         print(line, file=sys.stderr if args.json else sys.stdout, flush=True)
 
     with suppress(KeyboardInterrupt):  # the only way to end it
-        serve(_readable(inspected), say, port=args.port, browser=not args.no_browser)
+        serve(_readable(inspected), say, port=args.port or 0, browser=not args.no_browser)
     return Result({"closed": True}, lambda: None)
 
 
@@ -162,7 +179,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
 def _add_screenshot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--screenshot", type=Path, metavar="FILE", help="draw the robot into a .png, .jpg or .webp")
     parser.add_argument(
-        "--at", metavar="WHEN", help="at a simulated time (1.5s), or when a term is first not zero (terminations.x)"
+        "--at", metavar="WHEN", help="at a simulated time (1.5s) or step (90steps), or when a term is first not zero"
     )
     parser.add_argument("--viewer", action="store_true", help="draw rerun's whole viewer instead of the robot alone")
     parser.add_argument("--width", type=int, metavar="PX", help="of a picture or video")
@@ -170,9 +187,9 @@ def _add_screenshot(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_video(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--video", type=Path, metavar="FILE", help="draw the robot's motion into an .mp4")
-    parser.add_argument("--fps", type=float, default=30.0, metavar="N", help="pictures a second (default: 30)")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="0.25 is slow motion (default: 1)")
+    parser.add_argument("--video", type=Path, metavar="FILE", help="draw the robot's motion into an .mp4, .mkv or .mov")
+    parser.add_argument("--fps", type=float, metavar="N", help="pictures a second (default: 30)")
+    parser.add_argument("--speed", type=float, metavar="X", help="0.25 is slow motion (default: 1)")
 
 
 def _add_open(parser: argparse.ArgumentParser) -> None:
@@ -181,15 +198,15 @@ def _add_open(parser: argparse.ArgumentParser) -> None:
 
 def _add_web(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--web", action="store_true", help="serve rerun's viewer for a browser on this machine")
-    parser.add_argument("--port", type=int, default=0, metavar="N", help="of --web (default: a free one)")
+    parser.add_argument("--port", type=int, metavar="N", help="of --web (default: a free one)")
     parser.add_argument("--no-browser", action="store_true", help="with --web: open no browser")
 
 
 ACTIONS: tuple[Action, ...] = (
-    Action("plot", _add_plot, _plot),
-    Action("export", _add_export, _export),
-    Action("screenshot", _add_screenshot, _screenshot),
-    Action("video", _add_video, _video),
+    Action("plot", _add_plot, _plot, (*ROWS, "term")),
+    Action("export", _add_export, _export, (*ROWS, "term", "output")),
+    Action("screenshot", _add_screenshot, _screenshot, ("env", "iteration", "at", "viewer", "width", "height")),
+    Action("video", _add_video, _video, (*ROWS, "fps", "speed", "width", "height")),
     Action("open", _add_open, _open),
-    Action("web", _add_web, _web),
+    Action("web", _add_web, _web, ("port", "no_browser")),
 )

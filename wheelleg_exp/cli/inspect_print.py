@@ -12,19 +12,27 @@ from wheelleg_exp.inspection.columns import NumberEntry
 from wheelleg_exp.inspection.compare import NumberDifference, RecordingComparison
 from wheelleg_exp.inspection.frames import Frames
 from wheelleg_exp.inspection.query import Hit
+from wheelleg_exp.inspection.selection import Selection
 from wheelleg_exp.inspection.statistics import Moment, Statistics
 from wheelleg_exp.inspection.summary import Summary
-from wheelleg_exp.recording.health import Health
-from wheelleg_exp.recording.layout import SIM_TIME
+from wheelleg_exp.recording.layout import DOCUMENTS, SIM_TIME
 from wheelleg_exp.recording.reader import Recording
 from wheelleg_exp.recording.repair import Repaired
 
 Row = Sequence[str | None]
+_NOTES = 3  # the last of what happened to the recording
 
 
-def print_summary(summary: Summary, others: Sequence[Path]) -> None:
-    """Print what a recording holds, and its figures as tables."""
-    print_table(("recording", shown(Path(summary.path).absolute())), _head(summary))
+def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
+    """Print what a recording holds, and its figures as tables.
+
+    Args:
+        summary: the summary.
+        others: the run's other recordings.
+        selection: which rows its figures are of.
+        status: of the run that it is the training of; None without one.
+    """
+    print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, selection, status))
     if summary.purpose is None:
         print("\nThis was not recorded by wheelleg: there is no summary of what it tells.")
         print_table(
@@ -35,7 +43,7 @@ def print_summary(summary: Summary, others: Sequence[Path]) -> None:
     _section("sample episodes", ("iterations", "episodes", "survived", "lasted", "reward"), _samples(summary))
     _section("base", ("", "mean", "std", "RMS", "least", "most", "most at"), _base(summary))
     _section("tracking", ("velocity", "RMS error", "mean error", "largest", "mean command"), _tracking(summary))
-    _section("contact forces", ("body", "largest (N)", "at", "mean (N)", "in contact"), _forces(summary))
+    _section("contact forces", ("body", "largest within a step (N)", "at", "mean (N)", "in contact"), _forces(summary))
     _section("efforts", ("joint", "RMS", "largest", "limit", "at the limit"), _efforts(summary))
     _section("rewards", ("term", "weight", "mean (1/s)", "share"), _rewards(summary))
     _section("events", ("event", "times"), [(name, f"{count}") for name, count in summary.events.items()])
@@ -44,8 +52,8 @@ def print_summary(summary: Summary, others: Sequence[Path]) -> None:
         print("\nother recordings of this run: " + ", ".join(shown(path) for path in others))
 
 
-def print_statistics(found: Mapping[str, Statistics]) -> None:
-    """Print the statistics of numbers, one column a number."""
+def print_statistics(found: Mapping[str, Statistics], units: Mapping[str, str]) -> None:
+    """Print the statistics of numbers, one column a number, under their names and units."""
     rows: list[tuple[str, ...]] = [
         ("count", *(str(s.count) for s in found.values())),
         ("NaN", *(str(s.nan) for s in found.values())),
@@ -63,20 +71,22 @@ def print_statistics(found: Mapping[str, Statistics]) -> None:
         ("maximum", *(_number(s.maximum) for s in found.values())),
         ("  at", *(_when(s.maximum_at) for s in found.values())),
     ]
-    print_table(("statistic", *found), rows)
+    print_table(("statistic", *(_named(name, units) for name in found)), rows)
 
 
-def print_hits(hits: Sequence[Hit], limit: int) -> None:
-    """Print the moments in which a condition holds, and the rows around each."""
+def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> None:
+    """Print the moments in which a condition holds, and the rows around each under the numbers' names and units."""
     several = len({hit.first.env_id for hit in hits}) > 1
     print(f"it holds {len(hits)} times" if len(hits) != 1 else "it holds once")
+    if not limit:
+        return
     if hits and hits[0].around is None:
         rows = [(_when(hit.first, several), _when(hit.last), str(hit.frames)) for hit in hits[:limit]]
         print_table(("from", "to", "frames"), rows)
     else:
         for hit in hits[:limit]:
             print(f"\n{_when(hit.first, several)}" + (f" to {_when(hit.last)}" if hit.frames > 1 else ""))
-            _print_rows(hit)
+            _print_rows(hit, units)
     if len(hits) > limit:
         print(f"… and {len(hits) - limit} more (--limit)")
 
@@ -91,6 +101,8 @@ def print_comparison(found: RecordingComparison, first: Recording, second: Recor
     rows += [("only in a", str(len(found.only_first)), _some(found.only_first))] if found.only_first else []
     rows += [("only in b", str(len(found.only_second)), _some(found.only_second))] if found.only_second else []
     print_table(("entities", "count", ""), rows)
+    if first.env_ids != second.env_ids:
+        print("they record other environments: " + " and ".join(_listed(r.env_ids) for r in (first, second)))
     if found.numbers:
         print("\nnumbers that differ, the first to part before the others")
         columns = ("number", "parts at", "a", "b", "largest difference", "mean a", "mean b", "std a", "std b")
@@ -125,18 +137,22 @@ def _section(title: str, columns: Sequence[str], rows: Sequence[Row]) -> None:
         print_table(columns, rows)
 
 
-def _head(summary: Summary) -> list[Row]:
+def _head(summary: Summary, selection: Selection, status: str | None) -> list[Row]:
     own, health = summary.properties.get("wheelleg", {}), summary.health
     spans = summary.timelines
+    what = " of ".join(str(word) for word in (summary.purpose or "another tool's", own.get("task")) if word)
+    agent = f" ({own['agent']} agent)" if own.get("agent") not in (None, "policy") else ""
     rows: list[Row] = [
-        ("what it is", " of ".join(str(w) for w in (summary.purpose or "another tool's", own.get("task")) if w)),
+        ("what it is", what + agent),
+        ("run", status),
         (
             "size",
-            f"{health['size'] / 1e6:.2f} MB, {sum(part.rows for part in summary.parts)} rows of "
+            f"{health.size / 1e6:.2f} MB, {sum(part.rows for part in summary.parts)} rows of "
             f"{sum(part.entities for part in summary.parts)} entities",
         ),
-        ("health", "; ".join(_health(health))),
-        ("environments", ", ".join(map(str, summary.env_ids)) if summary.purpose else None),
+        ("health", "; ".join(health.lines())),
+        *(("note", event.text) for event in summary.notes[-_NOTES:]),
+        ("environments", _listed(summary.env_ids) if summary.purpose else None),
     ]
     if "sim_time" in spans:
         rows.append(("simulated time", f"{spans['sim_time'].first:.3f} s to {spans['sim_time'].last:.3f} s"))
@@ -145,13 +161,14 @@ def _head(summary: Summary) -> list[Row]:
         for name in ("step", "iteration")
         if name in spans
     ]
-    rows.append(("holds", ", ".join(part.name for part in summary.parts)))
+    rows.append(("holds", ", ".join(part.name for part in summary.parts if part.rows or part.name == DOCUMENTS)))
+    if not selection.is_all and summary.frames is not None:
+        rows.append(("figures are of", "{} of {} frames".format(*summary.frames)))
     return [row for row in rows if row[1]]
 
 
-def _health(health: Mapping[str, object]) -> list[str]:
-    fields = {name: health[name] for name in ("size", "readable", "messages", "is_closed", "damaged", "writer")}
-    return Health(**fields).lines()  # type: ignore[arg-type]
+def _listed(env_ids: Iterable[int]) -> str:
+    return ", ".join(map(str, env_ids))
 
 
 def _episodes(summary: Summary) -> list[Row]:
@@ -174,7 +191,7 @@ def _samples(summary: Summary) -> list[Row]:
             f"{s.iteration} to {s.last_iteration}",
             f"{s.episodes}",
             _share(s.survival),
-            f"{s.mean_duration_s:.2f} s",
+            "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f} s",
             _number(s.mean_reward),
         )
         for s in summary.samples
@@ -220,7 +237,7 @@ def _efforts(summary: Summary) -> list[Row]:
 
 
 def _rewards(summary: Summary) -> list[Row]:
-    ordered = sorted(summary.rewards, key=lambda reward: -reward.share)
+    ordered = sorted(summary.rewards, key=lambda reward: -(reward.share or 0.0))
     return [(r.term, _number(r.weight), _number(r.mean), _share(r.share)) for r in ordered]
 
 
@@ -244,7 +261,7 @@ def _difference(found: NumberDifference) -> Row:
     return (found.name, at, *(_number(value) for value in (*values, *sides)))
 
 
-def _print_rows(hit: Hit) -> None:
+def _print_rows(hit: Hit, units: Mapping[str, str]) -> None:
     frames = hit.around
     if frames is None:
         return
@@ -254,7 +271,11 @@ def _print_rows(hit: Hit) -> None:
         ("*" if _inside(frames, row, first, last) else "", *(_cell(frames, name, row) for name in columns))
         for row in range(len(frames))
     ]
-    print_table(("", *columns), rows)
+    print_table(("", *(_named(name, units) for name in columns)), rows)
+
+
+def _named(name: str, units: Mapping[str, str]) -> str:
+    return f"{name} ({units[name]})" if name in units else name
 
 
 def _inside(frames: Frames, row: int, first: int | None, last: int | None) -> bool:

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.common import UsageError
-from wheelleg_exp.cli.inspect_action import Action, Inspected, Result
+from wheelleg_exp.cli.inspect_action import ROWS, Action, Inspected, Result, other_recording
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
 if TYPE_CHECKING:
     from wheelleg_exp.inspection.selection import Selection
+
+_LIMIT = 10  # lines that are printed
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
@@ -32,15 +34,17 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
 
 def selection_of(args: argparse.Namespace) -> Selection:
     """Return the rows that the options choose (WheellegError when they are wrong)."""
-    from wheelleg_exp.inspection.selection import Selection, parse_iterations
+    from wheelleg_exp.inspection.selection import Selection, parse_iterations, require_order
     from wheelleg_exp.inspection.spans import parse_length
 
-    return Selection(
+    chosen = Selection(
         env_id=args.env,
         iterations=None if args.iteration is None else parse_iterations(args.iteration),
         begin=None if args.begin is None else parse_length(args.begin, "--from"),
         end=None if args.end is None else parse_length(args.end, "--to"),
     )
+    require_order(chosen)
+    return chosen
 
 
 def _summary(_args: argparse.Namespace, inspected: Inspected) -> Result:
@@ -49,22 +53,26 @@ def _summary(_args: argparse.Namespace, inspected: Inspected) -> Result:
 
     summary = summarize(inspected.recording, inspected.selection)
     others = inspected.target.others()
-    document = {**summary.as_dict(), "other_recordings": [str(path) for path in others]}
-    return Result(document, lambda: print_summary(summary, others))
+    status = inspected.target.status
+    document = {**summary.as_dict(), "run_status": status, "other_recordings": [str(path) for path in others]}
+    return Result(document, lambda: print_summary(summary, others, inspected.selection, status))
 
 
 def _statistics(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.cli.inspect_print import print_statistics
-    from wheelleg_exp.inspection.columns import term_statistics
+    from wheelleg_exp.inspection.columns import term_statistics, units
 
     if not args.term:
         raise UsageError("it is not said of what", key="--stats", expected="--term NAME, such as rewards.base_height")
     found = term_statistics(inspected.recording, args.term, inspected.selection)
-    return Result({name: value.as_dict() for name, value in found.items()}, lambda: print_statistics(found))
+    words = units(inspected.recording, found, inspected.selection.env_id)
+    document = {name: {**value.as_dict(), "unit": words.get(name)} for name, value in found.items()}
+    return Result(document, lambda: print_statistics(found, words))
 
 
 def _where(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.cli.inspect_print import print_hits
+    from wheelleg_exp.inspection.columns import units
     from wheelleg_exp.inspection.conditions import Condition
     from wheelleg_exp.inspection.query import find_hits
     from wheelleg_exp.inspection.spans import parse_length
@@ -73,7 +81,8 @@ def _where(args: argparse.Namespace, inspected: Inspected) -> Result:
     around = None if args.around is None else parse_length(args.around, "--around")
     hits = find_hits(inspected.recording, condition, columns=args.term, around=around, selection=inspected.selection)
     document = {"condition": condition.text, "count": len(hits), "hits": [_hit(hit) for hit in hits]}
-    return Result(document, lambda: print_hits(hits, args.limit))
+    words = units(inspected.recording, args.term or condition.names, inspected.selection.env_id)
+    return Result(document, lambda: print_hits(hits, _limit(args), words))
 
 
 def _hit(hit: Any) -> dict[str, Any]:
@@ -84,24 +93,33 @@ def _hit(hit: Any) -> dict[str, Any]:
 def _compare(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.cli.inspect_print import print_comparison
     from wheelleg_exp.inspection.compare import compare
-    from wheelleg_exp.inspection.target import find_target
-    from wheelleg_exp.recording.reader import Recording
 
-    other = Recording(find_target(args.compare, args.root, play=args.play and not Path(args.compare).is_file()).path)
+    other = other_recording(args)
     found = compare(inspected.recording, other)
     document = {"other": str(other.path), **found.as_dict()}
     return Result(
         document,
-        lambda: print_comparison(found, inspected.recording, other, args.limit),
+        lambda: print_comparison(found, inspected.recording, other, _limit(args)),
         EXIT_OK if found.is_equal else EXIT_FINDING,
+        _of_all(inspected),
     )
+
+
+def _of_all(inspected: Inspected) -> tuple[str, ...]:
+    """Return what to know of the comparison when rows are chosen, which then are those of other actions."""
+    return () if inspected.selection.is_all else ("note: --compare compares the whole recordings",)
+
+
+def _limit(args: argparse.Namespace) -> int:
+    return _LIMIT if args.limit is None else args.limit
 
 
 def _repair(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.cli.inspect_print import print_repaired
     from wheelleg_exp.recording.repair import repair
 
-    done = repair(inspected.path, args.output)
+    with inspected.target.resting():
+        done = repair(inspected.path, args.output)
     document = {**asdict(done), "health": done.health.as_dict()}
     return Result(document, lambda: print_repaired(done))
 
@@ -123,7 +141,7 @@ def _add_where(parser: argparse.ArgumentParser) -> None:
         "--where", metavar="CONDITION", help="print when it holds: 'terminations.base_contact', 'base.pitch > 0.3'"
     )
     parser.add_argument("--around", metavar="LENGTH", help="with the rows around it: 0.5s, 200ms, 30steps")
-    parser.add_argument("--limit", type=_count, default=10, metavar="N", help="how many are printed (default: 10)")
+    parser.add_argument("--limit", type=_count, metavar="N", help="how many are printed (default: 10)")
 
 
 def _count(text: str) -> int:
@@ -136,13 +154,13 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compare", metavar="RUN|FILE", help="another recording; exit status 1 when they differ")
 
 
-SUMMARY = Action("summary", _flag("--summary", "print the summary beside what else is asked for"), _summary)
-STATISTICS = Action("stats", _flag("--stats", "print the statistics of each --term"), _statistics)
+SUMMARY = Action("summary", _flag("--summary", "print the summary beside what else is asked for"), _summary, ROWS)
+STATISTICS = Action("stats", _flag("--stats", "print the statistics of each --term"), _statistics, (*ROWS, "term"))
 ACTIONS: tuple[Action, ...] = (
-    Action("repair", _flag("--repair", "write a mended copy of a recording that was cut off"), _repair),
+    Action("repair", _flag("--repair", "write a mended copy of a recording that was cut off"), _repair, ("output",)),
     SUMMARY,
-    Action("names", _flag("--names", "print the names of all recorded numbers"), _list),
+    Action("names", _flag("--names", "print the names of all recorded numbers"), _list, ("env",)),
     STATISTICS,
-    Action("where", _add_where, _where),
-    Action("compare", _add_compare, _compare),
+    Action("where", _add_where, _where, (*ROWS, "term", "around", "limit")),
+    Action("compare", _add_compare, _compare, ("limit",)),
 )

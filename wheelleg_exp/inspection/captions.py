@@ -17,11 +17,13 @@ _INK, _BACK = (31, 41, 51, 255), (255, 255, 255, 205)
 _COMMANDS = (("v_x", "forward", "m/s"), ("v_y", "sideways", "m/s"), ("w_z", "turning", "rad/s"))
 
 
-def lines(motion: Motion, row: int) -> list[str]:
-    """Return what is said of a frame: its time, its iteration, the command if there ever was one."""
+def lines(motion: Motion, row: int, env_id: int | None = None) -> list[str]:
+    """Return what is said of a frame: environment, iteration, time, and the command if there ever was one."""
     said = [f"t = {motion.time[row]:.2f} s"]
     if (iteration := motion.iteration_at(row)) is not None:
         said.insert(0, f"iteration {iteration}")
+    if env_id is not None:
+        said.insert(0, f"environment {env_id}")
     told = [
         f"{word} {motion.commands[name][row]:+.2f} {unit}"
         for name, word, unit in _COMMANDS

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelleg_exp.inspection.names import frames_for
-from wheelleg_exp.inspection.selection import Selection
+from wheelleg_exp.inspection.names import find_number, frames_for
+from wheelleg_exp.inspection.selection import Selection, nothing_chosen
 from wheelleg_exp.inspection.statistics import Moment, Statistics, statistics
+from wheelleg_exp.recording.layout import unit
 from wheelleg_exp.recording.reader import Recording
 
 
@@ -30,6 +31,16 @@ def number_list(recording: Recording, env_id: int | None = None) -> list[NumberE
     return [NumberEntry(n.name, recording.count(n.entity)) for n in recording.all_numbers(env_id).values()]
 
 
+def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:
+    """Return the unit of each number that has one, by the name that was asked for.
+
+    Raises:
+        WheellegError: a name is wrong.
+    """
+    found = {name: unit(find_number(recording, name, env_id).entity) for name in names}
+    return {name: word for name, word in found.items() if word}
+
+
 def term_statistics(recording: Recording, names: Iterable[str], selection: Selection) -> dict[str, Statistics]:
     """Return the statistics of numbers over all chosen environments.
 
@@ -41,6 +52,8 @@ def term_statistics(recording: Recording, names: Iterable[str], selection: Selec
 
 def _statistics(recording: Recording, name: str, selection: Selection) -> Statistics:
     parts = frames_for(recording, [name], selection)
+    if not any(map(len, parts)) and not selection.is_all:
+        raise nothing_chosen(recording)
     values = np.concatenate([frames.column(name) for frames in parts])
     ends = np.cumsum([len(frames) for frames in parts])
 

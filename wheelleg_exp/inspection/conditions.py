@@ -20,6 +20,7 @@ from wheelleg_exp.errors import WheellegError
 
 LONGEST = 2000
 DEEPEST = 60
+_SHOWN = 120  # letters of a wrong condition
 _COMPARE: dict[type, Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -65,7 +66,7 @@ class Condition:
 
 def _parsed(text: str) -> ast.expr:
     if len(text) > LONGEST:
-        raise _wrong(text[:40] + "…", f"it has more than {LONGEST} characters")
+        raise _wrong(text, f"it has more than {LONGEST} characters")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -183,4 +184,5 @@ def _any(parts: list[Any]) -> Value:
 
 
 def _wrong(text: str, reason: str) -> WheellegError:
-    return WheellegError(f"'{text}' is no condition: {reason}", key="--where", expected=_EXPECTED)
+    shown = text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
+    return WheellegError(f"'{shown}' is no condition: {reason}", key="--where", expected=_EXPECTED)

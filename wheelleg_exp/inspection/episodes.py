@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -46,6 +47,31 @@ class Episode:
     outcome: str
     ended_by: tuple[str, ...]
     total_reward: float | None
+
+
+def survival(found: Sequence[Episode]) -> float | None:
+    """Return the share of the ended episodes that reached the time-out; None when none ended."""
+    ended = _ended(found)
+    return sum(episode.outcome == TIMED_OUT for episode in ended) / len(ended) if ended else None
+
+
+def mean_duration(found: Sequence[Episode]) -> float | None:
+    """Return how long the ended episodes lasted, s; None when none ended."""
+    ended = _ended(found)
+    return float(np.mean([episode.duration_s for episode in ended])) if ended else None
+
+
+def mean_reward(found: Sequence[Episode]) -> float | None:
+    """Return the mean sum of rewards of the ended episodes that were recorded from their beginning; None without.
+
+    Others would make a mean of what is not alike: the end of an episode may cost more than all before it.
+    """
+    rewards = [e.total_reward for e in _ended(found) if e.is_from_start and e.total_reward is not None]
+    return float(np.mean(rewards)) if rewards else None
+
+
+def _ended(found: Sequence[Episode]) -> list[Episode]:
+    return [episode for episode in found if episode.outcome != UNFINISHED]
 
 
 def episodes(view: View) -> list[Episode]:

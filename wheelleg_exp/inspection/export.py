@@ -15,11 +15,11 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
-from wheelleg_exp.errors import RunDirectoryError, WheellegError
+from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.inspection.frames import TIMES
 from wheelleg_exp.inspection.names import find_number, frames_for, is_of_env
 from wheelleg_exp.inspection.new_file import require_new, write_new
-from wheelleg_exp.inspection.selection import Selection
+from wheelleg_exp.inspection.selection import Selection, nothing_chosen
 from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP, unit
 from wheelleg_exp.recording.reader import Recording
 from wheelleg_exp.run.files import for_people
@@ -72,11 +72,13 @@ def export(
     chosen = Selection() if selection is None else selection
     if terms:
         table = _of_terms(recording, terms, chosen)
+        if not len(table) and not chosen.is_all:
+            raise nothing_chosen(recording)
         write_new(output, encoded(table, kind))
         return [_told(output, "terms", table)]
     tables = {group: table for group in _groups(recording) if (table := _of_group(recording, group, chosen)).num_rows}
     if not tables:
-        raise RunDirectoryError(f"nothing of '{recording.path}' is chosen", expected="rows to export")
+        raise nothing_chosen(recording)
     _write_folder(output, tables, kind)
     return [_told(output / f"{group}.{kind}", group, table) for group, table in tables.items()]
 

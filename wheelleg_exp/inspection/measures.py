@@ -34,7 +34,7 @@ class TrackingError:
     mean_absolute: float
     mean: float
     largest: float
-    mean_command: float
+    mean_command: float | None
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class ForceExtreme:
 
     Attributes:
         sensor, body: where it was measured.
-        largest_n: the largest norm, N.
+        largest_n: the largest norm within a step, N; where that was not recorded, at the end of one.
         at: when that was.
-        mean_n: the mean norm, N.
-        contact_share: share of the frames with any force.
+        mean_n: the mean norm at the end of a step, N.
+        contact_share: share of the frames with any force at their end.
     """
 
     sensor: str
@@ -82,16 +82,16 @@ class RewardShare:
     Attributes:
         term: the term.
         weight: its weight as configured; None when it was not recorded.
-        mean: its mean, 1/s.
+        mean: its mean, 1/s; None when there is no number.
         total: its sum over the recorded time.
-        share: its share of the sum of the terms' sizes, 0 to 1.
+        share: its share of the sum of the terms' sizes, 0 to 1; None when that is 0.
     """
 
     term: str
     weight: float | None
-    mean: float
+    mean: float | None
     total: float
-    share: float
+    share: float | None
 
 
 def tracking_errors(view: View) -> list[TrackingError]:
@@ -159,7 +159,7 @@ def reward_shares(view: View) -> list[RewardShare]:
             weight=None if weights.get(name) is None else float(weights[name]),
             mean=_mean(values),
             total=float(np.nansum(values)) * step_dt,
-            share=sizes[name] / everything if everything else 0.0,
+            share=sizes[name] / everything if everything else None,
         )
         for name, values in rows.items()
     ]
@@ -207,7 +207,7 @@ def _limit(view: View, joint: str) -> float | None:
     return float(said[0]) if said and np.isfinite(said[0]) else None
 
 
-def _mean(values: NDArray[np.float64]) -> float:
-    """Return the mean of the numbers among values, 0 when there are none."""
+def _mean(values: NDArray[np.float64]) -> float | None:
+    """Return the mean of the numbers among values, None when there are none."""
     known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else 0.0
+    return float(known.mean()) if len(known) else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from wheelleg_exp.inspection.plot_data import Sample, Source
 from wheelleg_exp.inspection.render_job import Arrow, Order, View
 from wheelleg_exp.inspection.renderer import drawing
 from wheelleg_exp.inspection.scene_of import Motion, Scene, frames_of, motion_of, scene_of
+from wheelleg_exp.inspection.spans import Length, parse_length
 from wheelleg_exp.recording.reader import Recording
 
 _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
@@ -31,21 +31,38 @@ _SHORTEST, _LONGEST = 0.02, 1.2  # arrows, in robots' heights: shorter ones are 
 
 @dataclass(frozen=True)
 class Scenery:
-    """A recording ready to be drawn: where it is from, its shapes, its motion, its samples."""
+    """A recording ready to be drawn: where it is from, its shapes, its motion, its samples.
+
+    Attributes:
+        env_id: which environment it is; None when one alone was recorded.
+    """
 
     source: Source
     scene: Scene
     motion: Motion
     samples: Sequence[Sample]
 
+    @property
+    def env_id(self) -> int | None:
+        """Which of several recorded environments it is; None when one alone was recorded."""
+        return self.source.env_id if len(self.source.recording.env_ids) > 1 else None
 
-def scenery(recording: Recording, env: int | None = None) -> Scenery:
-    """Return what a recording shows of one of its environments, by default the first.
+
+def scenery(
+    recording: Recording, env: int | None = None, at: str | None = None, iteration: int | None = None
+) -> Scenery:
+    """Return what a recording shows of one of its environments.
+
+    Args:
+        recording: the recording.
+        env: which environment; by default that in which ``at`` happened first, else the first.
+        at: a moment in words, see ``screenshot``.
+        iteration: the training iteration in which that is looked for.
 
     Raises:
         RunDirectoryError: it holds no moving robot, or not that environment.
     """
-    source = Source(recording, env)
+    source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
     motion = motion_of(source, scene)
     if not len(motion.step):
@@ -72,11 +89,11 @@ def screenshot(
         path: the file: .png, .jpg or .webp; it must not be there yet.
         time_s: the moment, simulated time, s; with ``iteration`` from where that begins. By default the middle of the
             iteration, or of the last sample.
-        env: which recorded environment; by default the first.
+        env: which recorded environment; by default the first, or that in which the term of ``at`` happened first.
         width: px.
         height: px.
-        at: the moment in words: ``1.5s``, or a term such as ``terminations.base_contact`` for the first time that it
-            is not zero.
+        at: the moment in words: ``1.5s``, ``400ms``, ``90steps``, or a term such as ``terminations.base_contact`` for
+            the first time that it is not zero.
         iteration: the training iteration.
         caption: whether time, command and the meaning of arrows are written into it.
 
@@ -87,7 +104,7 @@ def screenshot(
         WheellegError: the moment, the size or the path is wrong, or nothing can be drawn on this machine.
     """
     _kind(Path(path))
-    shown = scenery(recording, env)
+    shown = scenery(recording, env, at, iteration)
     row = row_at(shown, time_s=time_s, at=at, iteration=iteration)
     save(shown, row, path, width, height, caption=caption)
     return float(shown.motion.time[row])
@@ -131,7 +148,8 @@ def pictures(
     if not caption:
         return drawn
     colours = captions.legend(shown.motion)
-    return [captions.write(p, captions.lines(shown.motion, r), colours) for p, r in zip(drawn, rows, strict=True)]
+    texts = [captions.lines(shown.motion, row, shown.env_id) for row in rows]
+    return [captions.write(p, text, colours) for p, text in zip(drawn, texts, strict=True)]
 
 
 def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float) -> View:
@@ -162,9 +180,10 @@ def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None
     times = shown.motion.time
     everything = np.arange(len(times))
     if at is not None:
-        time_s = seconds_in(at)
-        if time_s is None:
+        length = _length(at)
+        if length is None:
             return _row_of_term(shown, at, everything if iteration is None else _of_iteration(shown, iteration))
+        time_s = length.value * (_step_dt(shown) if length.is_steps else 1.0)
     if iteration is not None:
         rows = _of_iteration(shown, iteration)
         if time_s is None:
@@ -199,10 +218,31 @@ def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
     return np.flatnonzero(shown.motion.iteration == iteration)
 
 
-def seconds_in(words: str) -> float | None:
-    """Return the seconds that words such as ``1.5s`` or ``1.5`` say, None when they name something else."""
-    found = re.fullmatch(r"\s*([+-]?\d+(?:\.\d*)?|\.\d+)\s*s?\s*", words)
-    return float(found[1]) if found else None
+def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
+    """Return the environment in which a term is first not zero; None for a time, or when it never is."""
+    if _length(at) is not None:
+        return None
+    found: dict[int, int] = {}
+    for env_id in recording.env_ids:
+        source = Source(recording, env_id)
+        entity = source.find(at)
+        steps = () if entity is None else _steps_of_term(source, entity, iteration).tolist()
+        if steps:
+            found[env_id] = steps[0]
+    return min(found, key=lambda env_id: found[env_id], default=None)
+
+
+def _length(words: str) -> Length | None:
+    """Return the moment that words such as ``1.5s`` say, None when they name something else."""
+    try:
+        return parse_length(words, "--at")
+    except WheellegError:
+        return None
+
+
+def _step_dt(shown: Scenery) -> float:
+    """Return what a control step lasts, s."""
+    return shown.source.recording.step_dt or float(shown.motion.time[-1]) / max(int(shown.motion.step[-1]), 1)
 
 
 def require_size(width: int, height: int) -> None:
@@ -246,15 +286,22 @@ def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
         names = [f"terminations.{n}" for n in source.fired()] + [f"events.{n}" for n in source.below("events")]
         raise WheellegError(
             f"'{term}' is neither a time nor a recorded term",
-            expected="a time such as 1.5s, or one of " + ", ".join(names),
+            expected="a time such as 1.5s or 90steps, or one of " + ", ".join(names),
             nearest=nearest_name(term, names),
         )
-    series = source.series(entity)
-    hits = series.step[np.any(np.nan_to_num(series.values) != 0, axis=1)]
-    found = inside[np.isin(shown.motion.step[inside], hits)]
+    found = inside[np.isin(shown.motion.step[inside], _steps_of_term(source, entity))]
     if not len(found):
         raise WheellegError(f"'{term}' is zero at every recorded step", expected="a term that happened")
     return int(found[0])
+
+
+def _steps_of_term(source: Source, entity: str, iteration: int | None = None) -> NDArray[np.int64]:
+    """Return the steps, by default of all iterations, at which a number of an entity is not zero."""
+    series = source.series(entity)
+    happened = np.any(np.nan_to_num(series.values) != 0, axis=1)
+    if iteration is not None and series.iteration is not None:
+        happened &= series.iteration == iteration
+    return series.step[happened]
 
 
 def _nearest(times: NDArray[np.float64], rows: NDArray[np.intp], moment: float) -> int:

@@ -78,6 +78,9 @@ class Source:
         env: which recorded environment; by default the selection's, else the first.
         selection: which rows.
 
+    Attributes:
+        env_id: the environment.
+
     Raises:
         RunDirectoryError: that environment was not recorded.
     """
@@ -86,9 +89,15 @@ class Source:
         self.recording = recording
         self.selection = Selection() if selection is None else selection
         env = self.selection.env_id if env is None else env
+        self.env_id = recording.env_ids[0] if env is None else env
         self._entities = recording.entities()
         self.branch = recording.branch(env)
         self.config = _config(recording)
+
+    @property
+    def whose(self) -> str:
+        """Which of several recorded environments it is, in words; empty when one alone was recorded."""
+        return f"environment {self.env_id}" if len(self.recording.env_ids) > 1 else ""
 
     def path(self, *parts: str) -> str:
         """Return the path of something of the environment."""

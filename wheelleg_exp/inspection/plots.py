@@ -72,7 +72,13 @@ class Plot:
         Raises:
             RunDirectoryError: the recording holds nothing for it.
         """
-        return self._figure(self.panels(Source(recording, env, selection)), size, columns, f"'{recording.path}'")
+        source = Source(recording, env, selection)
+        return self._figure(self.panels(source), size, columns, f"'{recording.path}'", self.heading(source))
+
+    def heading(self, source: Source) -> str:
+        """Return the title, with the environment where one of several is shown."""
+        is_of_all = source.is_training and self.of_scalars is not None
+        return f"{self.title}, {source.whose}" if source.whose and not is_of_all else self.title
 
     def each(self, recording: Recording, *, env: int | None = None) -> list[Panel]:
         """Return the panels one by one, for pages that flow; ``figures_style.tile([panel], size=...)`` draws one."""
@@ -85,12 +91,14 @@ class Plot:
             RunDirectoryError: the scalars hold nothing for it.
         """
         found = [] if self.of_scalars is None else self.of_scalars(scalars)
-        return self._figure(found, size, columns, "the scalars")
+        return self._figure(found, size, columns, "the scalars", self.title)
 
-    def _figure(self, panels: list[Panel], size: tuple[float, float] | None, columns: int, source: str) -> Figure:
+    def _figure(
+        self, panels: list[Panel], size: tuple[float, float] | None, columns: int, source: str, title: str
+    ) -> Figure:
         if not panels:
             raise RunDirectoryError(f"{source} holds nothing for the plot '{self.name}'")
-        figure = tile(panels, title=self.title if size is None else None, columns=columns, size=size)
+        figure = tile(panels, title=title if size is None else None, columns=columns, size=size)
         figure.set_label(self.name)
         return figure
 
@@ -179,7 +187,7 @@ def default_page(recording: Recording, *, selection: Selection | None = None) ->
     """
     source = Source(recording, selection=selection)
     plots = [PLOTS[name] for name in PAGES[source.is_training]]
-    sections = [(plot.title, panels) for plot in plots if (panels := plot.panels(source))]
+    sections = [(plot.heading(source), panels) for plot in plots if (panels := plot.panels(source))]
     if not sections:
         raise RunDirectoryError(
             f"'{recording.path}' holds nothing that the default figures show", expected="--term with one of its terms"
@@ -194,7 +202,9 @@ def terms_figure(recording: Recording, terms: Sequence[str], *, selection: Selec
         RunDirectoryError: a term is not in the recording.
     """
     source = Source(recording, selection=selection)
-    return tile([panel for term in terms for panel in _term(source, term)])
+    panels = [panel for term in terms for panel in _term(source, term)]
+    of_training = all((source.find(term) or "").startswith(f"{TRAINING}/") for term in terms)
+    return tile(panels, title=None if of_training else source.whose.capitalize() or None)
 
 
 def overlay(
@@ -210,7 +220,8 @@ def overlay(
     Raises:
         RunDirectoryError: a term is in none of the recordings, or they have nothing in common.
     """
-    sources = {label: Source(r, selection=selection) for label, r in recordings.items()}
+    named = {label: Source(r, selection=selection) for label, r in recordings.items()}
+    sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}
     if terms:
         words = [terms] if isinstance(terms, str) else list(terms)
         return tile([panel for term in words for panel in _overlaid(sources, term)])
@@ -281,7 +292,7 @@ def _title(term: str) -> str:
     """Return the title that a term has in the default figures, else its name."""
     word = term.removeprefix(f"{TRAINING}/")
     named = {key: title for key, title, _ in plots_training.CURVES} | plots_motion.TITLES
-    return named.get(word, word)
+    return named.get(word, plots_motion.with_unit(word, word.replace(".", "/")))
 
 
 def _overlaid_panel(

@@ -21,6 +21,7 @@ from wheelleg_exp.inspection.figures_style import (
 )
 from wheelleg_exp.inspection.plot_data import Sample, Series, Source, broken
 from wheelleg_exp.inspection.plots_training import shares
+from wheelleg_exp.recording.layout import unit
 
 _VELOCITIES = (
     ("v_x", "Forward velocity", "m/s"),
@@ -64,17 +65,22 @@ def joints(source: Source) -> list[Panel]:
 
 
 def contact_forces(source: Source) -> list[Panel]:
-    """Return the contact force of every body that was touched; of a training, in the last sample."""
+    """Return the contact force of every body that was touched, at the end of each step and its largest within it.
+
+    Of a training, in the last sample.
+    """
     panels = []
     for sensor in source.below("contacts"):
         series = source.maybe("contacts", sensor)
         if series is None:
             continue
-        shown = _last(source, series)
-        touched = [i for i in range(len(series.names)) if np.nanmax(shown.values[:, i], initial=0.0) > 0]
-        top = float(np.nanmax(shown.values, initial=0.0))
+        shown, peak = _last(source, series), _peak(source, sensor, series)
+        most = shown.values if peak is None else np.fmax(shown.values, peak.values)
+        touched = [i for i in range(len(series.names)) if np.nanmax(most[:, i], initial=0.0) > 0]
+        top = float(np.nanmax(most, initial=0.0))
         for i in touched:
-            panels.append(Panel(f"{series.names[i]}: contact force (N)", _force(source, shown, i, top), height=_SHORT))
+            draw = _force(source, shown, peak, i, top)
+            panels.append(Panel(f"{series.names[i]}: contact force (N)", draw, height=_SHORT))
         if len(touched) < len(series.names):
             never = [name for i, name in enumerate(series.names) if i not in touched]
             panels.append(_words(f"Never touched ({sensor})", never))
@@ -100,7 +106,8 @@ def terminations(source: Source) -> list[Panel]:
         axes.grid(axis="x", visible=False)
         axes.set_xlabel("iteration" if source.is_training else "simulated time (s)")
 
-    return [Panel("When terminations fired", draw, height=0.8 + 0.26 * len(fired), wide=True)]
+    title = "When terminations fired" + (f", {source.whose}" if source.whose else "")
+    return [Panel(title, draw, height=0.8 + 0.26 * len(fired), wide=True)]
 
 
 def rewards(source: Source) -> list[Panel]:
@@ -114,7 +121,8 @@ def rewards(source: Source) -> list[Panel]:
         for name, series in terms.items()
         if np.any(np.nan_to_num(series.first) != 0)
     ]
-    return [shares(means, "whole recording" if not source.is_training else "recorded steps"), *courses]
+    span = "recorded steps" if source.is_training else "whole recording"
+    return [shares(means, f"Mean reward by term, {span}", "1/s"), *courses]
 
 
 def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
@@ -127,9 +135,16 @@ def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
             axes.plot(*broken(series, source.ends(), i), color=BLUE)
             over_time(axes)
 
-        return Panel(f"{title}: {name}" if many else title, draw, height=_SHORT if many else 3.0, wide=not many)
+        shown = with_unit(f"{title}: {name}" if many else title, entity)
+        return Panel(shown, draw, height=_SHORT if many else 3.0, wide=not many)
 
     return [panel(i, name) for i, name in enumerate(series.names)]
+
+
+def with_unit(title: str, entity: str) -> str:
+    """Return a title with the unit of an entity, where that has one."""
+    found = unit(entity)
+    return f"{title} ({found})" if found else title
 
 
 def over_time(axes: Axes, label: str = "", *, relative: bool = False) -> None:
@@ -250,13 +265,24 @@ def _effort(source: Source, entity: str, limit: float | None) -> Callable[[Axes]
     return draw
 
 
-def _force(source: Source, series: Series, column: int, top: float) -> Callable[[Axes], None]:
+def _peak(source: Source, sensor: str, series: Series) -> Series | None:
+    """Return the largest forces within each step, row by row beside those at its end; None when not recorded so."""
+    peak = source.maybe("contacts", sensor, "peak")
+    if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
+        return None
+    return _last(source, peak)
+
+
+def _force(source: Source, series: Series, peak: Series | None, column: int, top: float) -> Callable[[Axes], None]:
     def draw(axes: Axes) -> None:
         time, values = broken(series, source.ends(), column)
         axes.fill_between(time, values, color=BLUE, alpha=0.18, linewidth=0)
-        axes.plot(time, values, color=BLUE, linewidth=1.1)
+        axes.plot(time, values, color=BLUE, linewidth=1.1, label="end of the step")
+        if peak is not None:
+            axes.plot(*broken(peak, source.ends(), column), color=ORANGE, linewidth=0.8, label="largest within it")
+            axes.legend(loc="upper right", ncols=2)
         over_time(axes)
-        axes.set_ylim(0, 1.08 * top)
+        axes.set_ylim(0, (1.08 if peak is None else 1.3) * top)
 
     return draw
 

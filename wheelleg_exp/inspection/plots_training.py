@@ -17,6 +17,7 @@ _SMOOTHED_FROM = 60
 _WINDOWS = 40
 _LOG_FROM = 50.0  # largest over smallest: more than this is unreadable on an even scale
 _SHOWN_TERMS = 7
+EPISODE_REWARD = "sum of an episode / longest episode's seconds"  # what Episode_Reward/<term> is
 
 # Key of a scalar, its title, and the label of the axis.
 CURVES: tuple[tuple[str, str, str], ...] = (
@@ -50,22 +51,29 @@ def endings(scalars: Scalars) -> list[Panel]:
 
 
 def reward_course(scalars: Scalars) -> list[Panel]:
-    """Return the weighted reward terms over the training: stacked, and as they were at the end."""
+    """Return the weighted reward terms over the training: stacked, and as they were at the end.
+
+    These scalars are an episode's sum divided by the seconds of the longest episode there may be, not by its own: as
+    long as episodes end early they are smaller than the reward per second that a recording of motion holds.
+    """
     terms = _below(scalars, "Episode_Reward")
     if not terms:
         return []
     late = {name: float(np.nanmean(np.asarray(v)[-max(1, len(v) // 10) :])) for name, (_, v) in terms.items()}
     order = sorted(terms, key=lambda name: -float(np.nansum(np.abs(terms[name][1]))))
-    title = "Weighted reward by term (1/s)"
-    return [Panel(title, _stacker(terms, order), wide=True, height=2.8), shares(late, "last tenth")]
+    return [
+        Panel(f"Reward by term: {EPISODE_REWARD}", _stacker(terms, order), wide=True, height=2.8),
+        shares(late, f"Reward by term in the last tenth: {EPISODE_REWARD}", ""),
+    ]
 
 
-def shares(means: Mapping[str, float], span: str) -> Panel:
-    """Return bars of the mean weighted reward of each term, 1/s, and its share of all, by absolute value.
+def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
+    """Return bars of the mean weighted reward of each term, and its share of all, by absolute value.
 
     Args:
         means: the mean by term.
-        span: what it is the mean of, in words.
+        title: what it is.
+        unit: its unit; empty without.
     """
     order = sorted(means, key=lambda name: abs(means[name]))
     total = sum(abs(v) for v in means.values()) or 1.0
@@ -82,9 +90,8 @@ def shares(means: Mapping[str, float], span: str) -> Panel:
         axes.set_xlim(low - 0.02 * (high - low), high + 0.32 * (high - low) or 1.0)
         axes.margins(y=0.02)
         axes.grid(axis="y", visible=False)
-        axes.set_xlabel("1/s (share by absolute value)")
+        axes.set_xlabel(f"{unit} (share by absolute value)".strip())
 
-    title = f"Mean reward by term, {span}"
     return Panel(title, draw, height=0.75 + 0.24 * max(len(order), 3), wide=True)
 
 

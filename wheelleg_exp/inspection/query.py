@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wheelleg_exp.inspection.conditions import Condition
 from wheelleg_exp.inspection.frames import Frames
 from wheelleg_exp.inspection.names import frames_for
-from wheelleg_exp.inspection.selection import Selection
+from wheelleg_exp.inspection.selection import Selection, nothing_chosen
 from wheelleg_exp.inspection.spans import Length
 from wheelleg_exp.inspection.statistics import Moment
 from wheelleg_exp.recording.layout import STEP
@@ -52,11 +52,13 @@ def find_hits(
         selection: where to look; the rows around may lie outside of it.
 
     Raises:
-        WheellegError: a name is wrong.
+        WheellegError: a name is wrong, or no row is chosen.
     """
     chosen = selection or Selection()
     wanted = list(dict.fromkeys([*condition.names, *columns]))
     everything = frames_for(recording, wanted, Selection(env_id=chosen.env_id), key="--where")
+    if not chosen.is_all and not any(len(chosen.apply(frames.table)) for frames in everything):
+        raise nothing_chosen(recording)
     reach = None if around is None else around.steps(recording.step_dt)
     return [hit for frames in everything for hit in _hits(frames, condition, chosen, reach, columns)]
 

@@ -93,8 +93,10 @@ def scene_of(source: Source) -> Scene:
     """
     bodies = {name: list(_shapes_below(source, source_body(source, name))) for name in _bodies(source)}
     if not any(bodies.values()):
+        said = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
         raise RunDirectoryError(
-            f"'{source.recording.path}' holds no robot that moves", expected="a recording of at least one whole step"
+            f"'{source.recording.path}' holds no robot that moves{said}",
+            expected="a recording of at least one whole step",
         )
     fixed = list(_shapes_below(source, f"{GROUND}/terrain"))
     offset = source.recording.static(f"{GROUND}/terrain").get("translation", [[0.0, 0.0, 0.0]])[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +13,14 @@ from wheelleg_exp.inspection.spans import Length
 from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP
 from wheelleg_exp.recording.reader import Recording
 
-_CLOSE = 1e-7  # far below a step: times are written in whole nanoseconds
+_CLOSE = 1e-6  # s: times are written in whole microseconds
 
 
 @dataclass(frozen=True)
 class Selection:
     """A choice of rows; what is None chooses nothing.
+
+    A time means the control step that is nearest to it, so that times may be given as they are printed.
 
     Attributes:
         env_id: the recorded environment.
@@ -59,7 +62,8 @@ class Selection:
         for bound, key in ((self.begin, "--from"), (self.end, "--to")):
             if bound is not None:
                 values = _timeline(table, STEP if bound.is_steps else SIM_TIME, key)
-                mask &= values >= bound.value - _CLOSE if key == "--from" else values <= bound.value + _CLOSE
+                room = 0.0 if bound.is_steps else _half_step(table)
+                mask &= values >= bound.value - room if key == "--from" else values <= bound.value + room
         return table if mask.all() else table.filter(pa.array(mask))
 
     def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
@@ -69,9 +73,42 @@ class Selection:
         lower = [(bound, +1) for bound in (self.begin,) if bound is not None]
         for bound, sign in [*lower, *((bound, -1) for bound in (self.end,) if bound is not None)]:
             value = step if bound.is_steps else time_s
-            if value is None or sign * (value - bound.value) < -_CLOSE:
+            room = 0.0 if bound.is_steps or not step or time_s is None else _half(time_s / step)
+            if value is None or sign * (value - bound.value) < -room:
                 return False
         return True
+
+
+def nothing_chosen(recording: Recording) -> WheellegError:
+    """Return the error of a selection that chooses no row, which says what there is."""
+    spans = []
+    for name, words in ((SIM_TIME, "times from {:.3f} to {:.3f} s"), (STEP, "steps {:.0f} to {:.0f}")):
+        reach = recording.reach(name)
+        spans += [words.format(*reach)] if reach is not None else []
+    reach = recording.reach(ITERATION)
+    spans += [f"iterations {reach[0]:.0f} to {reach[1]:.0f}"] if reach is not None else []
+    return WheellegError("no recorded row is chosen", expected=", ".join(spans) or "a recording with rows")
+
+
+def require_order(selection: Selection) -> None:
+    """Raise WheellegError when a selection ends before it begins."""
+    begin, end = selection.begin, selection.end
+    if begin is not None and end is not None and begin.is_steps == end.is_steps and begin.value > end.value:
+        raise WheellegError("it lies before --from", key="--to", expected=f"{begin.value:g} or later")
+
+
+def _half_step(table: pa.Table) -> float:
+    """Return half of what a control step lasts, s; times in a table are steps times that."""
+    if STEP not in table.column_names or not len(table):
+        return _CLOSE
+    ends = [tuple(float(table.column(name)[row].as_py()) for name in (STEP, SIM_TIME)) for row in (0, len(table) - 1)]
+    lengths = [time_s / step if step > 0 else 0.0 for step, time_s in ends]
+    is_regular = math.isclose(*lengths, rel_tol=1e-3)  # another tool's steps may be anything
+    return _half(lengths[1]) if is_regular else _CLOSE
+
+
+def _half(step_dt: float) -> float:
+    return max(0.5 * step_dt, _CLOSE)
 
 
 def _within(value: float, first: float, last: float) -> bool:
@@ -86,6 +123,8 @@ def parse_iterations(text: str) -> tuple[int, int]:
     """
     first, _, last = text.partition("-")
     if first.isdecimal() and (last.isdecimal() or text == first):
+        if last and int(last) < int(first):
+            raise WheellegError(f"'{text}' ends before it begins", key="--iteration", expected=f"{last}-{first}")
         return int(first), int(last or first)
     raise WheellegError(f"'{text}' is no iteration", key="--iteration", expected="a number, or a range such as 50-60")
 

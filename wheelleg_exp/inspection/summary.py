@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 
 from wheelleg_exp.inspection import trends
-from wheelleg_exp.inspection.episodes import FAILED, TIMED_OUT, UNFINISHED, Episode, episodes
+from wheelleg_exp.inspection.episodes import (
+    FAILED,
+    TIMED_OUT,
+    UNFINISHED,
+    Episode,
+    episodes,
+    mean_duration,
+    mean_reward,
+    survival,
+)
 from wheelleg_exp.inspection.measures import (
     EffortUse,
     ForceExtreme,
@@ -26,7 +35,9 @@ from wheelleg_exp.inspection.selection import Selection
 from wheelleg_exp.inspection.statistics import Statistics
 from wheelleg_exp.inspection.trends import Sample, Trend
 from wheelleg_exp.inspection.view import View
+from wheelleg_exp.recording.events import Event
 from wheelleg_exp.recording.groups import plain
+from wheelleg_exp.recording.health import Health
 from wheelleg_exp.recording.reader import Recording
 
 _BRANCH = re.compile(r"^env_\d+/")
@@ -85,6 +96,8 @@ class Summary:
         step_dt: simulated time of a control step, s.
         timelines: from where to where it reaches.
         parts: what stands below each first part of the entity paths.
+        notes: what happened to the recording itself, such as a bound on its size that was reached.
+        frames: how many frames of motion the figures are of, and of how many; None where no motion was recorded.
         figures: the episodes together.
         episodes: each of them.
         tracking: errors of velocities against commands.
@@ -101,11 +114,13 @@ class Summary:
     recording_id: str
     purpose: str | None
     properties: dict[str, dict[str, Any]]
-    health: dict[str, Any]
+    health: Health
     env_ids: list[int]
     step_dt: float | None
     timelines: dict[str, Span]
     parts: list[Part]
+    notes: list[Event]
+    frames: tuple[int, int] | None
     figures: EpisodeFigures
     episodes: list[Episode]
     tracking: list[TrackingError]
@@ -119,7 +134,7 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as a plain mapping."""
-        return asdict(self)
+        return {**asdict(self), "health": self.health.as_dict()}
 
 
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
@@ -143,11 +158,13 @@ def _summary(view: View) -> Summary:
         recording_id=recording.recording_id,
         purpose=recording.purpose,
         properties={name: dict(values) for name, values in recording.properties.items()},
-        health=recording.health.as_dict(),
+        health=recording.health,
         env_ids=view.env_ids,
         step_dt=recording.step_dt,
         timelines=_timelines(recording),
         parts=_parts(recording),
+        notes=recording.events("recording"),
+        frames=_frames(view),
         figures=episode_figures(found),
         episodes=found,
         tracking=tracking_errors(view),
@@ -165,24 +182,32 @@ def episode_figures(found: list[Episode]) -> EpisodeFigures:
     """Return the figures of episodes together."""
     outcomes = Counter(episode.outcome for episode in found)
     ended = [episode for episode in found if episode.outcome != UNFINISHED]
-    durations = [episode.duration_s for episode in ended]
-    rewards = [e.total_reward for e in ended if e.is_from_start and e.total_reward is not None]
     return EpisodeFigures(
         count=len(found),
         failed=outcomes[FAILED],
         timed_out=outcomes[TIMED_OUT],
         unfinished=outcomes[UNFINISHED],
-        survival=outcomes[TIMED_OUT] / len(ended) if ended else None,
+        survival=survival(found),
         ended_by=dict(Counter(name for episode in ended for name in episode.ended_by)),
-        mean_duration_s=float(np.mean(durations)) if durations else None,
-        longest_s=max(durations) if durations else None,
-        mean_reward=float(np.mean(rewards)) if rewards else None,
+        mean_duration_s=mean_duration(found),
+        longest_s=max((episode.duration_s for episode in ended), default=None),
+        mean_reward=mean_reward(found),
     )
 
 
 def _timelines(recording: Recording) -> dict[str, Span]:
     found = {name: recording.reach(name) for name in recording.timelines()}
     return {name: Span(*reach) for name, reach in found.items() if reach is not None}
+
+
+def _frames(view: View) -> tuple[int, int] | None:
+    """Return how many frames are chosen, and of how many of the chosen environments."""
+    for group in ("episode", "base", "terminations", "rewards"):
+        found = [frames for env_id in view.env_ids if (frames := view.frames(group, env_id)) is not None]
+        if found:
+            every = View(view.recording)
+            return sum(map(len, found)), sum(len(every.frames(group, frames.env_id or 0) or ()) for frames in found)
+    return None
 
 
 def _parts(recording: Recording) -> list[Part]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +12,7 @@ from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.files import read_yaml
 from wheelleg_exp.run.inventory import MANIFEST_NAME
+from wheelleg_exp.run.lock import RUN_LOCK, RunLock
 
 RECORDING = "recording.rrd"
 _SUFFIX = ".rrd"
@@ -25,6 +29,30 @@ class Target:
 
     path: Path
     run: RunDirectory | None
+
+    @property
+    def status(self) -> str | None:
+        """The status of the run whose training it is of; None for anything else."""
+        from wheelleg_exp.run.listing import effective_status
+
+        if self.run is None or self.path.resolve() != self.run.recording.resolve():
+            return None
+        return effective_status(self.run.manifest())
+
+    @contextmanager
+    def resting(self) -> Iterator[None]:
+        """Keep the run whose training it is of from going on while the body runs.
+
+        Raises:
+            RunDirectoryError: the run is being written.
+        """
+        run = self.run if self.status is not None else None
+        lock = None if run is None else run.path / RUN_LOCK
+        if run is None or lock is None or not os.access(lock, os.W_OK):  # nobody writes there
+            yield
+            return
+        with RunLock(run).held():
+            yield
 
     def others(self) -> list[Path]:
         """Return the run's other recordings."""
@@ -46,14 +74,22 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
         WheellegError: ``play`` is asked of what is no run.
     """
     path = Path(word)
-    if path.is_file() or (path.is_dir() and not (path / MANIFEST_NAME).is_file()):
+    if path.exists() and not names_a_run(word):
         if play:
             raise WheellegError(f"'{path}' is no run", key="--play", expected="a run, whose newest play is meant")
         return Target(_in_folder(path) if path.is_dir() else path, _run_around(path))
+    if path.suffix == _SUFFIX and path.is_symlink() and not path.exists():
+        raise RunDirectoryError(f"'{path}' is a link to nothing", expected="a recording")
     if path.suffix == _SUFFIX and not path.exists():
         raise RunDirectoryError(f"there is no file '{path}'", expected="a recording", nearest=_like(path))
     run = RunDirectory.open(word, root)
     return Target(_newest_play(run) if play else _training(run), run)
+
+
+def names_a_run(word: str | Path) -> bool:
+    """Return whether a word names a run, unless it names nothing: what exists and is none is a file or its folder."""
+    path = Path(word)
+    return not path.exists() or (path.is_dir() and (path / MANIFEST_NAME).is_file())
 
 
 def recordings_of(run: RunDirectory) -> list[Path]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from wheelleg_exp.inspection.episodes import TIMED_OUT, UNFINISHED, Episode
+from wheelleg_exp.inspection.episodes import UNFINISHED, Episode, mean_duration, mean_reward, survival
 from wheelleg_exp.inspection.selection import Selection
 from wheelleg_exp.recording.groups import parts_of, plain
 from wheelleg_exp.recording.layout import ITERATION, TRAINING
@@ -46,8 +46,8 @@ class Sample:
         episodes: how many there were.
         ended: how many of them ended while they were recorded.
         survival: share of the ended ones that reached the time-out; None when none ended.
-        mean_duration_s: how long they lasted, as far as they were recorded.
-        mean_reward: mean of their summed rewards; None when these were not recorded.
+        mean_duration_s: how long the ended ones lasted; None when none ended.
+        mean_reward: mean sum of rewards of the ended ones that were recorded from their beginning; None without.
     """
 
     iteration: int
@@ -55,7 +55,7 @@ class Sample:
     episodes: int
     ended: int
     survival: float | None
-    mean_duration_s: float
+    mean_duration_s: float | None
     mean_reward: float | None
 
 
@@ -103,15 +103,13 @@ def _trend(name: str, table: pa.Table) -> Trend | None:
 
 
 def _sample(found: list[Episode]) -> Sample:
-    ended = [episode for episode in found if episode.outcome != UNFINISHED]
-    rewards = [episode.total_reward for episode in found if episode.total_reward is not None]
     iterations = [i for e in found for i in (e.iteration, e.last_iteration) if i is not None]
     return Sample(
         iteration=min(iterations),
         last_iteration=max(iterations),
         episodes=len(found),
-        ended=len(ended),
-        survival=sum(e.outcome == TIMED_OUT for e in ended) / len(ended) if ended else None,
-        mean_duration_s=float(np.mean([episode.duration_s for episode in found])),
-        mean_reward=float(np.mean(rewards)) if rewards else None,
+        ended=sum(episode.outcome != UNFINISHED for episode in found),
+        survival=survival(found),
+        mean_duration_s=mean_duration(found),
+        mean_reward=mean_reward(found),
     )

@@ -35,11 +35,12 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Video:
-    """What was written: frames, their rate, 1/s, and the name of the codec."""
+    """What was written: frames, their rate, 1/s, the codec's name, and which of several recorded environments."""
 
     frames: int
     fps: float
     codec: str
+    env_id: int | None = None
 
     @property
     def duration(self) -> float:
@@ -84,7 +85,7 @@ def video(
     pictures = _pictures(shown, takes, width, height, caption)
     total = sum(map(len, takes))
     codec = _encode(path, kind, pictures, total, fps, (width, height), progress)
-    return Video(total, fps, codec)
+    return Video(total, fps, codec, shown.env_id)
 
 
 def _checked(path: Path, fps: float, speed: float, width: int, height: int) -> str:
@@ -147,7 +148,9 @@ def _pictures(
 
 def _picture(shown: Scenery, process: Drawing, row: int, lookat: Any, distance: float, colours: Any) -> Any:
     pixels = process.draw(view(shown, row, lookat, distance))
-    return pixels if colours is None else captions.write(pixels, captions.lines(shown.motion, row), colours)
+    return (
+        pixels if colours is None else captions.write(pixels, captions.lines(shown.motion, row, shown.env_id), colours)
+    )
 
 
 def _encode(

@@ -8,7 +8,7 @@ from typing import Any
 
 from wheelleg_exp.report.blocks import Card, Tone
 from wheelleg_exp.report.subject import AGENT, Subject
-from wheelleg_exp.report.words import counted, duration, exact, moment, number, percent
+from wheelleg_exp.report.words import counted, duration, exact, moment, number, numbers, percent
 
 _GOOD, _FAIR = 0.95, 0.5  # shares of episodes that reach the time-out
 _TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
@@ -23,9 +23,9 @@ def played(subject: Subject) -> dict[str, Any]:
     """Return the figures of the run's last play, or of the agent's run; empty without."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
-        return dict(figures) if isinstance(figures, Mapping) else {}
+        return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
     plays = subject.additions("play")
-    return dict(plays[-1].get("results") or {}) if plays else {}
+    return numbers(dict(plays[-1].get("results") or {})) if plays else {}
 
 
 def planned(subject: Subject) -> int | None:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _HERO, _STRIP = (960, 720), (480, 360)  # px
 _MOMENTS = 4
+_FIRST, _LAST, _PLAY = 0, -1, 1  # which episode of a recording is shown
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Episode:
     start: float
     end: float
     step_s: float
-    ended_by: str | None
+    ended_by: tuple[str, ...]
 
     @property
     def seconds(self) -> float:
@@ -69,7 +70,7 @@ class Look:
     def hero(self) -> Picture | None:
         """Return the picture at the top: how the robot stood last."""
         for recording in (self.play, self.training):
-            episode = _last_episode(recording)
+            episode = _last_episode(recording, is_play=recording is self.play)
             if episode is not None and recording is not None and not isinstance(recording, WheellegError):
                 where = "in the last play" if recording is self.play else "in the last recorded episode of the training"
                 where = "in this run" if self.subject.status == AGENT else where
@@ -87,7 +88,7 @@ class Look:
             return [Note(f"The recording cannot be shown: {recording}.")]
         return [
             *health(recording),
-            *self._strip(recording, -1, "The agent" if self.subject.status == AGENT else "The play"),
+            *self._strip(recording, _PLAY, "The agent" if self.subject.status == AGENT else "The play"),
             *standing.motion(recording),
         ]
 
@@ -98,21 +99,23 @@ class Look:
             return [Note("This training was not recorded, so there are no pictures of it.", "")]
         if isinstance(recording, WheellegError):
             return [Note(f"The recording of the training cannot be shown: {recording}.")]
-        found = [*health(recording), *self._strip(recording, 0, "At first")]
-        if len(_source(recording).samples()) > 1:
-            found += self._strip(recording, -1, "At last")
+        found: list[Block] = [*health(recording), *self._strip(recording, _FIRST, "At first")]
+        samples = _source(recording).samples()
+        if not samples:
+            found.append(Note("No motion of this training was recorded, so there are no pictures of it.", ""))
+        if len(samples) > 1:
+            found += self._strip(recording, _LAST, "At last")
         return [*found, *self._without()]
 
     def _strip(self, recording: Recording, which: int, label: str) -> list[Block]:
         source = _source(recording)
         samples = source.samples()
-        episodes = _episodes(source, samples[which]) if samples else []
-        if not episodes:
+        sample = samples[_LAST if which == _LAST else 0] if samples else None
+        episode = None if sample is None else _chosen(_episodes(source, sample), which)
+        if sample is None or episode is None:
             return []
-        # At first how it fell; later what it can do, of which a sample that begins in mid-episode may show a stump.
-        episode = episodes[0] if which == 0 else max(episodes, key=lambda one: one.seconds)
         times = [float(time) for time in np.linspace(episode.start, episode.end, _MOMENTS)]
-        title = _title(label, samples[which], episode)
+        title = _title(label, sample, episode, source.whose, is_play=which == _PLAY)
         clocks = [_clock(time - episode.start) for time in times]
         alts = [f"The robot after {clock}. {title}" for clock in clocks]
         pictures = self._pictures(recording, times, _STRIP, alts, clocks)
@@ -166,12 +169,25 @@ def _source(recording: Recording) -> Source:
     return Source(recording)
 
 
-def _last_episode(recording: Recording | WheellegError | None) -> Episode | None:
+def _chosen(episodes: Sequence[Episode], which: int) -> Episode | None:
+    """Return the episode that is shown.
+
+    At first how it fell. Of a play the first, which is what the figures are of. At last what it can do, of which a
+    sample that begins in mid-episode may show a stump.
+    """
+    if which == _LAST:
+        return max(episodes, key=lambda one: one.seconds, default=None)
+    return next(iter(episodes), None)
+
+
+def _last_episode(recording: Recording | WheellegError | None, *, is_play: bool) -> Episode | None:
     if recording is None or isinstance(recording, WheellegError):
         return None
     source = _source(recording)
     samples = source.samples()
-    return max(_episodes(source, samples[-1]), key=lambda e: e.seconds, default=None) if samples else None
+    if not samples:
+        return None
+    return _chosen(_episodes(source, samples[0 if is_play else -1]), _PLAY if is_play else _LAST)
 
 
 def _episodes(source: Source, sample: Sample) -> list[Episode]:
@@ -191,13 +207,15 @@ def _episode(source: Source, rows: Series) -> Episode:
     last, time = int(rows.step[-1]), rows.time
     causes = [name for name, series in source.fired().items() if bool(series.first[series.step == last].any())]
     step_s = float(time[1] - time[0]) if len(time) > 1 else 0.0
-    return Episode(float(time[0]), float(time[-1]), step_s, causes[0] if causes else None)
+    return Episode(float(time[0]), float(time[-1]), step_s, tuple(causes))
 
 
-def _title(label: str, sample: Sample, episode: Episode) -> str:
+def _title(label: str, sample: Sample, episode: Episode, whose: str, *, is_play: bool) -> str:
     when = "" if sample.iteration is None else f", iteration {number(sample.iteration)}"
-    how = f"ended by {spoken(episode.ended_by)}" if episode.ended_by else "still going on where the sample ends,"
-    return f"{label}{when}: {how} after {_clock(episode.seconds)}"
+    which = f", first episode{f' of {whose}' if whose else ''}" if is_play else f", {whose}" if whose else ""
+    causes = " and ".join(spoken(cause) for cause in episode.ended_by)
+    how = f"ended by {causes}" if causes else f"still going on where the {'recording' if is_play else 'sample'} ends,"
+    return f"{label}{when}{which}: {how} after {_clock(episode.seconds)}"
 
 
 def _clock(seconds: float) -> str:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.recording.reader import Recording
 
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
+_NOTES = 3
 _HIGH, _FULL = 0.01, 0.1  # shares of the time at the effort limit that are worth a colour
 
 
@@ -39,13 +40,13 @@ def measured(recording: Recording) -> Measured:
 
 
 def health(recording: Recording) -> list[Block]:
-    """Return what is missing in a recording's file, and what mends it; nothing when it is whole."""
+    """Return what is missing in a recording and why, and what mends its file; nothing when it is whole."""
+    told = [Note(f"Of the recording: {event.text}.") for event in recording.events("recording")[-_NOTES:]]
     if recording.health.is_whole:
-        return []
-    told = "; ".join(recording.health.lines())
-    return [
-        Note(f"The recording is {told}. What can be read of it is shown; 'wheelleg inspect --repair' makes it whole.")
-    ]
+        return list(told)
+    what = "; ".join(line.rstrip(". ") for line in recording.health.lines())
+    mends = "'wheelleg inspect --repair' writes a copy that holds the rest and opens everywhere"
+    return [Note(f"The recording is {what}. What can be read of it is shown; {mends}."), *told]
 
 
 def _tracking(errors: Sequence[TrackingError]) -> list[Block]:
@@ -68,7 +69,7 @@ def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
         ]
         for force in touched
     ]
-    columns = ("Body", "Mean force", "Largest force", "In contact")
+    columns = ("Body", "Mean force", "Largest within a step", "In contact")
     return [Table("Contact forces of the bodies that touched something", columns, rows)] if rows else []
 
 

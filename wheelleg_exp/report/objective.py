@@ -25,7 +25,7 @@ def blocks(subject: Subject) -> list[Block]:
     total = sum(abs(value) for value in late.values() if value is not None)
     rows = [_row(str(name), term, late[name], total) for name, term in terms.items()]
     rows.sort(key=lambda row: -abs(row[-1].bar or 0.0))
-    columns = ["Term", "Weight", "Reward per second"] if total else ["Term", "Weight"]
+    columns = ["Term", "Weight", f"Sum of an episode / {_longest(subject)}"] if total else ["Term", "Weight"]
     shown: list[Sequence[Cell]] = [row if total else row[:2] for row in rows]
     title = "Reward terms, mean over the last tenth of the training" if total else "Reward terms"
     table = Table(title, columns, shown)
@@ -34,6 +34,12 @@ def blocks(subject: Subject) -> list[Block]:
     panels = plots_training.reward_course(thinned(subject))[:1]
     first: Block = Beside([drawn(panels, "rewards"), table]) if panels else table
     return [first, *_parameters(terms)]
+
+
+def _longest(subject: Subject) -> str:
+    """Return what ``Episode_Reward`` is divided by, whether an episode lasts that long or not."""
+    length = subject.setting("env.episode_length_s")
+    return f"{exact(length)} s" if isinstance(length, (int, float)) else "longest episode's seconds"
 
 
 def _late(series: Series | None) -> float | None:

@@ -57,6 +57,7 @@ def blocks(subject: Subject) -> list[Block]:
         found.append(_table("Values that differ from the task's own", rows))
     else:
         found.append(Text("Every other value is the task's own: nothing differs from what the task says here today."))
+    found.append(Text("Compared are env and agent. The seed is told above; recording and run decide no number."))
     own = list(own_leaves(again))
     if own:
         rows = [[Cell(s.path, code=True), Cell(s.value, code=True), Cell(s.origin, code=True)] for s in own[:_ROWS]]

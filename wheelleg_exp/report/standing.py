@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.report.blocks import Beside, Block, Cell, Code, More, Note, Table
+from wheelleg_exp.report.blocks import Beside, Block, Cell, Code, More, Note, Table, Text
 from wheelleg_exp.report.drawings import drawn
 from wheelleg_exp.report.headline import played, tone_of
 from wheelleg_exp.report.measured import Measured, measured
 from wheelleg_exp.report.subject import AGENT, Subject
-from wheelleg_exp.report.words import brief, moment, number, percent, spoken
+from wheelleg_exp.report.words import brief, moment, number, numbers, percent, spoken
 
 if TYPE_CHECKING:
     from wheelleg_exp.inspection.figures_style import Panel
@@ -40,6 +40,7 @@ def blocks(subject: Subject) -> list[Block]:
     found: list[Block] = [*_evaluations(subject)]
     if figures:
         found.append(Beside([_figures(subject, figures), *_endings(figures)]))
+        found += _settled(figures)
     elif subject.status != AGENT:
         found.append(Note("The policy has not been played, so these are only the figures of its training.", ""))
         found.append(Code(f"wheelleg play {subject.id}", "To see how it stands without exploration noise:"))
@@ -69,7 +70,9 @@ def motion(recording: Recording) -> list[Block]:
         ("Contact forces", _panels(PLOTS["contact_forces"], recording), tables.forces),
         ("Joints", _panels(PLOTS["joints"], recording), tables.efforts),
     ]
-    found: list[Block] = [drawn(first, "play")] if first else []
+    several = len(recording.env_ids) > 1
+    found: list[Block] = [Text(f"The curves are of environment {recording.env_ids[0]}.")] if several else []
+    found += [drawn(first, "play")] if first else []
     for i, (title, panels, measures) in enumerate(groups):
         shown = [*measures, *([drawn(panels, f"play-{i}", paired=title == "Joints")] if panels else [])]
         found += [More(title, shown)] if shown else []
@@ -102,6 +105,13 @@ def _figures(subject: Subject, figures: Mapping[str, Any]) -> Table:
     return Table("The agent" if subject.status == AGENT else "The last play", ("Figure", "Value"), rows)
 
 
+def _settled(figures: Mapping[str, Any]) -> list[Block]:
+    """Return why there is no height and no pitch, where there is none."""
+    if figures.get("pitch_rms_deg", 0.0) is not None:
+        return []
+    return [Text("Height and pitch count once an episode has settled; none lasted that long.")]
+
+
 def _endings(figures: Mapping[str, Any]) -> list[Block]:
     ended, episodes = figures.get("ended_by"), figures.get("episodes")
     if not isinstance(ended, Mapping) or not isinstance(episodes, int) or episodes < 1:
@@ -119,7 +129,7 @@ def _plays(subject: Subject) -> list[Block]:
     plays = subject.additions("play")[-_PLAYS_SHOWN:]
     if len(plays) < 2:
         return []
-    rows = [[Cell(moment(entry.get("when"))), *_play_row(entry.get("results") or {})] for entry in plays]
+    rows = [[Cell(moment(entry.get("when"))), *_play_row(numbers(entry.get("results") or {}))] for entry in plays]
     columns = ("When", "Checkpoint", "Changed", "Episodes", "Survival", "Height error", "Pitch", "Return")
     return [Table("All plays", columns, rows)]
 
@@ -137,7 +147,7 @@ def _evaluations(subject: Subject) -> list[Block]:
     results = entries[-1].get("results") if entries else None
     if not isinstance(results, Mapping) or not results:
         return []
-    rows = [[Cell(spoken(name)), Cell(number(value), number=True)] for name, value in _flat(results)]
+    rows = [[Cell(spoken(name)), Cell(number(value), number=True)] for name, value in _flat(numbers(results))]
     return [Table(f"Evaluation of {moment(entries[-1].get('when'))}", ("Figure", "Value"), rows)]
 
 

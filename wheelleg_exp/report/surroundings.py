@@ -7,15 +7,24 @@ from typing import Any
 
 from wheelleg_exp.report.blocks import Block, Cell, Code, Facts, Heading, More, Note, Table, Text, Tone
 from wheelleg_exp.report.subject import KIND, Subject
-from wheelleg_exp.report.words import brief, counted, moment, number, size, spoken
+from wheelleg_exp.report.words import brief, counted, moment, number, size
 from wheelleg_exp.run.files import read_json
 
 _LISTED, _FINDINGS = 40, 200
 _THREADS = {
     "torch": "Threads of torch",
     "physics": "Threads of physics",
-    "cpu_capability": "CPU capability",
-    "mkl": "MKL",
+    "interop": "Threads between torch's operations",
+    "cpu_capability": "Instructions that torch uses",
+    "device": "Networks on",
+}
+_NUMERICS = {
+    "mkldnn": "oneDNN in use",
+    "matmul_precision": "Precision of matrix products",
+    "default_dtype": "Numbers of torch",
+    "deterministic_algorithms": "Deterministic algorithms asked for",
+    "rounds_to_nearest": "Rounds to nearest",
+    "keeps_denormals": "Keeps denormal numbers",
 }
 _CONVERSION: tuple[tuple[str, Tone, str], ...] = (
     ("warnings", "warn", "to be looked at"),
@@ -92,7 +101,7 @@ def machine(subject: Subject) -> list[Block]:
         ("Memory", f"{number(hardware.get('memory_gib'))} GiB"),
         ("System", str(hardware.get("platform", "–"))),
         ("Host", str(process.get("host", "–"))),
-        *((_THREADS.get(name, spoken(str(name)).capitalize()), brief(value)) for name, value in threads.items()),
+        *_arithmetic(threads),
     ]
     found: list[Block] = [Heading("Machine")]
     found += [Facts([(name, value) for name, value in rows if value != "–"])] if hardware else []
@@ -103,6 +112,28 @@ def machine(subject: Subject) -> list[Block]:
     if versions:
         found.append(More("Versions", [Facts(versions), *_installed(subject)]))
     return found if found[1:] else [Note("The machine was not recorded.", "")]
+
+
+def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return threads and arithmetic as people read them; what is as it should be is left to one line."""
+    mkl, numerics = threads.get("mkl"), threads.get("numerics")
+    numerics = numerics if isinstance(numerics, Mapping) else {}
+    reasons = threads.get("dependent_because") or []
+    rows = [(name, brief(threads[key])) for key, name in _THREADS.items() if threads.get(key) is not None]
+    if isinstance(mkl, Mapping):
+        rows.append(("MKL's code branch", f"{mkl.get('branch')}, {'strict' if mkl.get('strict') else 'not strict'}"))
+    if "independent" in threads:
+        told = "; ".join(map(str, reasons)) or "yes"
+        rows.append(("Numbers depend on torch's threads", "no" if threads["independent"] else told))
+    if threads.get("variables_in_time") is False:
+        rows.append(("Thread variables", "were set after torch was imported"))
+    rows += [(name, _plain(numerics[key])) for key, name in _NUMERICS.items() if key in numerics]
+    libraries = numerics.get("libraries") or []
+    return [*rows, *(("Library", str(line)) for line in libraries if isinstance(line, str))]
+
+
+def _plain(value: Any) -> str:
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else brief(value)
 
 
 def _installed(subject: Subject) -> list[Block]:

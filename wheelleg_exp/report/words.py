@@ -18,12 +18,22 @@ def number(value: Any, digits: int = 3) -> str:
     if isinstance(value, int):
         return f"{value:,}".replace(",", " ").replace("-", "−")
     if not math.isfinite(value):
-        return "not a number" if math.isnan(value) else "infinite"
+        return "–" if math.isnan(value) else "infinite"
     if value != 0 and not 1e-3 <= abs(value) < 1e6:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         return f"{mantissa}×10".replace("-", "−") + str(int(exponent)).translate(_RAISED)
     places = max(0, digits - 1 - (math.floor(math.log10(abs(value))) if value else 0))
     return f"{value:.{places}f}".replace("-", "−")
+
+
+def numbers(value: Any) -> Any:
+    """Return a value of a JSON file in which ``nan``, which JSON has no word for, is None."""
+    if isinstance(value, Mapping):
+        return {key: numbers(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [numbers(inner) for inner in value]
+    none = value == "nan" if isinstance(value, str) else isinstance(value, float) and math.isnan(value)
+    return None if none else value
 
 
 def exact(value: Any) -> str:

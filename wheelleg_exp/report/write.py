@@ -35,7 +35,7 @@ def place(subject: Subject, output: Path | None) -> Path:
     path = subject.path / NAME if output is None else output
     if path.is_dir():
         raise RunDirectoryError(f"'{path}' is a folder", expected="the name of a file, such as report.html")
-    if (path.exists() or path.is_symlink()) and not _is_report(path, subject.id):
+    if (path.exists() or path.is_symlink()) and not (_is_report(path, subject.id) or _is_own(subject, path)):
         raise RunDirectoryError(
             f"'{path}' exists and is not a report of this run, so it is not overwritten",
             expected="-o with another name",
@@ -62,6 +62,12 @@ def _is_report(path: Path, run: str) -> bool:
     with for_people(path, "read"), path.open("rb") as file:
         head = file.read(_HEAD).decode("utf-8", errors="replace")
     return f'{MARK}{escape(run)}">' in head
+
+
+def _is_own(subject: Subject, path: Path) -> bool:
+    """Return whether the run itself knows the file as its report, whatever the run is called by now."""
+    inside = not path.is_symlink() and path.is_file() and path.resolve().is_relative_to(subject.path.resolve())
+    return inside and _recorded(subject, path)
 
 
 def _recorded(subject: Subject, path: Path) -> bool:
