@@ -44,9 +44,9 @@ def tensorboard(lab: Lab) -> list[str]:
 
 
 def added_term(lab: Lab, target: str = "planted.terms.own_draw") -> list[str]:
-    """A further term that draws, first or last of its section: the policy must be the same."""
-    term = f"+env.events.idle={{_target_: {target}, mode: reset}}"
-    with_term = Lab(lab.folder, [*lab.planted, term])
+    """A further term that draws: the policy and the physics must be the same."""
+    term = ["+event@env.events=idle", f"env.events.idle._target_={target}"]
+    with_term = Lab(lab.folder, [*lab.planted, *term], lab.environ)
     plain, added = lab.once(), with_term.train()
     return [
         f"model_{i}.pt: {key}"
