@@ -124,10 +124,11 @@ def _has_written(root: Path, lines: int, since: float) -> bool:
 def replay(lab: Lab) -> list[str]:
     """Trained again from the run's own snapshot, in a folder of its own."""
     run = copy_of(lab.once(), lab.folder / "replayed")
-    answer = lab.wheelleg("replay", run, "--json", statuses=(0, 1))
+    root = run.parents[1]
+    answer = lab.wheelleg("replay", run, "--root", root, "--json", statuses=(0, 1))
     if answer.status:
         return [answer.out[-2000:] or answer.err[-2000:]]
-    again = only_run(run.parents[1] / "replays")
+    again = only_run(root / "replays")
     return differences(run, again)
 
 
