@@ -232,9 +232,9 @@ def test_an_unknown_term_is_told_with_the_nearest(played: Recording) -> None:
 
 def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording) -> None:
     figure = plots.overlay({"one": played, "two": several}, "base.height", selection=None)
-    first, second = (line(figure, "base.height (m)", label)[1] for label in ("one", "two"))
+    first, second = (line(figure, "base.height (m)", label)[1] for label in ("one", "two, environment 0"))
     np.testing.assert_allclose(first, second)
-    styles = {one.get_linestyle() for one in panel(figure, "base.height").get_lines()}
+    styles = {one.get_linestyle() for one in panel(figure, "base.height (m)").get_lines()}
     assert len(styles) == 2  # told apart in grey print too
 
 
