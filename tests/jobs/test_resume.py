@@ -278,6 +278,7 @@ def test_what_was_half_written_is_removed_wherever_it_stands(run, straight):
     for folder in (".", "source", ".hydra", "params", "asset", "exported"):
         (run / folder / ".some.file.0123456789ab.tmp").write_bytes(b"half")
     resume(run)
+    assert not list(run.rglob(".*.tmp"))
     require_equal(run, straight)
 
 

@@ -1,4 +1,4 @@
-"""The long proofs: full trainings, and many kills. `nox -s repro -- full` runs them; they take most of an hour."""
+"""The long proofs: full trainings, and many kills. `nox -s repro -- full` runs them; they take long."""
 
 from __future__ import annotations
 
