@@ -6,7 +6,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 INSTALLED := $(VENV)/.installed
 VIRTUALENV := .cache/virtualenv
 
-.PHONY: demo test setup clean
+.PHONY: demo test quick setup clean
 
 # Train the robot to stand, then play the policy for one episode and print how it stood.
 demo: setup
@@ -17,6 +17,10 @@ demo: setup
 test: setup
 	$(BIN)/nox --sessions lint typecheck repro
 	$(BIN)/nox --sessions tests
+
+# Lint, types, and all tests that take no training, picture, browser or corpus of robots: for while one works.
+quick: setup
+	$(BIN)/nox --sessions lint typecheck quick
 
 setup: $(INSTALLED)
 

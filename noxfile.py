@@ -10,6 +10,10 @@ nox.options.sessions = ["lint", "typecheck", "repro", "tests"]
 nox.options.default_venv_backend = "none"
 nox.options.error_on_external_run = False
 
+# Each file's tests stay in one process, where they share what they have trained; files in order, long ones not last.
+SPREAD = ("-n", "logical", "--dist", "loadfile", "--no-loadscope-reorder")
+SLOW = "slow or train or repro or full or pictures or browser or corpus"
+
 
 def _python(session: nox.Session, *words: str) -> None:
     """Run a module with this interpreter; a missing environment is said in one line."""
@@ -21,7 +25,13 @@ def _python(session: nox.Session, *words: str) -> None:
 @nox.session
 def tests(session: nox.Session) -> None:
     """Run the test suite."""
-    _python(session, "pytest", "-m", "not repro and not full", *session.posargs)
+    _python(session, "pytest", *SPREAD, "--durations=20", "-m", "not repro and not full", *session.posargs)
+
+
+@nox.session
+def quick(session: nox.Session) -> None:
+    """Run the tests that need no training, picture, browser or corpus of robots."""
+    _python(session, "pytest", *SPREAD, "--durations=10", "-m", f"not ({SLOW})", *session.posargs)
 
 
 @nox.session
@@ -42,4 +52,4 @@ def repro(session: nox.Session) -> None:
     """Prove that runs repeat to the bit, on small sizes: one named check a line; `-- full` adds full trainings."""
     words = [word for word in session.posargs if word != "full"]
     marks = "repro or full" if "full" in session.posargs else "repro"
-    _python(session, "pytest", "-m", marks, "--no-header", "-vv", "tests/repro", *words)
+    _python(session, "pytest", "-n", "logical", "-m", marks, "--no-header", "-vv", "tests/repro", *words)

@@ -16,6 +16,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
 
+from wheelleg_exp.sim.batch import BatchEngine
 from wheelleg_exp.threads import prepare_threads
 
 prepare_threads()
@@ -24,7 +25,7 @@ import torch  # noqa: E402  (thread variables come first)
 from mujoco.batch import Batch  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
-from wheelleg_exp.config.compose import compose  # noqa: E402
+from wheelleg_exp.config.composing.compose import compose  # noqa: E402
 from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
 
 BLOCK = 10  # steps between the two; each step apart would measure how they empty each other's caches
@@ -39,7 +40,9 @@ def actions(env: ManagerBasedRLEnv, steps: int) -> list[torch.Tensor]:
 
 def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
     """Return seconds in ``env.step`` and in bare ``Batch.step``, taken in turn, block by block."""
-    batch = env.scene.sim.batch
+    engine = env.scene.sim
+    assert isinstance(engine, BatchEngine)
+    batch = engine.batch
     bare = Batch(env.scene.model, env.num_envs, nthread=batch.nthread)
     controls = bare.bind("ctrl")
     full_time = bare_time = 0.0

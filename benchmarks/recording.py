@@ -28,8 +28,8 @@ import numpy as np  # noqa: E402  (thread variables come first)
 import torch  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
-from wheelleg_exp.config.compose import compose  # noqa: E402
-from wheelleg_exp.jobs.training_recording import TrainingRecording  # noqa: E402
+from wheelleg_exp.config.composing.compose import compose  # noqa: E402
+from wheelleg_exp.jobs.train.training_recording import TrainingRecording  # noqa: E402
 from wheelleg_exp.recording.options import RecordingOptions  # noqa: E402
 from wheelleg_exp.rl.trainer import Iteration, Trainer  # noqa: E402
 from wheelleg_exp.rl.vec_env import RslRlVecEnv  # noqa: E402
@@ -65,7 +65,7 @@ class Inside:
         self.seconds = 0.0
 
     def __call__(self, do: Callable[..., None], *arguments: Any) -> None:
-        """Do something and count it; rerun's own thread, as far as it works meanwhile, is counted too."""
+        """Do something and count it."""
         start = time.process_time()
         do(*arguments)
         self.seconds += time.process_time() - start

@@ -1,4 +1,4 @@
-"""Writes the pages that are made from the files themselves: reference.md, terms.md and rules.md.
+"""Writes the pages that are made from the files themselves: reference.md, terms.md, rules.md and figures.md.
 
     python docs/make_reference.py
 
@@ -8,23 +8,24 @@ of whatever reads it speaks. A test holds the pages against the files.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from wheelleg_exp.config import catalog, known
-from wheelleg_exp.config.catalog import Entry
-from wheelleg_exp.config.comments import comment_at
-from wheelleg_exp.config.docstrings import headline
-from wheelleg_exp.config.headers import package_header
-from wheelleg_exp.config.library import library
+from wheelleg_exp.config import keys as known
+from wheelleg_exp.config.composing.headers import package_header
+from wheelleg_exp.config.explaining import catalog
+from wheelleg_exp.config.explaining.catalog import Entry, library
+from wheelleg_exp.config.explaining.docstrings import comment_at, headline
 from wheelleg_exp.config.tree import Keys, build, dotted, leaves, line_table
+from wheelleg_exp.definitions import recorded, rollout, training
+from wheelleg_exp.definitions.definition import Definition
+from wheelleg_exp.lint.examine import RULES
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.physics.rules import RULES
-from wheelleg_exp.terms import TARGET, resolve_target
+from wheelleg_exp.terms.binding import TARGET, resolve_target
 
 NOTE = "<!-- Made by docs/make_reference.py from the files themselves. Change those, then run it again. -->\n"
 FOLDER = Path(__file__).resolve().parent
@@ -41,7 +42,7 @@ MOUNTS = {  # where a term file of each group stands when a task mounts it
 
 def pages() -> dict[str, str]:
     """Return the text of each page by its file name."""
-    return {"reference.md": _reference(), "terms.md": _terms(), "rules.md": _rules()}
+    return {"reference.md": _reference(), "terms.md": _terms(), "rules.md": _rules(), "figures.md": _figures()}
 
 
 def _reference() -> str:
@@ -131,11 +132,12 @@ def _terms() -> str:
     for entry in catalog.terms():
         stock.setdefault(entry.target, []).append(f"`{entry.name}`")
     for section, terms in groupby(library(), key=lambda term: term.section):
-        parts.append(f"## {section}\n\n| term | stock file | takes | what it is |\n|---|---|---|---|")
+        parts.append(f"## {section}\n\n| term | stock file | takes | what it is | limits |\n|---|---|---|---|---|")
         for term in terms:
             name, files = term.target.removeprefix("wheelleg_exp.mdp."), ", ".join(stock.get(term.target, []))
             signature = f"`{_cell(term.signature)}`" if term.signature else ""
-            parts.append(f"| `{name}` | {files} | {signature} | {_cell(term.help)} |")
+            limits = "; ".join(f"`{parameter}`: {_cell(words)}" for parameter, words in term.limits.items())
+            parts.append(f"| `{name}` | {files} | {signature} | {_cell(term.help)} | {limits} |")
         parts.append("")
     return "\n".join(parts).rstrip() + "\n"
 
@@ -148,6 +150,36 @@ def _rules() -> str:
         reason = rule.text.partition("\n")[2]
         parts.append(f"| `{rule.name}` | {_cell(rule.summary)} | {_cell(reason)} |")
     return "\n".join(parts) + "\n"
+
+
+def _figures() -> str:
+    parts = ["# What each figure means\n", NOTE]
+    parts.append("Where a label stands in several tables, the title or the column `of` beside it says of what it is.\n")
+    parts.append("## Plays and agents\n")
+    parts.append("`wheelleg play`, `zero-agent`, `random-agent`; `figures.json`; the manifest's additions; the report.")
+    parts += [f"{rollout.ABOUT}\n", *_definitions(rollout.FIGURES)]
+    parts += [f"{rollout.CONTACTS_ABOUT}\n", *_definitions(rollout.CONTACTS)]
+    parts.append("## Scalars of a training\n")
+    parts.append(
+        "`iterations.jsonl`, TensorBoard, the recording's `training/…`, the manifest's results, plots, the report."
+    )
+    parts += [f"{training.ABOUT}\n", *_definitions(training.SCALARS)]
+    parts += ["In the manifest besides:\n", *_definitions(training.MANIFEST)]
+    parts += ["`wheelleg list runs`:\n", *_definitions(training.LISTED)]
+    parts.append("## What a recording tells\n")
+    parts.append("The tables of `wheelleg inspect` and those of a report; the keys are those of `--json`.")
+    parts.append(f"{recorded.ABOUT}\n")
+    for title, table in recorded.TABLES.items():
+        parts += [f"### {title.capitalize()}\n", *_definitions(table)]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _definitions(found: Mapping[str, Definition]) -> Iterator[str]:
+    rows = [
+        f"| {_cell(d.label).replace('<', '&lt;')} | `{key}` | {d.unit} | {_cell(d.meaning)} |"
+        for key, d in found.items()
+    ]
+    yield "\n".join(["| figure | key | unit | is |", "|---|---|---|---|", *rows]) + "\n"
 
 
 def main() -> None:

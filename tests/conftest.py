@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -15,12 +16,29 @@ if TYPE_CHECKING:
 # Before anything imports torch: processes that tests start inherit the variables and must compute the same numbers.
 prepare_threads()
 
+# Behind nohup, or a shell's "&", signals are ignored, and all children inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for number, handler in {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: lambda *_: None}.items():
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, handler)
+
 EnvMaker = Callable[..., "ManagerBasedRLEnv"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let ``--corpus DIR`` name the USD robots that are not in the repository."""
     parser.addoption("--corpus", metavar="DIR", help="folder of USD robots, in place of WHEELLEG_USD_CORPUS")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _own_projects() -> Iterator[None]:
+    """Let no module's tests leave a user's project behind: the next ones may run in any order, in any process."""
+    from wheelleg_exp import packages
+
+    before = dict(packages._joined)
+    yield
+    packages._joined.clear()
+    packages._joined.update(before)
 
 
 @pytest.fixture
@@ -39,7 +57,7 @@ def make_env() -> EnvMaker:
 @pytest.fixture
 def allow_test_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let configs name terms that stand beside the tests."""
-    from wheelleg_exp import terms
+    from wheelleg_exp.terms import allowed_targets
 
-    packages = terms.allowed_packages()
-    monkeypatch.setattr(terms, "allowed_packages", lambda: (*packages, "managers", "mdp", "env", "sim"))
+    packages = allowed_targets.allowed_packages()
+    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: (*packages, "managers", "mdp", "env", "sim"))

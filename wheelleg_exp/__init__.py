@@ -3,8 +3,8 @@
 Importing the package registers its Gymnasium environments.
 """
 
-from wheelleg_exp.gym import register
+from wheelleg_exp.gym import register_with_gymnasium
 
 __version__ = "0.1.0"
 
-register()
+register_with_gymnasium()

@@ -27,7 +27,7 @@ def prepare_asset(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -
     try:
         return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets")
     except AssetError as error:
-        raise AssetError(str(error), key="env.robot.asset") from error
+        raise error.of("env.robot.asset") from error
 
 
 def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> ManagerBasedRLEnv:

@@ -1,4 +1,4 @@
-"""Where the stock configs and assets are, in a checkout and in an installed package alike."""
+"""Where the stock configs and assets are, in a checkout and in an installed package alike; how a place is shown."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from wheelleg_exp.errors import AssetError
+from wheelleg_exp.errors import AssetError, nearest_name
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -55,4 +55,25 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None)
         if candidate.is_file():
             return candidate
     searched = ", ".join(str(c) for c in candidates)
-    raise AssetError(f"there is no file '{name}'", key=key, expected=f"a robot file at one of: {searched}")
+    raise AssetError(
+        f"there is no file '{name}'",
+        key=key,
+        expected=f"a robot file at one of: {searched}",
+        nearest=_nearest_file(name, candidates),
+    )
+
+
+def _nearest_file(name: str, candidates: Sequence[Path]) -> str | None:
+    """Return the name of a file that is there, beside a candidate, in the place of the last part of ``name``."""
+    beside = [other.name for path in candidates if path.parent.is_dir() for other in path.parent.iterdir()]
+    found = nearest_name(Path(name).name, [other for other in beside if Path(other).suffix == Path(name).suffix])
+    return str(Path(name).with_name(found)) if found else None
+
+
+def show_file(file: Path, line: int | None = None) -> str:
+    """Return ``file:line``, relative to the current folder when the file lies in it."""
+    try:
+        shown = file.relative_to(Path.cwd())
+    except ValueError:
+        shown = file
+    return f"{shown}:{line}" if line is not None else str(shown)

@@ -13,8 +13,8 @@ import mujoco
 from PIL import Image
 
 from wheelleg_exp.build import prepare_asset
-from wheelleg_exp.config.compose import compose
-from wheelleg_exp.sim.scene import GROUND
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.sim.terrain import GROUND
 
 WIDTH, HEIGHT = 1200, 675
 

@@ -19,12 +19,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from wheelleg_exp.inspection import captions, pictures, plots
-from wheelleg_exp.inspection.figures_style import Panel, figure_bytes, page
-from wheelleg_exp.inspection.plot_data import Source
-from wheelleg_exp.inspection.viewer import viewer_screenshot
-from wheelleg_exp.inspection.web import WebViewer
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.pictures import captions, pictures
+from wheelleg_exp.inspection.plots import plots
+from wheelleg_exp.inspection.plots.plot_data import Source
+from wheelleg_exp.inspection.plots.style import Panel, figure_bytes, page
+from wheelleg_exp.inspection.viewer.viewer import viewer_screenshot
+from wheelleg_exp.inspection.viewer.web import WebViewer
+from wheelleg_exp.recording.reading.reader import Recording
 
 HERE = Path(__file__).parent
 LARGEST = 300_000  # bytes of a picture

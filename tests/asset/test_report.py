@@ -9,7 +9,7 @@ import pytest
 from pxr import Usd
 
 from wheelleg_exp.asset import Conversion, Report, convert
-from wheelleg_exp.asset.reader.ledger import Ledger
+from wheelleg_exp.asset.usd.ledger import Ledger
 from wheelleg_exp.paths import find_asset
 
 from .small_usd import converted, cube_inside, link, two_links, write

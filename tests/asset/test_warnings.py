@@ -7,7 +7,7 @@ import math
 import mujoco
 
 from wheelleg_exp.asset import conversion
-from wheelleg_exp.asset.writer import verify
+from wheelleg_exp.asset.mjcf import verify
 
 from .small_usd import link, write
 

@@ -6,8 +6,6 @@ import base64
 import io
 import json
 import shutil
-import time
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -115,13 +113,3 @@ class Chrome:
         """Return the page as it is printed."""
         options = {"printBackground": True, "preferCSSPageSize": True}
         return base64.b64decode(self.driver.execute_cdp_cmd("Page.printToPDF", options)["data"])
-
-
-def wait(condition: Callable[[], Any], seconds: float = 30.0) -> Any:
-    """Return what ``condition`` returns as soon as that counts as true; whatever it is when the time is up."""
-    end = time.monotonic() + seconds
-    while True:
-        found = condition()
-        if found or time.monotonic() > end:
-            return found
-        time.sleep(0.25)

@@ -11,9 +11,9 @@ from browser.chrome import Chrome, programs
 from wheelleg_exp.run.directory import RunDirectory
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
-    """A browser for all tests, with WebGL drawn in software."""
+    """A browser for a module's tests, with WebGL drawn in software, which costs a core as long as it is open."""
     try:
         browser, driver = programs()
     except FileNotFoundError as error:

@@ -12,6 +12,8 @@ from browser.chrome import Chrome
 from wheelleg_exp.report import make_report
 from wheelleg_exp.run.directory import RunDirectory
 
+pytestmark = pytest.mark.browser
+
 _BOXES = """
 return [...document.querySelectorAll(arguments[0] || 'SELECTOR')].map(e => {
   const box = e.getBoundingClientRect();

@@ -7,14 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from patience import wait_until
 
-from browser.chrome import Chrome, wait
-from wheelleg_exp.inspection.web import WebViewer
-from wheelleg_exp.recording.reader import Recording
+from browser.chrome import Chrome
+from wheelleg_exp.inspection.viewer.web import WebViewer
+from wheelleg_exp.recording.reading.reader import Recording
 from wheelleg_exp.run.directory import RunDirectory
 
+pytestmark = pytest.mark.browser
+
 _WIDTH, _HEIGHT = 1100, 700
-_PATIENCE_S = 180.0  # a busy machine without a graphics card compiles and draws slowly
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,7 @@ def pictures(chrome: Chrome, address: str, recording: Recording) -> tuple[NDArra
     empty = chrome.picture()
     if not chrome.script("return !!document.createElement('canvas').getContext('webgl2')"):
         pytest.skip("this browser has neither WebGL nor a software renderer for it")
-    wait(lambda: _robot(chrome.picture(), recording) > 500 and _lines(chrome.picture()) > 500, _PATIENCE_S)
+    wait_until(lambda: _robot(chrome.picture(), recording) > 500 and _lines(chrome.picture()) > 500, every_s=0.25)
     return empty, chrome.picture()
 
 

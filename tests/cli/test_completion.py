@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import select
+import shlex
 import signal
 import subprocess
 import sys
@@ -13,10 +14,13 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 from wheelleg_exp.cli import completion
 from wheelleg_exp.cli.main import COMMANDS, main
 from wheelleg_exp.paths import configs_dir
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +56,7 @@ OFFERED = {
     "wheelleg train ~env.events.pu": ["~env.events.push_robot", "~env.events.push_robot."],
     "wheelleg train 'env.decim": ["env.decimation="],
     "wheelleg train reward@env.rewards=[alive] env.rewards.": ["env.rewards.alive."],
-    "wheelleg explain env.sim.d": ["env.sim.dt"],
+    "wheelleg explain env.sim.d": ["env.sim.device", "env.sim.dt"],
     "wheelleg explain robo": ["robot"],
     "wheelleg list r": ["runs"],
     "wheelleg list options ro": ["robot"],
@@ -114,7 +118,7 @@ def _bash(line: str, tmp_path: Path) -> list[str]:
     """Type a line into bash, ask for completion as it does, and return what it got."""
     (tmp_path / "bin").mkdir(exist_ok=True)
     program = tmp_path / "bin" / "wheelleg"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m wheelleg_exp.cli.main "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m wheelleg_exp.cli.main "$@"\n')
     program.chmod(0o755)
     script = f"""
     eval "$(wheelleg completion bash)"
@@ -125,7 +129,11 @@ def _bash(line: str, tmp_path: Path) -> list[str]:
     """
     path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
     done = subprocess.run(
-        ["bash", "-c", script], capture_output=True, text=True, check=True, env={**os.environ, "PATH": path}
+        ["bash", "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PATH": path, "LC_ALL": "C"},
     )
     assert done.stderr == ""
     *found, registered = done.stdout.splitlines()
@@ -148,7 +156,7 @@ def test_bash_gets_the_part_after_the_last_break_and_a_space_when_complete(line,
 def test_an_interactive_bash_completes_on_tab(tmp_path):
     """Type into a terminal, press TAB, press return, and see which words the program was given."""
     program, given = tmp_path / "wheelleg", tmp_path / "given"
-    real = f'exec {sys.executable} -m wheelleg_exp.cli.main "$@"'
+    real = f'exec {shlex.quote(sys.executable)} -m wheelleg_exp.cli.main "$@"'
     program.write_text(f'#!/bin/sh\nif [ "$1" = completion ]; then {real}; fi\nprintf "%s|" "$@" > {given}\n')
     program.chmod(0o755)
     pid, terminal = pty.fork()
@@ -171,7 +179,7 @@ def test_an_interactive_bash_completes_on_tab(tmp_path):
 
 def _type(terminal: int, text: str, until: str) -> None:
     os.write(terminal, text.encode())
-    seen, end = "", time.monotonic() + 60.0
+    seen, end = "", time.monotonic() + PATIENCE_S
     while until not in seen:
         assert time.monotonic() < end, f"waited for {until!r}, saw {seen!r}"
         if select.select([terminal], [], [], 1.0)[0]:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import rerun as rr
 from inspection.synthetic import Writer, drive, play, training
+from inspection.test_summary import late
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.recording import messages
+from wheelleg_exp.recording.reading import messages
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.lock import RunLock
 from wheelleg_exp.run.manifest import Manifest
@@ -50,8 +51,22 @@ def refuse(word):
 def test_the_summary_is_printed(inspect):
     status, out, err = inspect(play("r.rrd"))
     assert (status, err) == (0, "")
-    for words in ("play", "whole", "survived to the time-out       50.0%", "drive.v_x", "feet.left", "hip", "push"):
+    for words in ("play", "whole", "survived           50.0% (1 of 2)", "drive.v_x", "feet.left", "hip", "push"):
         assert words in out
+
+
+def test_a_training_leads_with_what_it_ended_as_and_says_of_what_the_rest_is(inspect, tmp_path):
+    late(tmp_path / "r.rrd")
+    out = inspect("r.rrd")[1]
+    titles = [block.splitlines()[0] for block in out.split("\n\n")[1:]]
+    assert titles[:3] == [
+        "training, iteration 15, with exploration",
+        "samples of whole episodes, environment 0",
+        "below: the last sample with a whole episode, iterations 10 to 11: 40 of 70 recorded frames",
+    ]
+    assert re.search(r"return, mean +8 +the last 100 ended episodes\n", out)
+    assert re.search(r"survived +100.0% \(1 of 1\)\n", out)
+    assert "below: 20 of 70 recorded frames\n" in inspect("r.rrd", "--iteration", "0-5")[1]
 
 
 def test_the_summary_of_a_damaged_recording_is_printed(inspect, tmp_path):
@@ -118,7 +133,7 @@ def test_units_stand_with_the_names(inspect):
 def test_a_selection_without_rows_is_told(inspect):
     status, out, _ = inspect(play("r.rrd"), "--from", "100s")
     assert status == 0
-    assert re.search(r"figures are of +0 of 200 frames\n", out)
+    assert re.search(r"below: 0 of 200 recorded frames\n", out)
     assert "0.0%" not in out
     assert re.search(r"alive +3 +- +-\n", out)
     for words in (["--term", "base.pitch"], ["--where", "base.pitch"], ["--export", "csv", "-o", "out"]):
@@ -136,6 +151,11 @@ def test_statistics_of_terms(inspect):
         inspect("r.rrd", "--term", "contacts.feet.left")[1]
         == inspect("r.rrd", "--term=contacts.feet.left", "--stats")[1]
     )
+
+
+def test_statistics_say_from_when_to_when_they_are(inspect):
+    out = inspect(play("r.rrd"), "--term", "base.pitch", "--from", "1s")[1]
+    assert re.search(r"from +1.000 s, step 50\nto +4.000 s, step 200\n", out)
 
 
 def test_moments_with_the_rows_around(inspect):

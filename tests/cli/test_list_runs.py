@@ -28,17 +28,18 @@ def root(tmp_path):
         (run.path / "model_9950.pt").write_bytes(b"")
         error = "the disk is full" if status == "failed" else None
         run.manifest().finish(status, {}, error, now=datetime(2026, 1, 1, 10, tzinfo=UTC))
-        run.manifest().add("play", results={"survival": 0.987})
+        run.manifest().add("play", results={"survival": 0.9996, "episodes": 2512, "unfinished": 12})
     return tmp_path / "runs"
 
 
 def test_the_table_tells_how_each_run_went_and_fits_a_terminal(root):
     lines = wheelleg("list", "runs", "--root", root).out.splitlines()
-    assert max(map(len, lines[:4])) <= 120
-    assert " ".join(lines[0].split()) == "id task status iterations return steps time-out played took resume"
-    assert " ".join(lines[3].split()[2:]) == "finished 10000/12000 -1234.57 300 50% 99% 10h00m from 9950"
+    assert max(map(len, lines)) <= 100
+    assert " ".join(lines[0].split()) == "id task status done return time-out played took resume"
+    assert " ".join(lines[3].split()[2:]) == "finished 10000/12000 -1234.57 50.0% 2499/2500 10h00m from 9950"
     assert "…" in lines[2]
-    assert lines[4].endswith(": the disk is full")
+    said = " ".join(" ".join(lines[4:]).split())
+    assert ": the disk is full return: mean of the last 100 ended episodes of the training; time-out: share of" in said
 
 
 def test_json_tells_everything(root):
@@ -46,7 +47,7 @@ def test_json_tells_everything(root):
     assert newest["status"] == "interrupted"
     assert (newest["name"], newest["iterations"], newest["checkpoint"], newest["resumable"]) == ("b", 10000, 9950, True)
     assert newest["seeds"] == [2]
-    assert newest["played"] == {"survival": 0.987}
+    assert newest["played"] == {"survival": 0.9996, "episodes": 2512, "unfinished": 12}
     assert newest["started"] == "2026-01-01T02:00:00.000000Z"
 
 

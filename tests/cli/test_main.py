@@ -16,6 +16,7 @@ from wheelleg_exp.cli import main as script
 from wheelleg_exp.cli.common import add_overrides
 from wheelleg_exp.cli.main import Command, main
 from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.threads import VARIABLES, prepare_threads
 
 
@@ -111,13 +112,14 @@ def test_an_interrupt_is_130(probe):
     assert main(["probe"]) == 130
 
 
-def test_sigterm_is_an_interrupt_and_the_old_handler_comes_back(probe):
-    before = signal.getsignal(signal.SIGTERM)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_end_is_an_interrupt_and_the_old_handler_comes_back(probe, number):
+    before = signal.getsignal(number)
     cleaned = []
 
     def run(args):
         try:
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), number)
             signal.pause()
         finally:
             cleaned.append(True)
@@ -126,7 +128,85 @@ def test_sigterm_is_an_interrupt_and_the_old_handler_comes_back(probe):
     probe(run)
     assert main(["probe"]) == 130
     assert cleaned == [True]
-    assert signal.getsignal(signal.SIGTERM) is before
+    assert signal.getsignal(number) is before
+
+
+@pytest.fixture(params=[signal.SIGHUP, signal.SIGINT], ids=["nohup", "background"])
+def ignored(request):
+    before = signal.signal(request.param, signal.SIG_IGN)
+    yield request.param
+    signal.signal(request.param, before)
+
+
+def test_a_signal_that_the_shell_lets_it_ignore_stays_ignored(probe, ignored):
+    """``nohup`` ignores a hang-up, and a shell's ``&`` Ctrl-C, which is then for what runs in front."""
+
+    def run(args):
+        with StopRequest() as stop:
+            os.kill(os.getpid(), ignored)
+            stop.check()
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert stop.requested
+        os.kill(os.getpid(), ignored)
+        return 0
+
+    probe(run)
+    assert main(["probe"]) == 0
+    assert signal.getsignal(ignored) is signal.SIG_IGN
+
+
+def test_a_hang_up_told_twice_still_lets_a_job_come_to_a_whole_point(probe):
+    """By the system and by the shell; a second Ctrl-C means at once."""
+
+    def run(args):
+        with StopRequest() as stop:
+            os.kill(os.getpid(), signal.SIGHUP)
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert stop.requested
+        return 0
+
+    probe(run)
+    assert main(["probe"]) == 0
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_reader_that_goes_away_changes_no_verdict(probe, monkeypatch, stream):
+    reader, writer = os.pipe()
+    os.close(reader)
+
+    def run(args):
+        print("something", file=getattr(sys, stream), flush=True)
+        print("more", file=getattr(sys, stream), flush=True)
+        return 1
+
+    probe(run)
+    with os.fdopen(writer, "w") as closed:
+        monkeypatch.setattr(sys, stream, closed)
+        assert main(["probe"]) == 1
+
+
+def test_a_pipe_that_breaks_inside_is_a_failure(probe, capsys):
+    def run(args):
+        raise BrokenPipeError("the viewer is gone")
+
+    probe(run)
+    assert main(["probe"]) == 3
+    assert "the viewer is gone" in capsys.readouterr().err
+
+
+def test_a_terminal_that_is_gone_ends_nothing(probe, monkeypatch):
+    master, slave = os.openpty()
+    os.close(master)
+
+    def run(args):
+        sys.stderr.write("something\n")
+        sys.stderr.flush()
+        return 0
+
+    probe(run)
+    with os.fdopen(slave, "w") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        assert main(["probe"]) == 0
 
 
 def test_an_unknown_command_is_told_with_the_nearest(capsys):
@@ -190,8 +270,9 @@ def test_only_the_chosen_command_is_imported_and_it_stays_light():
         "print(sorted(loaded), 'torch' in sys.modules, 'mujoco' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    expected = "['wheelleg_exp.cli.common', 'wheelleg_exp.cli.list', 'wheelleg_exp.cli.main'] False False"
-    assert done.stdout.splitlines()[-1] == expected
+    loaded = [f"wheelleg_exp.cli.{name}" for name in ("common", "list", "main")]
+    loaded += [f"wheelleg_exp.cli.printing{name}" for name in ("", ".streams", ".tables")]
+    assert done.stdout.splitlines()[-1] == f"{loaded} False False"
 
 
 def test_thread_variables_are_set_unless_they_are_set_already(monkeypatch):

@@ -10,9 +10,12 @@ import pytest
 import yaml
 from asset.corpus import ABSENT, corpus_folder
 from jobs.small import TINY, cache_of, wheelleg
+from patience import PATIENCE_S
 from project.robots import urdf
 
-from wheelleg_exp import projects
+from wheelleg_exp import packages as projects
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,7 +35,9 @@ def _no_project_stays():
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
     """A command in a process of its own, in the current folder."""
-    return subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(
+        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
 
 
 def inside(folder: Path) -> list[str]:

@@ -9,10 +9,12 @@ import pytest
 import small_tree
 from options_stand_in import RobotOptions, RunOptions, SceneOptions, SimOptions
 
-from wheelleg_exp import terms
-from wheelleg_exp.config import check, loader, schema
-from wheelleg_exp.config.compose import Composed, compose
-from wheelleg_exp.config.robot_names import RobotNames
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking import check
+from wheelleg_exp.config.checking.robot_names import RobotNames
+from wheelleg_exp.config.composing import loader
+from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.terms import allowed_targets
 
 ROBOT = RobotNames(["a", "b", "left_hip", "wheel"], ["base", "foot"])
 STAND_INS = {"env.sim": SimOptions, "env.scene": SceneOptions, "env.robot": RobotOptions, "run": RunOptions}
@@ -27,7 +29,7 @@ def stock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(loader, "configs_dir", lambda: folder)
     monkeypatch.setattr(check, "read_names", lambda robot, roots: ROBOT)
-    monkeypatch.setattr(terms, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms"))
+    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms"))
     monkeypatch.setattr(schema, "OPTIONS", {path: f"options_stand_in.{o.__name__}" for path, o in STAND_INS.items()})
     return folder
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from wheelleg_exp.constraints import Positive
+
 
 @dataclass(frozen=True)
 class SimOptions:
-    dt: float = field(metadata={"above": 0.0})
+    dt: Positive
     solver: Literal["newton", "cg"]
 
 

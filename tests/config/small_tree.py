@@ -8,8 +8,11 @@ from pathlib import Path
 TARGETS = '''
 """Targets of the tests."""
 
+from wheelleg_exp.constraints import Interval
+from wheelleg_exp.managers import ActionTerm
 
-class Effort:
+
+class Effort(ActionTerm):
     """An effort action."""
 
     def __init__(self, env, joint_names: list[str], gain: float = 1.0):
@@ -36,7 +39,7 @@ def fell(env, limit: float):
     """True when the robot has fallen."""
 
 
-def push(env, env_ids, generator, velocity_range: tuple[float, float]):
+def push(env, env_ids, generator, velocity_range: Interval):
     """Push the robot."""
 
 
@@ -143,7 +146,7 @@ STOCK = {
         torch_threads: 1
         obs_groups: {actor: [policy], critic: [critic]}
         algorithm: {class_name: PPO, gamma: 0.99}
-        actor: {class_name: MLPModel}
+        actor: {class_name: MLPModel, distribution_cfg: {class_name: GaussianDistribution}}
         critic: {class_name: MLPModel}
     """,
     "run/default.yaml": """

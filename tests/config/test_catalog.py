@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelleg_exp.config import catalog
+from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.errors import ConfigError
 
 

@@ -13,7 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 from omegaconf.errors import ReadonlyConfigError
 
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 
 
 def test_the_order_of_a_list_is_the_order_of_the_terms(composed):
@@ -172,7 +172,8 @@ def test_a_path_with_blanks_and_quotes_can_be_a_config_folder(composed, user):
 def test_neither_torch_nor_mujoco_is_imported_to_compose():
     code = (
         "import sys; import wheelleg_exp.cli.main, wheelleg_exp.cli.compose, wheelleg_exp.cli.list;"
-        "import wheelleg_exp.config.compose, wheelleg_exp.config.check, wheelleg_exp.config.catalog;"
+        "import wheelleg_exp.config.composing.compose, wheelleg_exp.config.checking.check;"
+        "import wheelleg_exp.config.explaining.catalog;"
         "print(sorted({'torch', 'mujoco', 'rsl_rl', 'rerun', 'pxr'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

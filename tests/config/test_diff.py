@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.compose import compose
-from wheelleg_exp.config.difference import Side, compare, same
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.explaining.difference import Side, compare, same
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.jobs.sides import load_sides
+from wheelleg_exp.files import read_json, write_json, write_text
+from wheelleg_exp.jobs.diff_inputs import load_sides
+from wheelleg_exp.run.begin import begin
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import read_json, write_json, write_text
-from wheelleg_exp.run.snapshot import begin
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.explanation import explain_key
+from wheelleg_exp.config.explaining.explanation import explain_key
 from wheelleg_exp.errors import ConfigError
 
 DOCUMENTED = '''
@@ -62,10 +62,10 @@ bend:
 @pytest.fixture
 def documented(stock, edit, tmp_path, monkeypatch):
     """A task whose reward ``bend`` has a documented target."""
-    from wheelleg_exp import terms
+    from wheelleg_exp.terms import allowed_targets
 
     (tmp_path / "documented.py").write_text(DOCUMENTED, encoding="utf-8")
-    monkeypatch.setattr(terms, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "documented"))
+    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "documented"))
     edit("reward/bend.yaml", BEND)
     edit("task/stand.yaml", "[alive, height]", "[alive, height, bend]")
 
@@ -122,7 +122,7 @@ def test_another_target_is_one_of_the_same_module(documented, composed):
 
 
 def test_bounds_are_told(composed):
-    assert explain_key(composed(), "env.sim.dt").alternatives.limits == ("more than 0.0",)
+    assert explain_key(composed(), "env.sim.dt").alternatives.limits == ("more than 0",)
     assert explain_key(composed(), "env.num_envs").alternatives.limits == ("at least 1",)
 
 

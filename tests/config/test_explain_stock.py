@@ -6,13 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from wheelleg_exp.config import fixed, known, schema
-from wheelleg_exp.config.compose import compose
-from wheelleg_exp.config.docstrings import parameters_in, unit_in
-from wheelleg_exp.config.explanation import explain_key
+from wheelleg_exp.config import keys as known
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.explaining import fixed_keys as fixed
+from wheelleg_exp.config.explaining.docstrings import parameters_in, unit_in
+from wheelleg_exp.config.explaining.explanation import explain_key
 from wheelleg_exp.config.tree import dotted, leaves
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.terms import RESERVED
+from wheelleg_exp.rl.options import Agent
+from wheelleg_exp.terms.binding import RESERVED
+from wheelleg_exp.terms.sections import Env, keys_of
+
+pytestmark = pytest.mark.slow
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 
@@ -111,8 +117,8 @@ def test_the_keys_of_a_play_are_explained():
 
 def test_every_field_of_a_manager_and_every_fixed_key_has_a_meaning():
     assert set(fixed.FIELDS) == {name for names in RESERVED.values() for name in names}
-    for path, options in {"": schema.Root, "env": schema.Env, "agent": schema.Agent, "task": schema.Task}.items():
-        for name in schema.keys_of(options):
+    for path, options in {"": schema.Root, "env": Env, "agent": Agent, "task": schema.Task}.items():
+        for name in keys_of(options):
             assert fixed.meaning_of((*filter(None, path.split(".")), name)), (path, name)
 
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
-from wheelleg_exp import terms
 from wheelleg_exp.cli import main as script
 from wheelleg_exp.cli.main import main
+from wheelleg_exp.terms import allowed_targets
 
 # words of the command line -> what the message must hold
 OVERRIDES = {
@@ -134,7 +134,7 @@ OVERRIDES = {
     "out of range": (["env.num_envs=0"], ["env.num_envs: 0", "override env.num_envs=0", "at least 1"]),
     "out of range in a section": (
         ["env.sim.dt=0.0"],
-        ["env.sim.dt: 0.0", "override env.sim.dt=0.0", "more than 0.0"],
+        ["env.sim.dt: 0.0", "override env.sim.dt=0.0", "more than 0"],
     ),
     "not one of the words": (
         ["env.sim.solver=pgs"],
@@ -252,12 +252,20 @@ OVERRIDES = {
     "no key": (["=3"], ["=3: not an override", "override =3", "key=value"]),
     "not a number": (
         ["env.rewards.height.weight=nan"],
-        ["env.rewards.height.weight: nan", "override", "a number"],
+        ["env.rewards.height.weight: nan", "override", "a finite number"],
     ),
-    "a misspelled key of hydra": (
-        ["hydra.rn.dir=x"],
-        ["hydra.rn.dir:", "override", "did you mean 'hydra.run.dir'"],
+    "a setting of Hydra's that nothing reads": (
+        ["hydra.run.dir=x"],
+        ["hydra.run.dir: nothing reads this", "override hydra.run.dir=x", "run.root=DIR"],
     ),
+    "a misspelled key of hydra": (["+hydra.rn=x"], ["hydra.rn: nothing reads this", "hydra.searchpath"]),
+    "a group of Hydra's": (["hydra/job_logging=disabled"], ["hydra/job_logging: nothing reads this"]),
+    "a name in a list of Hydra's": (
+        ["hydra.searchpath.a=x"],
+        ["hydra.searchpath.a:", "override hydra.searchpath.a=x"],
+    ),
+    "Hydra's settings as a mapping": (["hydra={run: {dir: x}}"], ["hydra: nothing reads this"]),
+    "Hydra's settings deleted": (["~hydra"], ["hydra: nothing reads this", "override ~hydra"]),
     "search path that is not there": (["hydra.searchpath=[file:///nope]"], ["hydra.searchpath:", "/nope"]),
     "value deleted that is needed": (["~run"], ["run: this value is missing", "expected a mapping"]),
     "missing value on the command line": (["seed=???"], ["seed: this value is missing", "override seed=???"]),
@@ -325,7 +333,7 @@ OVERRIDES = {
     ),
     "a range turned round": (
         ["env.events.push.velocity_range=[1,-1]"],
-        ["env.events.push.velocity_range: is [1, -1]", "override", "[low, high]"],
+        ["env.events.push.velocity_range: [1, -1] is out of range", "override", "[low, high]"],
     ),
     "a run root that is a file": (
         ["run.root=configs/train.yaml"],
@@ -402,7 +410,11 @@ FILES = {
         ["task=walk"],
         ["reward@env.reward:", "configs/task/walk.yaml:7", "did you mean 'reward@env.rewards'"],
     ),
-    "defaults in a circle": (("task/stand.yaml", "- /robot: article", "- walk"), [], ["circle"]),
+    "defaults in a circle": (
+        ("task/stand.yaml", "- /robot: article", "- walk"),
+        [],
+        ["task/walk: the defaults", "task/stand -> task/walk", "configs/task/walk.yaml:4"],
+    ),
     "missing value": (
         ("task/stand.yaml", "decimation: 2", "decimation: ???"),
         [],
@@ -450,7 +462,7 @@ FILES = {
     "an empty file of a term": (
         ("reward/alive.yaml", ""),
         [],
-        ["env.rewards.alive: this file holds no term 'alive'", "configs/reward/alive.yaml:1"],
+        ["env.rewards.alive: this file is empty, and holds no term 'alive'", "configs/reward/alive.yaml:1"],
     ),
     "a task without a package line": (
         ("task/mine.yaml", "# Mine.\ndefaults: [stand, _self_]\nenv: {num_envs: 3}\n"),
@@ -503,7 +515,7 @@ FILES = {
 @pytest.fixture
 def command(stock: object, monkeypatch: pytest.MonkeyPatch) -> Callable[[list[str]], int]:
     """Run ``wheelleg check``, with the words that come after it."""
-    monkeypatch.setattr(terms, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
+    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
     return lambda words: main(["check", *words])
 
 
@@ -625,6 +637,31 @@ def test_all_wrong_overrides_are_told_at_once(command, capsys):
     assert "2 mistakes" in message
     assert "env.rewards.heigth.weight" in message
     assert "env.events.psh" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            "# @package _global_\ndefaults: [walk, _self_]\nhydra:\n  run: {dir: x}\n  sweeper: {params: {seed: 1}}\n",
+            ["hydra.run.dir: nothing reads this", "mine.yaml:4", "run.root=DIR"],
+        ),
+        (
+            "# @package _global_\ndefaults: [walk, _self_]\nhydra: {sweeper: {max_batch_size: 2}}\n",
+            ["hydra.sweeper.max_batch_size: nothing reads this", "mine.yaml:3", "hydra.sweeper.params"],
+        ),
+        (
+            "# @package _global_\ndefaults:\n- walk\n- override /hydra/job_logging: disabled\n- _self_\n",
+            ["hydra/job_logging: nothing reads this", "mine.yaml:4"],
+        ),
+    ],
+    ids=["run directory", "sweeper", "choice"],
+)
+def test_a_setting_of_hydras_in_a_users_file_that_nothing_reads_is_told(text, told, command, user, capsys):
+    file = user / "task" / "mine.yaml"
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(text)
+    _assert_told(command(["--config-dir", str(user), "task=mine"]), capsys, told)
 
 
 def test_a_user_file_that_a_stock_file_hides_is_told(command, user, capsys):

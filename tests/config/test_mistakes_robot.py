@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.check_robot import check_robot, match_all
-from wheelleg_exp.config.robot_names import RobotNames, names_in_mjcf
+from wheelleg_exp.config.checking.check_robot import check_robot, match_all
+from wheelleg_exp.config.checking.robot_names import RobotNames, names_in_mjcf
 
 # Overrides that a single check tells together -> key, part of the message, and the nearest name where there is one.
 WRONG = {
@@ -73,7 +73,7 @@ WRONG = {
     ),
     "+env.events.reset_base.pose_range.yw=[0,1]": (
         "env.events.reset_base.pose_range.yw",
-        "unknown axis 'yw'",
+        "unknown key 'yw'",
         "yaw",
     ),
 }

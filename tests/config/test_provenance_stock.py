@@ -8,9 +8,11 @@ from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from omegaconf import OmegaConf, open_dict
 
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.tree import leaves
 from wheelleg_exp.paths import configs_dir
+
+pytestmark = pytest.mark.slow
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 PRIMARIES = sorted(path.stem for path in configs_dir().glob("*.yaml"))
@@ -22,7 +24,7 @@ RECIPES = {
         "env.rewards.alive.weight=-20",
         "+env.actions.leg_pos.offset=0.5",
         "++env.rewards.alive.extra={deep: {er: 1}}",
-        "hydra.verbose=true",
+        "hydra.searchpath=[]",
     ],
     "lists": ["env.robot.joint_order.1=z", "env.sim.gravity=[0,0,-1]", "recording.env_ids=[]"],
     "keys with dots and interpolations": [

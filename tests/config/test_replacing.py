@@ -7,8 +7,8 @@ import textwrap
 import pytest
 import small_tree
 
-from wheelleg_exp.config import catalog
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.errors import ConfigError
 
 ALIVE = "alive:\n  _target_: shelf_terms.alive\n  weight: 7.0\n"

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.compose import compose
-from wheelleg_exp.config.shapes import shapes
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.explaining.shapes import shapes
 from wheelleg_exp.paths import configs_dir
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
@@ -55,12 +55,12 @@ def test_the_layout_is_that_of_the_built_environments_tensors(task, variant):
 
 
 def test_the_layout_of_the_main_task_by_hand_and_without_a_step(monkeypatch):
-    from wheelleg_exp.sim.simulation import Simulation
+    from wheelleg_exp.sim.batch import BatchEngine
 
     def step(self):
         raise AssertionError("a physics step")
 
-    monkeypatch.setattr(Simulation, "step", step)
+    monkeypatch.setattr(BatchEngine, "step", step)
     found = shapes(compose(["task=stand", "env.num_envs=1000000"]))
     widths = {name: [(t.name, t.width, t.history) for t in g.terms] for name, g in found.observations.items()}
     policy = [

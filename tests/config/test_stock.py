@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 from omegaconf import OmegaConf
 
-from wheelleg_exp.config import catalog, schema
-from wheelleg_exp.config.check import check
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.terms.sections import keys_of
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 PRIMARIES = sorted(path.stem for path in configs_dir().glob("*.yaml"))
@@ -48,7 +50,7 @@ def test_the_dataclass_of_a_section_is_there_and_describes_the_stock_section(pat
     node = compose().config
     for key in path.split("."):
         node = node[key]
-    assert set(node) <= set(schema.keys_of(options))
+    assert set(node) <= set(keys_of(options))
 
 
 def test_a_child_of_a_stock_task_in_a_users_folder(tmp_path):

@@ -11,7 +11,9 @@ import pytest
 import yaml
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
+
+pytestmark = pytest.mark.slow
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8")
 FILE = re.compile(r"`([\w./]+\.(?:yaml|py|toml))`[^`]*?:\n```(?:yaml|python|toml)\n(.*?)```", re.DOTALL)

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from wheelleg_exp.config import catalog
+from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.paths import configs_dir
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -28,7 +28,7 @@ def _script() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", ["reference.md", "terms.md", "rules.md"])
+@pytest.mark.parametrize("name", ["reference.md", "terms.md", "rules.md", "figures.md"])
 def test_a_page_is_what_the_files_say(made, name):
     kept = (DOCS / name).read_text(encoding="utf-8")
     assert kept == made[name], "run: python docs/make_reference.py"

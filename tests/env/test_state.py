@@ -18,11 +18,12 @@ from wheelleg_exp.managers import ActionTerm, CommandTerm, TermBase
 from wheelleg_exp.mdp import actions, commands, curriculums, events, modifiers, noise, observations, rewards
 from wheelleg_exp.mdp import terminations as terminations_module
 from wheelleg_exp.sim import actuators
-from wheelleg_exp.sim.contact import ContactSensor
+from wheelleg_exp.sim.sensors import ContactSensor
 
 M = "wheelleg_exp.mdp.modifiers."
 N = "wheelleg_exp.mdp.noise."
 A = "wheelleg_exp.mdp.actions."
+HIPS = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": [".*_hip"]}
 
 # What may differ right after loading, because nothing reads it before it is computed anew.
 DERIVED = frozenset(
@@ -34,8 +35,12 @@ DERIVED = frozenset(
         ".sensors['contact']._normals",
         "._views['xmat']",  # outputs that are kept current from the first time on that a term asks for one
         "._sim._current",
+        "._has_worked",  # what messages tell: whether a term has run before, and what it returned
+        ".form",
+        "._part_forms",
         ".robot.data._cache",  # quantities derived from the state, computed when they are asked for
         ".sensors['contact']._norms",
+        ".robot.data.motion_at_start",  # read within a control step alone
     }
 )
 
@@ -43,10 +48,10 @@ DERIVED = frozenset(
 def everything() -> dict:
     """Every class of the term library, and the stateful settings of the managers."""
     sections = copy.deepcopy(SECTIONS)
-    joint = {"joint_names": [".*_hip"]}
+    left, right = {"joint_names": ["left_hip"]}, {"joint_names": ["right_hip"]}
     sections["actions"] = {
-        "position": {"_target_": A + "JointPositionAction", **joint, "scale": 0.2, "clip": {".*": [-1.0, 1.0]}},
-        "relative": {"_target_": A + "RelativeJointPositionAction", **joint, "scale": 0.1},
+        "position": {"_target_": A + "JointPositionAction", **left, "scale": 0.2, "clip": {".*": [-1.0, 1.0]}},
+        "relative": {"_target_": A + "RelativeJointPositionAction", **right, "scale": 0.1},
         "velocity": {"_target_": A + "JointVelocityAction", "joint_names": [".*_axle"], "scale": 2.0},
         "effort": {"_target_": A + "JointEffortAction", "joint_names": [".*_axle"], "scale": 0.1},
     }
@@ -78,6 +83,7 @@ def everything() -> dict:
             ],
             "noise": {"_target_": N + "ConstantNoise", "bias": 0.5},
         },
+        "normal": {"_target_": O + "joint_pos_limit_normalized", "asset_cfg": HIPS},
         "biased": {
             "_target_": O + "joint_vel",
             "noise": {
@@ -176,7 +182,7 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
         lambda env: env.command_manager.get_command_term("v").time_left.add_(0.1),
         lambda env: env.event_manager._last_step["wrench"].add_(1),
         lambda env: env.observation_manager._groups["policy"]["modified"]._modifiers[3]._integral.add_(1e-6),
-        lambda env: env.scene.robot.data._before.add_(1e-12),
+        lambda env: env.scene.robot.data._qvel_before.add_(1e-12),
         lambda env: env.scene.sim.expand("body_mass").mul_(1.0 + 1e-12),
         lambda env: env.scene.sensors["contact"]._times["last_air_time"].add_(1e-6),
         lambda env: env.streams.get("env.commands.v").manual_seed(1),
@@ -234,7 +240,15 @@ def test_an_actuators_own_memory_is_saved(make):
     assert _equal(act(env, 10, 15), act(other, 10, 15))
 
 
-@pytest.mark.parametrize("kind", ["RemembersInAnIterator", "RemembersInAFile"])
+REFUSED_AT_ONCE = [
+    "RemembersInAnIterator",
+    "RemembersInAFile",
+    "RemembersInAConfig",
+    "RemembersInASimulation",
+]
+
+
+@pytest.mark.parametrize("kind", REFUSED_AT_ONCE)
 def test_state_that_cannot_be_saved_is_refused_when_the_term_is_made(make, kind):
     own = everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}}
     with pytest.raises(ConfigError) as caught:
@@ -243,16 +257,46 @@ def test_state_that_cannot_be_saved_is_refused_when_the_term_is_made(make, kind)
     assert "cannot be saved" in str(caught.value)
 
 
-@pytest.mark.parametrize(("kind", "word"), [("RemembersLater", "Later"), ("RemembersInItsClass", "class attribute")])
-def test_state_that_comes_later_is_refused_when_it_is_saved(make, kind, word):
-    own = everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}}
-    env = make(rewards=own)
+REFUSED_WHEN_IT_COMES = {
+    "RemembersLater": ("env.rewards.own", "Later"),
+    "RemembersInItsClass": ("env.rewards.own", "'calls' of 'RemembersInItsClass'"),
+    "RemembersOnANetwork": ("env.rewards.own", "network.calls"),
+    "RemembersTheLastAction": ("env.rewards.own", "'last' has come to share its memory with env.actions.action"),
+    "remembers_on_itself": ("env.rewards.own", "'calls' of 'remembers_on_itself'"),
+    "remembers_on_the_robot": ("env.robot", "'own_calls'"),
+    "remembers_in_the_config": ("env.rewards.own.weight", "the config"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED_WHEN_IT_COMES)
+def test_state_that_comes_later_is_refused_when_it_is_saved(make, kind):
+    key, words = REFUSED_WHEN_IT_COMES[kind]
+    env = make(rewards=everything()["rewards"] | {"own": {"_target_": spies.HERE + kind, "weight": 1.0}})
     env.reset()
     env.state_dict()
     act(env, 1)
-    with pytest.raises(ConfigError, match=word) as caught:
+    with pytest.raises(ConfigError, match=words) as caught:
         env.state_dict()
-    assert caught.value.key == "env.rewards.own"
+    assert caught.value.key == key
+
+
+def test_what_a_term_keeps_on_the_environment_is_saved_like_its_own(make):
+    own = everything()["rewards"] | {"own": {"_target_": spies.HERE + "remembers_on_the_environment", "weight": 1.0}}
+
+    def build(seed=0):
+        return make(seed=seed, rewards=own)
+
+    env = build()
+    env.reset()
+    act(env, 15)
+    env.max_episode_length = 40  # as a curriculum may set it
+    other = restored(env, build, lived=8)
+    assert _equal(act(env, 30, 15), act(other, 30, 15))
+    assert other.own_calls == env.own_calls
+    fresh = build()
+    fresh.reset()
+    other.load_state_dict(fresh.state_dict())
+    assert (hasattr(other, "own_calls"), other.max_episode_length) == (False, fresh.max_episode_length)
 
 
 def test_settings_that_a_curriculum_changed_are_state(make):

@@ -6,7 +6,7 @@ import pytest
 import torch
 from sim.small_envs import ASSETS
 
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 
 

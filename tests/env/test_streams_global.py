@@ -8,10 +8,10 @@ import inspect
 import pytest
 import torch
 
-from wheelleg_exp.config.library import library
+from wheelleg_exp.config.explaining.catalog import library
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.global_draws import no_global_draws
-from wheelleg_exp.terms import resolve_target
+from wheelleg_exp.terms.binding import resolve_target
 
 E = "wheelleg_exp.mdp.events."
 O = "wheelleg_exp.mdp.observations."

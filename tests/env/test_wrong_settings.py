@@ -6,6 +6,7 @@ import copy
 
 import pytest
 import torch
+from sim.small_envs import ACTUATORS, PLANE
 
 from wheelleg_exp.errors import ConfigError
 
@@ -70,12 +71,21 @@ def test_events(make_env, node, key):
     ("section", "change", "key"),
     [
         ("sim", {"gravity": [0.0, 0.0]}, "env.sim.gravity"),
-        ("scene", {"ground": {"static_friction": 0.5}}, "env.scene.ground"),
+        ("scene", {"terrain": {"_target_": PLANE, "static_friction": 0.5}}, "env.scene.terrain"),
         (
             "scene",
-            {"ground": {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0, "x": 1.0}},
-            "env.scene.ground",
+            {
+                "terrain": {
+                    "_target_": PLANE,
+                    "static_friction": 0.5,
+                    "dynamic_friction": 0.5,
+                    "restitution": 0.0,
+                    "x": 1,
+                }
+            },
+            "env.scene.terrain",
         ),
+        ("scene", {"terrain": {"_target_": ACTUATORS + "ImplicitActuator"}}, "env.scene.terrain"),
         ("robot", {"base": "fixed"}, "env.robot.base"),
     ],
 )

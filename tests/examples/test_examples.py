@@ -13,10 +13,12 @@ from asset.corpus import ABSENT, VARIABLE, corpus_folder
 from jobs.small import TINY, cache_of, wheelleg
 
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.check import check
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.run.directory import RunDirectory
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = sorted(path for path in (ROOT / "docs" / "examples").iterdir() if path.is_dir())

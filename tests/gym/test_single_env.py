@@ -181,3 +181,12 @@ def test_importing_the_package_registers_it_and_imports_little():
 def test_gymnasium_imports_the_package_that_the_id_names(monkeypatch):
     made = gymnasium.make(f"wheelleg_exp:{ENV_ID}", overrides=ONE_THREAD)
     assert made.spec.id == ENV_ID
+
+
+def test_whose_numbers_were_not_finite_is_told(env):
+    env.reset(seed=0)
+    *_, terminated, _, info = env.step(np.full(6, np.nan, np.float32))
+    assert terminated
+    assert info == {"non_finite": ["env.actions"]}
+    observations, _ = env.reset()
+    assert all(np.isfinite(value).all() for value in observations.values())

@@ -9,7 +9,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.gym import ENV_ID
 
@@ -188,3 +188,15 @@ def test_gymnasiums_own_batching_works_too():
     observations, _ = env.reset(seed=0)
     assert observations["policy"].shape == (2, 135)
     env.step(np.zeros((2, 6), np.float32))
+
+
+def test_whose_numbers_were_not_finite_is_told(env):
+    env.reset(seed=0)
+    wrong = np.zeros((N, 6), np.float32)
+    wrong[2, 1] = np.nan
+    observations, rewards, terminated, _, infos = env.step(wrong)
+    assert infos["_non_finite"].tolist() == terminated.tolist() == [False, False, True, False]
+    assert infos["non_finite"].tolist() == [None, None, ["env.actions"], None]
+    assert np.isfinite(rewards).all()
+    assert all(np.isfinite(value).all() for value in observations.values())
+    assert "non_finite" not in env.step(np.zeros((N, 6), np.float32))[4]

@@ -8,10 +8,10 @@ import pytest
 from inspection.written import write_recording
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.render_job import Order
-from wheelleg_exp.inspection.renderer import drawing
-from wheelleg_exp.inspection.scene_of import Scene
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.pictures.recorded_scene import Scene
+from wheelleg_exp.inspection.pictures.render_job import Order
+from wheelleg_exp.inspection.pictures.renderer import drawing
+from wheelleg_exp.recording.reading.reader import Recording
 
 
 @pytest.fixture(scope="session")

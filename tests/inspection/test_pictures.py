@@ -14,12 +14,14 @@ from inspection.written import CONTACT, DT, FELL_AT, HEIGHT, base_x, write_recor
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection import captions, pictures, renderer
-from wheelleg_exp.inspection.camera import Camera, axes, follow
-from wheelleg_exp.inspection.pictures import Scenery, row_at, scenery
-from wheelleg_exp.inspection.scene_of import points
-from wheelleg_exp.inspection.shapes import Shape
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.pictures import captions, pictures, renderer
+from wheelleg_exp.inspection.pictures.camera import Camera, axes, follow
+from wheelleg_exp.inspection.pictures.pictures import Scenery, row_at, scenery
+from wheelleg_exp.inspection.pictures.recorded_scene import points
+from wheelleg_exp.inspection.pictures.recorded_shapes import Shape
+from wheelleg_exp.recording.reading.reader import Recording
+
+pytestmark = pytest.mark.pictures
 
 WIDTH, HEIGHT_PX = 320, 240
 TAN = np.tan(np.radians(15.0))
@@ -194,7 +196,7 @@ def test_a_caption_says_when_and_what_was_commanded(trained: Recording) -> None:
 
 
 def test_a_pose_that_is_not_finite_is_the_last_that_was(tmp_path: Path) -> None:
-    from wheelleg_exp.inspection.scene_of import _last_finite
+    from wheelleg_exp.inspection.pictures.recorded_scene import _last_finite
 
     rows = np.array([[np.nan, 0], [1, 2], [np.inf, 0], [3, 4]], dtype=float)
     np.testing.assert_array_equal(_last_finite(rows), [[1, 2], [1, 2], [1, 2], [3, 4]])
@@ -254,8 +256,11 @@ def test_drawing_leaves_no_process_and_no_log_behind(
 def test_looking_needs_neither_torch_nor_mujoco_in_this_process(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "r.rrd")
     code = (
-        "import sys; from pathlib import Path; from wheelleg_exp.recording.reader import Recording\n"
-        "from wheelleg_exp.inspection import plots, pictures, video, viewer, export\n"
+        "import sys; from pathlib import Path; from wheelleg_exp.recording.reading.reader import Recording\n"
+        "from wheelleg_exp.inspection.pictures import pictures, video\n"
+        "from wheelleg_exp.inspection.plots import plots\n"
+        "from wheelleg_exp.inspection.questions import export\n"
+        "from wheelleg_exp.inspection.viewer import viewer\n"
         f"pictures.scenery(Recording(Path({str(path)!r})))\n"
         "print([m for m in ('torch', 'mujoco', 'matplotlib.pyplot') if m in sys.modules])"
     )

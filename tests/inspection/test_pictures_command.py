@@ -9,8 +9,10 @@ import pytest
 from PIL import Image
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.inspection import viewer
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.viewer import viewer
+from wheelleg_exp.recording.reading.reader import Recording
+
+pytestmark = pytest.mark.pictures
 
 
 def inspect(recording: Recording, *words: object) -> int:

@@ -15,12 +15,17 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection import plots, plots_training
-from wheelleg_exp.inspection.figures_style import PALETTE, figure_bytes, tile
-from wheelleg_exp.inspection.plot_data import Source
-from wheelleg_exp.inspection.selection import Selection
-from wheelleg_exp.inspection.spans import Length
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.plots import plots
+from wheelleg_exp.inspection.plots import training_curves as plots_training
+from wheelleg_exp.inspection.plots.plot_data import Source
+from wheelleg_exp.inspection.plots.style import PALETTE, figure_bytes, tile
+from wheelleg_exp.inspection.questions.selection import Selection
+from wheelleg_exp.inspection.questions.spans import Length
+from wheelleg_exp.recording.reading.reader import Recording
+
+pytestmark = pytest.mark.pictures
+
+RETURN = "Return, mean of the last 100 ended episodes"
 
 
 def panel(figure: Figure, title: str) -> Axes:
@@ -85,7 +90,7 @@ def test_contact_forces_are_drawn_of_the_bodies_that_were_touched(played: Record
 
 
 def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) -> None:
-    axes = panel(plots.make(played, "reward_shares"), "Mean reward by term, whole recording")
+    axes = panel(plots.make(played, "reward_shares"), f"Mean reward by term over {STEPS} recorded steps")
     expected = numbers(steps_of(training=False))
     shown = dict(
         zip([t.get_text() for t in axes.get_yticklabels()], (bar.get_width() for bar in axes.patches), strict=True)
@@ -120,7 +125,7 @@ def test_terms_are_drawn_with_their_units(played: Recording) -> None:
     assert [axes.get_title("left") for axes in figure.get_axes()] == ["rewards.effort (1/s)", "base.height (m)"]
 
 
-def test_the_largest_force_within_a_step_is_drawn_beside_that_at_its_end(tmp_path: Path) -> None:
+def test_the_largest_force_of_the_history_is_drawn_beside_that_at_its_end(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r.rrd")
     writer.numbers("base/height", [1.0, 1.0])
     writer.numbers("contacts/feet", [[1.0, 0.0], [3.0, 0.0]], names=["l", "r"])
@@ -128,12 +133,12 @@ def test_the_largest_force_within_a_step_is_drawn_beside_that_at_its_end(tmp_pat
     figure = plots.make(Recording(writer.close()), "contact_forces")
     end, largest = panel(figure, "l: contact force (N)").get_lines()
     assert (end.get_label(), end.get_ydata().tolist()) == ("end of the step", [1.0, 3.0])
-    assert (largest.get_label(), largest.get_ydata().tolist()) == ("largest within it", [9.0, 3.0])
+    assert (largest.get_label(), largest.get_ydata().tolist()) == ("largest in the history", [9.0, 3.0])
     assert panel(figure, "r: contact force (N)").get_ylim()[1] > 9.0
 
 
 def test_terminations_are_marked_when_they_fired(played: Recording) -> None:
-    axes = panel(plots.make(played, "terminations"), "When terminations fired")
+    axes = panel(plots.make(played, "terminations"), "When terminations fired, and how often")
     assert [t.get_text() for t in axes.get_yticklabels()] == ["fell  1×", "time_out  0×"]
     np.testing.assert_allclose(axes.get_lines()[0].get_xdata(), [FELL_AT * DT])
 
@@ -141,7 +146,7 @@ def test_terminations_are_marked_when_they_fired(played: Recording) -> None:
 @pytest.mark.parametrize(
     ("title", "key"),
     [
-        ("Return of an episode", "Train/mean_reward"),
+        (RETURN, "Train/mean_reward"),
         ("Value loss", "Loss/value"),
         ("Learning rate", "Loss/learning_rate"),
     ],
@@ -150,6 +155,34 @@ def test_learning_curves_are_the_recorded_scalars(trained: Recording, title, key
     iterations, values = line(plots.make(trained, "learning_curves"), title)
     np.testing.assert_array_equal(iterations, np.arange(ITERATIONS))
     np.testing.assert_allclose(values, scalar_values()[key])
+
+
+def test_the_error_of_a_step_is_drawn_and_not_the_one_that_grows_with_the_episode() -> None:
+    x, step, grown = np.arange(5), np.full(5, 0.2), np.linspace(0.03, 0.4, 5)
+    keys = ("Episode_Metrics/drive/error_vel_xy_per_step", "Metrics/drive/error_vel_xy")
+    scalars = {key: (x, values) for key, values in zip(keys, (step, grown), strict=True)}
+    (axes,) = tile(plots_training.learning(scalars)).get_axes()
+    assert axes.get_title("left") == "Mean planar velocity error (drive)"
+    assert axes.get_ylabel() == "m/s"
+    np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), step)
+    (older,) = tile(plots_training.learning({keys[1]: scalars[keys[1]]})).get_axes()
+    assert older.get_title("left") == "Error_vel_xy, added up over an episode (drive)"
+    assert older.get_ylabel() == ""
+
+
+def test_shares_of_endings_are_lines_because_two_may_end_an_episode() -> None:
+    """Every last episode was ended by both: shares that one may not stack."""
+    x, every = np.arange(5), np.ones(5)
+    scalars = {f"Episode_Termination/{name}": (x, every) for name in ("a", "b")}
+    (axes,) = tile(plots_training.endings(scalars)).get_axes()
+    assert axes.get_title("left") == "Share of all environments whose last episode each termination ended"
+    assert [one.get_label() for one in axes.get_lines()] == ["a", "b"]
+    assert all((one.get_ydata() == every).all() for one in axes.get_lines())
+
+
+def test_what_is_of_the_last_sample_says_so(trained: Recording, played: Recording) -> None:
+    assert plots.PLOTS["joints"].heading(Source(trained)) == "Joints, last sample, from iteration 10 on"
+    assert plots.PLOTS["joints"].heading(Source(played)) == "Joints"
 
 
 def test_learning_curves_of_scalars_alone_are_those_of_the_recording(trained: Recording) -> None:
@@ -187,7 +220,7 @@ def test_the_default_page_shows_what_matters_for_the_purpose(kind: str, request:
     recording = request.getfixturevalue(kind)
     titles = {axes.get_title("left") for axes in plots.default_page(recording).get_axes()}
     assert "Height of the base (m)" in titles
-    assert ("Return of an episode" in titles) == (kind == "trained")
+    assert (RETURN in titles) == (kind == "trained")
 
 
 def test_a_chosen_environment_is_the_one_that_is_drawn(several: Recording) -> None:
@@ -240,7 +273,7 @@ def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording
 
 def test_an_overlay_of_trainings_shows_learning_curves(trained: Recording) -> None:
     figure = plots.overlay({"a": trained, "b": trained}, ())
-    np.testing.assert_allclose(line(figure, "Return of an episode", "b")[1], scalar_values()["Train/mean_reward"])
+    np.testing.assert_allclose(line(figure, RETURN, "b")[1], scalar_values()["Train/mean_reward"])
 
 
 @pytest.mark.parametrize("name", ["reward_shares", "tracking"])

@@ -7,12 +7,12 @@ import pytest
 from inspection.synthetic import AMPLITUDE, Writer, pitch, play, training
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.columns import term_statistics
-from wheelleg_exp.inspection.conditions import Condition
-from wheelleg_exp.inspection.query import find_hits
-from wheelleg_exp.inspection.selection import Selection, parse_iterations
-from wheelleg_exp.inspection.spans import Length, parse_length
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.questions.columns import term_statistics
+from wheelleg_exp.inspection.questions.conditions import Condition
+from wheelleg_exp.inspection.questions.query import find_hits
+from wheelleg_exp.inspection.questions.selection import Selection, parse_iterations
+from wheelleg_exp.inspection.questions.spans import Length, parse_length
+from wheelleg_exp.recording.reading.reader import Recording
 
 A, B = np.array([-1.0, 0.0, 2.0, np.nan]), np.array([1.0, 1.0, 1.0, 1.0])
 

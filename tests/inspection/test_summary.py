@@ -6,13 +6,14 @@ import json
 
 import numpy as np
 import pytest
+import rerun as rr
 from inspection.synthetic import AMPLITUDE, STEP_DT, Writer, drive, play, training
 
-from wheelleg_exp.inspection.selection import Selection
-from wheelleg_exp.inspection.spans import Length
-from wheelleg_exp.inspection.summary import summarize
-from wheelleg_exp.recording.reader import Recording
-from wheelleg_exp.run.files import dump_json
+from wheelleg_exp.files import dump_json
+from wheelleg_exp.inspection.questions.selection import Selection
+from wheelleg_exp.inspection.questions.spans import Length
+from wheelleg_exp.inspection.questions.summary import summarize
+from wheelleg_exp.recording.reading.reader import Recording
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def test_episodes_end_where_a_termination_fired(summary):
     assert [e.total_reward for e in summary.episodes] == pytest.approx([2.0, 4.0, 2.0])
 
 
-def test_survival_counts_ended_episodes_only(summary):
+def test_survival_counts_whole_episodes_only(summary):
     figures = summary.figures
     assert (figures.count, figures.failed, figures.timed_out, figures.unfinished) == (3, 1, 1, 1)
     assert figures.survival == 0.5
@@ -134,10 +135,58 @@ def test_sample_episodes_belong_to_the_stretch_of_frames_that_they_stand_in(tmp_
     writer.numbers("rewards/total", np.ones(80), steps, None, iterations)
     writer.words("log/episodes", [(10, "env 0: ended by fallen", "WARN"), (210, "env 0: ended by fallen", "WARN")])
     samples = summarize(Recording(writer.close())).samples
-    assert [(s.iteration, s.last_iteration, s.episodes, s.ended, s.survival) for s in samples] == [
-        (0, 1, 2, 1, 0.0),
-        (10, 11, 2, 1, 0.0),
+    assert [(s.iteration, s.last_iteration, s.episodes, s.cut, s.survival) for s in samples] == [
+        (0, 1, 1, 1, 0.0),
+        (10, 11, 1, 1, 0.0),
     ]
+
+
+def test_environments_of_one_sample_begin_each_with_its_own_episode(tmp_path):
+    """The second environment waits 30 steps for its next episode, until the first one's sample is over."""
+    writer = Writer(tmp_path / "r.rrd")
+    writer.stream.send_property("wheelleg", rr.AnyValues(env_ids=[0, 3], max_episode_length=40))
+    for branch, wait in (("env_0", 0), ("env_3", 30)):
+        steps = np.r_[1:21, 201:221] + wait
+        writer.numbers(f"{branch}/terminations/fallen", np.isin(steps - wait, [20, 220]), steps, None, steps // 20)
+    samples = summarize(Recording(writer.close())).samples
+    assert [(s.first_step, s.last_step, s.episodes, s.cut) for s in samples] == [(1, 50, 2, 0), (201, 250, 2, 0)]
+
+
+def late(path):
+    """A training whose first sample falls after 20 steps at a height of 1, and whose last one stands 40 steps at 2."""
+    writer = Writer(path)
+    steps = np.r_[1:21, 201:241, 301:311]
+    iterations = (steps - 1) // 20
+    writer.numbers("terminations/fallen", steps == 20, steps, None, iterations)
+    writer.numbers("terminations/time_out", steps == 240, steps, None, iterations)
+    writer.numbers("base/height", np.where(steps <= 20, 1.0, 2.0), steps, None, iterations)
+    writer.numbers("rewards/total", np.where(steps == 20, -100.0, 1.0), steps, None, iterations)
+    writer.words("log/episodes", [(20, "env 0: ended by fallen", "WARN"), (240, "env 0: ended by time_out", "INFO")])
+    scalars = np.array([0.0, 5.0, 8.0])
+    writer.numbers("training/Train/mean_reward", scalars, [20, 240, 320], None, [0, 11, 15])
+    return writer.close()
+
+
+def test_figures_of_a_training_are_of_the_last_sample_with_a_whole_episode(tmp_path):
+    recording = Recording(late(tmp_path / "r.rrd"))
+    summary = summarize(recording)
+    assert (summary.sample.iteration, summary.sample.first_step, summary.sample.last_step) == (10, 201, 240)
+    assert (summary.figures.survival, summary.figures.mean_reward) == (1.0, pytest.approx(40 * STEP_DT))
+    assert (summary.base["height"].mean, summary.frames) == (2.0, (40, 70))
+    assert [sample.survival for sample in summary.samples] == [0.0, 1.0, None]
+    assert len(summary.episodes) == 3
+    early = summarize(recording, Selection(iterations=(0, 5)))
+    assert (early.sample, early.figures.survival, early.base["height"].mean) == (None, 0.0, 1.0)
+
+
+def test_an_episode_that_two_terminations_end_counts_once(tmp_path):
+    writer = Writer(tmp_path / "r.rrd")
+    rows = np.arange(1, 31)
+    writer.numbers("terminations/a", np.isin(rows, [10, 20]))
+    writer.numbers("terminations/b", np.isin(rows, [20, 30]))
+    figures = summarize(Recording(writer.close())).figures
+    assert figures.ended_by == {"a": 1, "a and b": 1, "b": 1}
+    assert sum(figures.ended_by.values()) == figures.whole == 3
 
 
 def test_samples_and_the_whole_are_figures_of_the_same_episodes(tmp_path):
@@ -153,9 +202,11 @@ def test_samples_and_the_whole_are_figures_of_the_same_episodes(tmp_path):
     writer.numbers("episode/truncated", 0 * steps, steps)
     summary = summarize(Recording(writer.close()))
     (sample,) = summary.samples
-    assert (sample.episodes, sample.ended, sample.survival) == (3, 2, 0.0)
-    assert sample.mean_reward == summary.figures.mean_reward == pytest.approx((19 - 100) * STEP_DT)
-    assert sample.mean_duration_s == summary.figures.mean_duration_s == pytest.approx((40 + 20) / 2 * STEP_DT)
+    assert (sample.episodes, sample.cut, sample.survival) == (1, 2, 0.0)
+    figures = summary.figures
+    assert (figures.count, figures.whole, figures.begun_before, figures.unfinished) == (3, 1, 1, 1)
+    assert sample.mean_reward == figures.mean_reward == pytest.approx((19 - 100) * STEP_DT)
+    assert sample.mean_duration_s == figures.mean_duration_s == figures.longest_s == pytest.approx(20 * STEP_DT)
 
 
 def test_without_an_ended_episode_a_sample_has_no_figures(tmp_path):

@@ -10,12 +10,14 @@ import pytest
 from inspection.written import DT, STEPS
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection import video as video_module
-from wheelleg_exp.inspection.pictures import scenery
-from wheelleg_exp.inspection.selection import Selection
-from wheelleg_exp.inspection.spans import Length
-from wheelleg_exp.inspection.video import video
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.pictures import video as video_module
+from wheelleg_exp.inspection.pictures.pictures import scenery
+from wheelleg_exp.inspection.pictures.video import video
+from wheelleg_exp.inspection.questions.selection import Selection
+from wheelleg_exp.inspection.questions.spans import Length
+from wheelleg_exp.recording.reading.reader import Recording
+
+pytestmark = pytest.mark.pictures
 
 SMALL = {"width": 96, "height": 64}
 

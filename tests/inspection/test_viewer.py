@@ -15,13 +15,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inspection.written import write_recording
+from patience import PATIENCE_S, wait_until
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection import viewer, viewer_process, web
-from wheelleg_exp.inspection.renderer import NoGraphics
-from wheelleg_exp.inspection.web import WebViewer
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.pictures.renderer import NoGraphics
+from wheelleg_exp.inspection.viewer import viewer, viewer_process, web
+from wheelleg_exp.inspection.viewer.web import WebViewer
+from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.writing.feed import free_port
+
+pytestmark = pytest.mark.pictures
 
 psutil = pytest.importorskip("psutil", reason="psutil looks at what a process listens on")
 
@@ -39,7 +43,7 @@ def served(played: Recording, files: web.Files, monkeypatch) -> Iterator[WebView
 
 
 def ask(port: int, path: str, host: str | None = None, method: str = "GET") -> tuple[int, dict[str, str], bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     try:
         connection.request(method, path, headers={"Host": host or f"127.0.0.1:{port}"})
         answer = connection.getresponse()
@@ -154,7 +158,7 @@ def test_the_command_serves_until_it_is_interrupted(played: Recording, number: s
         assert listening(process.pid) == {"127.0.0.1"}
         children = psutil.Process(process.pid).children(recursive=True)
         process.send_signal(number)
-        assert process.wait(20) == 0
+        assert process.wait(PATIENCE_S) == 0
         assert process.stderr is not None
         assert process.stderr.read() == ""
         assert not [child for child in children if child.is_running()]
@@ -187,13 +191,11 @@ def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Pa
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME"):
         monkeypatch.delenv(name, raising=False)
-    port = viewer_process.free_port()
+    port = free_port()
     with viewer_process.viewer(["--headless", "--port", str(port)]) as (process, said):
-        end = time.monotonic() + 4.0
-        while not listening(process.pid):
-            if process.poll() is not None or time.monotonic() > end:
-                pytest.skip(f"no viewer: {viewer_process.last_words(said)}")
-            time.sleep(0.05)
+        assert wait_until(lambda: listening(process.pid) or process.poll() is not None)
+        if process.poll() is not None:
+            pytest.skip(f"no viewer: {viewer_process.last_words(said)}")
         assert listening(process.pid) == {"127.0.0.1"}
         seen = set()
         for _ in range(20):
@@ -216,15 +218,13 @@ def test_ending_a_viewer_ends_what_it_started() -> None:
         [
             sys.executable,
             "-c",
-            "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(60)'])",
+            "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import time; time.sleep(600)'])",
         ],
         start_new_session=True,
     )
-    end = time.monotonic() + 10
-    while not (children := psutil.Process(process.pid).children()) and time.monotonic() < end:
-        time.sleep(0.02)
+    children = wait_until(psutil.Process(process.pid).children)
     viewer_process.end(process)
-    psutil.wait_procs(children, timeout=5)
+    psutil.wait_procs(children, timeout=PATIENCE_S)
     assert children
     assert not [child for child in children if child.is_running() and child.status() != "zombie"]
 

@@ -18,8 +18,9 @@ def kill() -> None:
 
 def plant(point: str) -> None:
     """Let the process die at a point: ``source``, ``checkpoint:1``, ``torn:2`` or ``manifest``."""
-    from wheelleg_exp.jobs import outputs, training
-    from wheelleg_exp.run import manifest, snapshot
+    from wheelleg_exp.jobs.train import outputs, training
+    from wheelleg_exp.run import begin as snapshot
+    from wheelleg_exp.run import manifest
 
     what, _, number = point.partition(":")
     write, checkpoint = outputs.Outputs.write, outputs.Outputs.checkpoint

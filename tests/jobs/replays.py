@@ -11,11 +11,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 import wheelleg_exp
 from jobs.small import SMALL
 from wheelleg_exp.paths import assets_dir, configs_dir
 from wheelleg_exp.run.inventory import inventory
+from wheelleg_exp.run.seal import sealed_text
 
 ITERATIONS = 3
 
@@ -77,7 +79,7 @@ def train(checkout: Path, *overrides: str, root: Path, options: tuple[str, ...] 
     command = [sys.executable, "-P", "-m", "wheelleg_exp.cli.main", "train", *SMALL, *overrides, f"run.root={root}"]
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, filter(None, (checkout, path))))}
     done = subprocess.run(
-        [*command, *options], cwd=checkout, env=environ, capture_output=True, text=True, timeout=120, check=False
+        [*command, *options], cwd=checkout, env=environ, capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
     assert done.returncode == 0, done.stderr
     (path,) = root.glob("*/*/manifest.json")
@@ -98,8 +100,4 @@ def change_manifest(run: Path, **changes: object) -> None:
     path = run / "manifest.json"
     data = json.loads(path.read_text()) | changes
     data["files"] = {name: record for name, record in inventory(run).items() if name in data["files"]}
-    if "sha256" in data:
-        from wheelleg_exp.run.seal import sealed
-
-        data = sealed(data)
-    path.write_text(json.dumps(data))
+    path.write_text(sealed_text(data))

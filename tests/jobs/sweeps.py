@@ -11,9 +11,9 @@ import pytest
 
 from jobs.small import SMALL, Words, cache_of, wheelleg
 from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.sweep import SweepRunner
-from wheelleg_exp.jobs.sweep_job import Request
-from wheelleg_exp.run.sweep import SweepIndex
+from wheelleg_exp.jobs.sweep.job import Request
+from wheelleg_exp.jobs.sweep.sweep import SweepRunner
+from wheelleg_exp.run.sweep_index import SweepIndex
 
 SEEDS = (0, 1)
 
@@ -21,6 +21,7 @@ SEEDS = (0, 1)
 STAND_IN = """
 import json, os, signal, sys, time
 
+signal.signal(signal.SIGTERM, signal.default_int_handler)
 request = json.loads(sys.stdin.buffer.raw.readline())
 (what,) = request["overrides"]
 
@@ -42,6 +43,9 @@ elif what == "fail":
 elif what == "die":
     sys.stderr.write("the last words")
     sys.exit(7)
+elif what == "leave":
+    print('{"event": "iterat', end="", flush=True)
+    os._exit(0)
 elif what == "killed":
     os.kill(os.getpid(), signal.SIGKILL)
 elif what == "talk":
@@ -55,13 +59,13 @@ elif what == "wait":
     sys.exit(130)
 elif what == "deaf":
     try:
-        time.sleep(60)
+        time.sleep(600)
     except KeyboardInterrupt:
         tell("ended", status="interrupted", error=None)
 elif what == "stubborn":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     tell("iteration", done=1, total=9, scalars={})
-    time.sleep(60)
+    time.sleep(600)
 """
 
 

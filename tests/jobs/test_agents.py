@@ -9,11 +9,13 @@ import pytest
 import yaml
 
 from jobs.test_play import Silent
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.agents import run_agent
-from wheelleg_exp.recording.digest import entity_digests
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.recording.reading.reader import Recording
+
+pytestmark = pytest.mark.slow
 
 FEW = ["task=stand", "env.num_envs=2", "env.sim.nthread=1", "run.root=runs"]
 

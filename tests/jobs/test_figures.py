@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +18,7 @@ class FakeEnv:
     """Three environments whose every quantity a test sets by hand."""
 
     def __init__(self, terms=(("alive", {}), ("base_height", {"target_height": 0.3}))):
-        self.num_envs, self.step_dt = 3, STEP
+        self.num_envs, self.step_dt, self.extras = 3, STEP, {}
         self.episode_length_buf = torch.zeros(3, dtype=torch.long)
         self.reward_buf = torch.zeros(3)
         self.data = SimpleNamespace(root_pos_w=torch.zeros(3, 3), projected_gravity_b=torch.zeros(3, 3))
@@ -61,6 +62,11 @@ class _Terminations:
     def get_fired(self, name):
         return self._fired[name]
 
+    def endings(self, ids):
+        return Counter(
+            " and ".join(n for n in self.active_terms if self._fired[n][i]) for i in ids.nonzero()[:, 0].tolist()
+        )
+
     @property
     def time_outs(self):
         return self._fired["time_out"]
@@ -99,6 +105,22 @@ def test_a_case_by_hand():
     assert figures.pitch_mean_deg == pytest.approx(0.0, abs=1e-5)
     assert figures.mean_return == pytest.approx((4.0 + (2 + 2 - 9) + 8.0) / 3)
     assert figures.ended_by == {"time_out": 1, "fell": 2}
+    assert (figures.settle_s, figures.settled_episodes, figures.settled_steps) == (2 * STEP, 2, 3)
+
+
+def test_an_episode_whose_numbers_were_none_is_in_no_return_and_in_height_up_to_then():
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=0.0)
+    observe(env, meter, heights=(0.2, 0.3, 0.4), rewards=(1.0, 2.0, 4.0))
+    env.extras = {"non_finite": {"keys": {1: ["env.sim"]}}}
+    observe(env, meter, heights=(0.2, math.nan, 0.4), pitches=(0.0, math.nan, 0.0), rewards=(1.0, 0.0, 4.0), fell=(1,))
+    env.extras = {"non_finite": {"keys": {1: ["env.rewards.x"]}}}  # of its second episode
+    observe(env, meter, heights=(0.2, 9.0, 0.4), rewards=(1.0, 0.0, 4.0), out=(0, 2))
+    figures = meter.figures()
+    assert figures.non_finite == figures.as_dict()["non_finite"] == {"env.sim": 1}
+    assert figures.mean_return == pytest.approx((3.0 + 12.0) / 2)
+    assert figures.height_mean_m == pytest.approx((3 * 0.2 + 0.3 + 3 * 0.4) / 7)
+    assert figures.settled_steps == 7
 
 
 def test_a_fall_at_the_time_out_is_no_survival():
@@ -106,7 +128,24 @@ def test_a_fall_at_the_time_out_is_no_survival():
     meter = StandMeter(env, settle_s=0.0)
     observe(env, meter, out=(0, 1), fell=(1, 2))
     assert meter.figures().survival == pytest.approx(1 / 3)
-    assert meter.figures().ended_by == {"time_out": 2, "fell": 2}
+
+
+def test_an_episode_that_two_terminations_end_counts_once():
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=0.0)
+    observe(env, meter, out=(0, 1), fell=(1, 2))
+    assert meter.figures().ended_by == {"time_out": 1, "fell": 1, "time_out and fell": 1}
+
+
+def test_episodes_that_go_on_are_in_no_figure_of_ended_ones():
+    env = FakeEnv()
+    meter = StandMeter(env, settle_s=0.0)
+    observe(env, meter, rewards=(1.0, 5.0, 9.0))
+    assert (meter.figures().survival, meter.figures().mean_return) == (None, None)
+    observe(env, meter, rewards=(1.0, 5.0, 9.0), out=(0,))
+    figures = meter.figures()
+    assert (figures.episodes, figures.unfinished, figures.ended) == (3, 2, 1)
+    assert (figures.survival, figures.mean_return) == (1.0, 2.0)
 
 
 def test_second_episodes_do_not_count():
@@ -187,8 +226,8 @@ def test_contacts_by_hand():
     contact(env, [[0.0, 0.0], [99.0, 99.0], [99.0, 99.0]], pitches=(0.0, 1.0, -1.0))
     meter.observe()
     wheel, leg = meter.figures()
-    assert wheel == ContactFigures("wheel", pytest.approx(2.0), 4.0, pytest.approx(2 / 3))
-    assert leg == ContactFigures("leg", pytest.approx(1 / 3), 1.0, pytest.approx(1 / 3))
+    assert wheel == ContactFigures("wheel", pytest.approx(2.0), 4.0, pytest.approx(2 / 3), 3)
+    assert leg == ContactFigures("leg", pytest.approx(1 / 3), 1.0, pytest.approx(1 / 3), 3)
 
 
 def test_the_length_of_a_force_counts():

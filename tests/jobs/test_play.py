@@ -14,9 +14,10 @@ import torch
 import yaml
 
 from jobs.small import ITERATIONS, TINY
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
+from wheelleg_exp.jobs import play as play_job
 from wheelleg_exp.jobs.play import play
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.recording.reading.reader import Recording
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.directory import RunDirectory
 
@@ -174,6 +175,14 @@ def test_overrides_change_the_play_alone(run):
     assert done.figures.episodes == 3
     assert done.figures.survival == 1.0  # nobody falls in 0.1 s
     assert (run.params / "env.yaml").read_bytes() == before
+
+
+def test_a_run_that_is_removed_while_it_is_played_fails_the_play(run, monkeypatch):
+    roll = play_job._roll
+    monkeypatch.setattr(play_job, "_roll", lambda *rest: (roll(*rest), shutil.rmtree(run.path)))
+    with pytest.raises(SimulationFailure, match="no manifest"):
+        played(run, "recording.enabled=false", "env.num_envs=2")
+    assert not list(run.path.rglob("figures.json"))
 
 
 def test_a_play_without_a_recording_has_none(run):

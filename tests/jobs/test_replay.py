@@ -10,14 +10,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S, wait_until
 
 from jobs.replays import ITERATIONS, LEANING, TERM, change_manifest, commit, digests, git, make_checkout, train
 from jobs.small import Words, cache_of, wheelleg
-from wheelleg_exp.run.source import RECORD_NAME
+from wheelleg_exp.run.source.snapshot import RECORD_NAME
 
 pytestmark = pytest.mark.train
 
@@ -217,14 +217,14 @@ def test_an_interrupt_reaches_the_training_and_the_source_is_removed(run, clone,
     command = [sys.executable, "-m", "wheelleg_exp.cli.main", "replay", str(run), "--repository", str(clone)]
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
-        deadline = time.monotonic() + 60
-        log = "runs/replays/leaning/*/iterations.jsonl"
-        while not any(len(path.read_text().splitlines()) > 2 for path in tmp_path.glob(log)):
-            assert time.monotonic() < deadline, "the training does not begin"
-            assert process.poll() is None, process.communicate()
-            time.sleep(0.05)
+        logs = "runs/replays/leaning/*/iterations.jsonl"
+
+        def has_begun() -> bool:
+            return any(len(path.read_text().splitlines()) > 2 for path in tmp_path.glob(logs))
+
+        assert wait_until(lambda: has_begun() or process.poll() is not None), "the training does not begin"
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
         process.wait()

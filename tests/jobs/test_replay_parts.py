@@ -11,18 +11,21 @@ import pytest
 
 from jobs.replays import commit, git
 from jobs.test_play import Silent
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
-from wheelleg_exp.jobs import replay, replay_boot
-from wheelleg_exp.jobs.circumstances import require_variables
-from wheelleg_exp.jobs.replay_machine import replay_environ
-from wheelleg_exp.jobs.replay_source import RestoredSource, _take_in, restore_all, what_runs
-from wheelleg_exp.jobs.snapshot_training import PROTOCOL, ReplayEvents, Request, _first_difference
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
+from wheelleg_exp.files import write_text
+from wheelleg_exp.jobs.processes import Child, event_of
+from wheelleg_exp.jobs.replay import boot as replay_boot
+from wheelleg_exp.jobs.replay import replay
+from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayEvents, Request, _first_difference
+from wheelleg_exp.jobs.replay.source_trees import RestoredSource, _take_in, restore_all, what_runs
+from wheelleg_exp.jobs.replay.training_process import TrainingProcess
+from wheelleg_exp.jobs.resume.differences import require_variables
 from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.run import snapshot
+from wheelleg_exp.run import begin as snapshot
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import write_text
+from wheelleg_exp.run.environment import replay_environ
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.source import snapshot_source
+from wheelleg_exp.run.source.snapshot import snapshot_source
 
 # --- environment variables ---
 
@@ -85,6 +88,19 @@ def test_training_is_asked_to_stop_behind_the_last_iteration_that_is_wanted(tmp_
     assert events.reached is (asked_at is not None)
 
 
+def test_a_training_that_ends_well_without_having_said_so_has_failed(tmp_path):
+    process = TrainingProcess(request(), {}, {}, tmp_path, StopRequest())
+    process._child = Child((sys.executable, "-S", "-c", ""), b"", {})
+    with pytest.raises(SimulationFailure, match="ended with status 0 and did not say why"):
+        list(process.events())
+    process._child.close()
+
+
+@pytest.mark.parametrize("line", ['{"event": "iterat', "[]", '{"event": 3}', "[" * 100_000])
+def test_a_line_that_was_cut_off_is_no_event(line):
+    assert event_of(line) is None
+
+
 # --- imports from restored folders ---
 
 
@@ -113,7 +129,7 @@ def test_the_boot_code_imports_nothing_of_this_program():
     """It runs before anything is found in the restored folders."""
     assert not {name for name in vars(replay_boot) if "wheelleg" in name}
     assert replay_boot.__file__ is not None
-    assert "wheelleg_exp.jobs.replay_boot" in sys.modules
+    assert "wheelleg_exp.jobs.replay.boot" in sys.modules
 
 
 def test_restored_folders_are_taken_in_by_what_they_are(tmp_path):
@@ -327,7 +343,7 @@ def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(t
     run = run_of(tmp_path, package)
     source = restored(run, tmp_path)
     assert [tree.how for tree in source.trees] == ["installed"]
-    assert (source.places["wheelleg_exp"] / "wheelleg_exp" / "jobs" / "replay.py").is_file()
+    assert (source.places["wheelleg_exp"] / "wheelleg_exp" / "jobs" / "play.py").is_file()
     assert any("are not those of" in note for note in source.notes)
     assert what_runs(run).startswith("replay runs the installed wheelleg_exp, with")
 

@@ -15,17 +15,21 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from jobs.replays import change_manifest
 from jobs.small import SMALL, cache_of, wheelleg
-from wheelleg_exp import projects
-from wheelleg_exp.jobs import circumstances, outputs, resume_changes
-from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp import packages as projects
+from wheelleg_exp.jobs.resume import changes as resume_changes
+from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.jobs.train import outputs
+from wheelleg_exp.recording.reading.digest import entity_digests
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.listing import summarize
 from wheelleg_exp.run.lock import RunLock
+from wheelleg_exp.run.manifest import SNAPSHOT
 
 pytestmark = pytest.mark.train
 
@@ -86,7 +90,7 @@ def sha256(path: Path) -> str:
 
 def require_equal(run: Path, straight: Path, extra: tuple[str, ...] = ()) -> None:
     """Hold everything that a run leaves against the uninterrupted one's."""
-    for pattern in ("model_*.pt", "exported/*", "params/*"):
+    for pattern in ("model_*.pt", "exported/*.onnx", "exported/*.json", "params/*"):
         expected = {str(p.relative_to(straight)): sha256(p) for p in straight.glob(pattern)}
         found = {str(p.relative_to(run)): sha256(p) for p in run.glob(pattern)}
         assert {name: found.get(name) for name in found if name not in extra} == expected
@@ -161,7 +165,7 @@ def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_
 def killed(point: str, cache: Path, *words: str | Path) -> None:
     command = [sys.executable, str(Path(__file__).with_name("killed.py")), point, *map(str, words)]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, env={**os.environ, "WHEELLEG_CACHE": str(cache)}
+        command, capture_output=True, text=True, timeout=PATIENCE_S, env={**os.environ, "WHEELLEG_CACHE": str(cache)}
     )
     assert done.returncode == -signal.SIGKILL, (point, done.stderr)
 
@@ -205,6 +209,7 @@ def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, strai
     (run / "model_2.pt").write_bytes(data)
     with (run / "iterations.jsonl").open("a") as file:
         file.write('{"iteration": 4, "dig')
+    crash(run)
     said = resume(run)
     assert "model_3.pt cannot be used" in said.err
     assert "resuming from model_1.pt, iteration 2" in said.err
@@ -300,7 +305,7 @@ def test_event_files_from_before_a_logger_was_switched_off_stay_as_they_are(run)
 
 def test_the_list_says_of_every_state_that_is_resumed_here_that_it_can_be(run, straight):
     assert not summarize(straight).resumable
-    change_manifest(run, status="running", ended=None, process={**manifest(run)["process"], "boot_id": "another"})
+    crash(run)
     assert (summarize(run).status, summarize(run).resumable) == ("crashed", True)  # killed while exporting
     (run / "model_3.pt").unlink()
     assert summarize(run).resumable
@@ -309,6 +314,29 @@ def test_the_list_says_of_every_state_that_is_resumed_here_that_it_can_be(run, s
     assert summarize(run).resumable
     resume(run)
     assert not summarize(run).resumable
+
+
+def crash(run: Path) -> None:
+    """Let a run look as after ``kill -9``: it says running, its process is gone, and only the snapshot is recorded."""
+    told = manifest(run)
+    files = {name: record for name, record in told["files"].items() if name.startswith(SNAPSHOT)}
+    change_manifest(run, status="running", ended=None, process={**told["process"], "boot_id": "another"}, files=files)
+
+
+def test_damage_that_a_resume_does_not_mend_ends_exactness_and_is_not_forgotten(run):
+    (run / "model_0.pt").unlink()
+    log = (run / "iterations.jsonl").read_bytes()
+    (run / "iterations.jsonl").write_bytes(log.replace(b'"iteration": 0, ', b'"iteration": 0,  ', 1))
+    with (run / "environment.txt").open("a") as file:
+        file.write("more==1\n")
+    said = resume(run, "agent.max_iterations=5")
+    entry = manifest(run)["resumes"][0]
+    assert entry["exact"] is False
+    assert [reason.split()[0] for reason in entry["why"]] == ["model_0.pt", "environment.txt", "iterations.jsonl"]
+    assert "not exact" in said.err
+    found = wheelleg("verify", run)
+    assert found.status == 1
+    assert "  model_0.pt is missing" in found.out.splitlines()
 
 
 # --- with changes ---
@@ -426,6 +454,7 @@ def refuse(run: Path, *words: str) -> str:
         (["agent.max_iterations=9", "env.rewards.alive.weight=abc"], "env.rewards.alive.weight"),
         (["agent.max_iterations=9,10"], "a sweep is not possible here"),
         (["task=walk", "agent.max_iterations=9"], "task"),
+        (["hydra.run.dir=x", "agent.max_iterations=9"], "hydra.run.dir: nothing reads this"),
     ],
 )
 def test_wrong_overrides_are_told_before_anything_changes(run, words, said):

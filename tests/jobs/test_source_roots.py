@@ -9,10 +9,14 @@ from pathlib import Path
 import pytest
 from project.test_projects import project
 
-from wheelleg_exp import projects
-from wheelleg_exp.config.compose import compose
-from wheelleg_exp.config.loader import configs_dir
-from wheelleg_exp.jobs.source_roots import loaded_outside, source_roots
+from wheelleg_exp import packages as projects
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.loader import configs_dir
+from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.source.snapshot import snapshot_source
 
 STOCK = configs_dir().parent
 
@@ -73,3 +77,16 @@ def test_what_is_imported_from_elsewhere_is_found(tmp_path, monkeypatch):
     assert set(found) - set(before) == {tmp_path / "helper_of_roots.py", tmp_path / "package_of_roots"}
     assert not [path for path in found if "site-packages" in path.parts or path.is_relative_to(sys.prefix)]
     assert loaded_outside([STOCK, tmp_path]) == before
+
+
+def test_a_resume_names_the_files_that_differ_and_knows_its_own_log(mine, tmp_path):
+    """In a project without git: what a shell wrote into it is no source, what somebody changed is told."""
+    run = RunDirectory.create(tmp_path / "runs", "stand", 0)
+    Manifest.begin(run.path, task="stand", seed=0, command=[], threads={})
+    snapshot_source([STOCK, mine], run.source)
+    (mine / "train.log").write_text("step 1\n")
+    assert circumstances._source(run, [mine / "configs"]) == []
+    write(mine / "configs" / "reward" / "later.yaml", "later: {_target_: x.y, weight: 1.0}\n")
+    (difference,) = circumstances._source(run, [mine / "configs"])
+    assert (difference.section, difference.name) == ("source", "tree (2)")
+    assert difference.note == f"{mine}: added configs/reward/later.yaml"

@@ -7,19 +7,20 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S, wait_until
 
 from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
 from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
-from wheelleg_exp.errors import ConfigError, SimulationFailure
-from wheelleg_exp.jobs import child, sweep_job
-from wheelleg_exp.jobs import sweep as runner_module
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.jobs import processes as child
 from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.sweep_job import Request
-from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp.jobs.sweep import job as sweep_job
+from wheelleg_exp.jobs.sweep import sweep as runner_module
+from wheelleg_exp.jobs.sweep.job import Request
+from wheelleg_exp.recording.reading.digest import entity_digests
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.listing import list_runs
 
@@ -97,6 +98,13 @@ def test_much_talk_blocks_nobody(stop):
     assert (notes.count("something"), notes.count("x" * 100)) == (20000, 2000)
 
 
+def test_a_job_whose_process_ends_well_without_having_said_so_has_failed(stop):
+    """As by ``os._exit(0)`` in a module of a user's, in the middle of a line."""
+    assert stand_in(["leave", "finish"], stop).run() == "failed"
+    assert _statuses() == ["failed", "finished"]
+    assert "ended with status 0 and did not say why" in _index()["jobs"][0]["error"]["message"]
+
+
 # The index.
 
 
@@ -118,9 +126,10 @@ def test_the_index_names_the_run_while_the_job_runs(stop):
     assert runs == ["../../stand/finish1", "../../stand/finish2"]
 
 
-def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch):
+@pytest.mark.parametrize("kind", [SimulationFailure, RunDirectoryError])
+def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch, kind):
     runner = stand_in(["wait", "finish"], stop, 2)
-    broken = SimulationFailure("the disk is full")
+    broken = kind("the disk is full")
 
     def refuse(*_, **__):
         raise broken
@@ -128,7 +137,7 @@ def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch):
     monkeypatch.setattr(runner._index, "job_ended", refuse)
     with pytest.raises(SimulationFailure, match="disk is full"):
         runner.run()
-    assert runner._running == []
+    assert not runner._running
 
 
 # Stopping.
@@ -143,18 +152,18 @@ def test_a_stop_ends_every_job_and_starts_no_other(stop):
 
 def test_a_second_stop_interrupts_the_jobs_at_once(stop, monkeypatch):
     runner = stand_in(["deaf", "finish"], stop)
-    heard = runner._hear_event
+    heard = runner._hear
 
-    def hear(job, line):
-        heard(job, line)
+    def hear(job, event):
+        heard(job, event)
         if not stop.requested:
             _interrupt_twice(job)
 
-    monkeypatch.setattr(runner, "_hear_event", hear)
-    start = time.monotonic()
+    monkeypatch.setattr(runner, "_hear", hear)
+    monkeypatch.setattr(runner_module, "_PATIENCE_S", PATIENCE_S)
     assert runner.run() == "interrupted"
-    assert time.monotonic() - start < 10.0
     assert _statuses() == ["interrupted", "waiting"]
+    assert _index()["jobs"][0]["error"] is None  # it was not killed
 
 
 def _interrupt_twice(_job):
@@ -168,7 +177,7 @@ def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
     runner = stand_in(["stubborn"], stop, seen=Seen(on_iteration=_interrupt_twice))
     assert runner.run() == "interrupted"
     assert "SIGKILL" in _index()["jobs"][0]["error"]["message"]
-    assert runner._running == []
+    assert not runner._running
 
 
 def test_a_third_stop_waits_for_nobody(stop):
@@ -197,7 +206,7 @@ def test_jobs_stop_when_the_sweep_itself_is_killed():
     assert job.stdin
     job.stdin.write(request)
     job.stdin.flush()
-    out, _ = job.communicate(timeout=20)
+    out, _ = job.communicate(timeout=PATIENCE_S)
     assert json.loads(out.splitlines()[-1])["status"] == "interrupted"
 
 
@@ -232,8 +241,8 @@ def test_a_job_with_a_mistake_says_it(stop):
 
 
 def test_a_job_that_is_stopped_before_it_has_begun_leaves_no_run(stop):
-    from wheelleg_exp.config.compose import compose
-    from wheelleg_exp.config.sweep import digest_of
+    from wheelleg_exp.config.composing.compose import compose
+    from wheelleg_exp.config.composing.sweep import digest_of
 
     stop.requested = True
     status, told = _ended(_request(*SMALL, digest=digest_of(compose(SMALL))), stop)
@@ -348,14 +357,14 @@ def test_an_interrupt_stops_the_sweep_and_keeps_what_was_trained(tmp_path, tmp_p
     script = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(sys.argv[1:]))"
     program = [sys.executable, "-c", script, *words]
     job = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
-    for _ in range(600):
-        time.sleep(0.1)
-        if job.poll() is not None or [
-            path for path in tmp_path.glob("runs/stand/*/iterations.jsonl") if path.read_text().count("\n") > 2
-        ]:
-            break
+    logs = "runs/stand/*/iterations.jsonl"
+
+    def has_begun() -> bool:
+        return any(path.read_text().count("\n") > 2 for path in tmp_path.glob(logs))
+
+    assert wait_until(lambda: has_begun() or job.poll() is not None), "the training does not begin"
     os.killpg(job.pid, signal.SIGINT)  # as a terminal does
-    out, err = job.communicate(timeout=60)
+    out, err = job.communicate(timeout=PATIENCE_S)
     assert job.returncode == 130, err.decode()
     assert (_index()["status"], _statuses()) == ("interrupted", ["interrupted", "waiting"])
     (run,) = (tmp_path / "runs" / "stand").iterdir()

@@ -16,6 +16,8 @@ from wheelleg_exp.jobs import threads
 from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.rl.one_thread import SPLIT_ABOVE, one_thread
 
+pytestmark = pytest.mark.slow
+
 AGENT = {"torch_threads": 2, "device": "cpu", "algorithm": {"num_mini_batches": 4}}
 
 
@@ -177,11 +179,11 @@ def test_a_container_counts_the_cores_that_it_is_given(system, membership, files
 def test_one_core_is_one_physics_thread(monkeypatch):
     import mujoco
 
-    from wheelleg_exp.sim.simulation import Simulation
+    from wheelleg_exp.sim.batch import BatchEngine
 
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
     )
-    monkeypatch.setattr("wheelleg_exp.sim.simulation.usable_cores", lambda: 1)
-    assert Simulation(model, 2, 0).nthread == 1
-    assert Simulation(model, 2, 2).nthread == 2
+    monkeypatch.setattr("wheelleg_exp.sim.batch.usable_cores", lambda: 1)
+    assert BatchEngine(model, 2, 0).nthread == 1
+    assert BatchEngine(model, 2, 2).nthread == 2

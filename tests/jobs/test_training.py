@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import hashlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import termios
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +21,16 @@ import onnxruntime
 import pytest
 import torch
 import yaml
+from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from jobs.small import ITERATIONS, NUM_ENVS, SMALL, cache_of, wheelleg
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.definitions.training import scalar
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.errors import Interrupted
+from wheelleg_exp.recording.reading.reader import Recording
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -218,12 +225,25 @@ def test_tensorboard_reads_isaac_labs_keys(trained):
     assert [p.value for p in events.Scalars("Train/mean_reward")] == pytest.approx(written, rel=1e-6)
 
 
-def test_the_recording_holds_the_segments_that_were_asked_for(trained):
-    """30 steps from iteration 0 and from iteration 2 on, 24 steps an iteration, each with its iteration."""
+def test_every_scalar_has_a_definition(trained):
+    for line in lines(trained.run):
+        assert [key for key in line["scalars"] if scalar(key) is None] == []
+
+
+def test_the_manifest_counts_each_environment_s_last_episode_once(trained):
+    """Episodes of 18 steps and a rollout of 72: every environment has had an episode that ended."""
+    state = checkpoint.load(trained.run.checkpoint(ITERATIONS - 1))["env"]["managers"]["terminations"]["last_episode"]
+    counts = trained.run.manifest().data["last_ended_by"]
+    assert sum(counts.values()) == state.shape[1]
+    assert sum(n for name, n in counts.items() if "time_out" in name) == int(state[0].sum())
+
+
+def test_the_recording_holds_the_samples_that_were_asked_for(trained):
+    """Of episodes of 18 steps, those that begin after steps 0 and 48, until there are 30 steps or the training ends."""
     recording = Recording(trained.run.recording)
     table = recording.table("base/height")
-    assert table.column("step").to_pylist() == [*range(1, 31), *range(49, 73)]
-    assert table.column("iteration").to_pylist() == [0] * 24 + [1] * 6 + [2] * 24
+    assert table.column("step").to_pylist() == [*range(1, 37), *range(55, 73)]
+    assert table.column("iteration").to_pylist() == [0] * 24 + [1] * 12 + [2] * 18
 
 
 def test_the_recording_holds_the_training_curves(trained):
@@ -284,9 +304,9 @@ def test_physics_that_raises_fails_the_run(tmp_path, monkeypatch):
     from mujoco.batch import Batch
 
     from wheelleg_exp.errors import SimulationFailure
-    from wheelleg_exp.sim.simulation import Simulation
+    from wheelleg_exp.sim.batch import BatchEngine
 
-    step, calls = Simulation.step, []
+    step, calls = BatchEngine.step, []
 
     def broken(self):
         calls.append(None)
@@ -295,11 +315,52 @@ def test_physics_that_raises_fails_the_run(tmp_path, monkeypatch):
         step(self)
 
     assert Batch is not None
-    monkeypatch.setattr(Simulation, "step", broken)
+    monkeypatch.setattr(BatchEngine, "step", broken)
     said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
     assert said.status == 3
     assert "physics failed: row 3" in said.err
     assert status_of(only_run(tmp_path))[0] == "failed"
+
+
+def _remove(path):
+    shutil.rmtree(path)
+
+
+def _break_the_manifest(path):
+    (path / "manifest.json").write_text("[" * 100_000)
+
+
+def _close_the_folder(path):
+    for file in path.glob("model_*.pt"):
+        file.unlink()
+    (path / "exported").write_text("no folder")
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (_remove, "was removed while it was written"),
+        (_break_the_manifest, "broken JSON: it is nested too deeply"),
+        (_close_the_folder, "cannot write"),
+    ],
+)
+def test_a_run_directory_that_goes_bad_while_it_is_written_fails_the_run(tmp_path, monkeypatch, damage, said):
+    """The input was right: it was good when the run began."""
+    from wheelleg_exp.jobs.train import outputs
+
+    write = outputs.Outputs.checkpoint
+
+    def spoiled(self, iteration):
+        name = write(self, iteration)
+        damage(self._directory.path)
+        return name
+
+    monkeypatch.setattr(outputs.Outputs, "checkpoint", spoiled)
+    told = wheelleg("train", *SMALL, "agent.max_iterations=2", "recording.enabled=false", f"run.root={tmp_path}")
+    assert told.status == 3, told.err
+    (message,) = [line for line in told.err.splitlines() if line.startswith("wheelleg: error: ")]
+    assert said in message
+    assert not list(tmp_path.glob("stand/*/model_1.pt")) or damage is not _remove
 
 
 def test_an_interrupt_before_the_first_iteration_is_an_interrupt(tmp_path, monkeypatch):
@@ -307,7 +368,7 @@ def test_an_interrupt_before_the_first_iteration_is_an_interrupt(tmp_path, monke
     from wheelleg_exp.rl.trainer import Trainer
 
     def interrupted(self):
-        raise KeyboardInterrupt
+        raise Interrupted
 
     monkeypatch.setattr(Trainer, "_collect", interrupted)
     said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
@@ -318,15 +379,30 @@ def test_an_interrupt_before_the_first_iteration_is_an_interrupt(tmp_path, monke
 
 
 def test_an_interrupt_during_the_export_is_no_failure(tmp_path, monkeypatch):
-    from wheelleg_exp.jobs import training
+    from wheelleg_exp.jobs.train import training
 
     def interrupted(*_):
-        raise KeyboardInterrupt
+        raise Interrupted
 
     monkeypatch.setattr(training, "export_policy", interrupted)
     said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
     assert said.status == 130
     assert status_of(only_run(tmp_path))[0] == "interrupted"
+
+
+def test_a_policy_that_cannot_be_exported_is_told_in_one_line_with_its_key(tmp_path, monkeypatch):
+    from wheelleg_exp.rl import export
+
+    def refuses(_policy):
+        raise TypeError("missing a required argument: 'h_in'\n\nand a report of many lines")
+
+    monkeypatch.setattr(export, "onnx", refuses)
+    said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
+    assert said.status == 3
+    (error,) = [line for line in said.err.splitlines() if line.startswith("wheelleg: error: ")]
+    assert "agent.actor.class_name: the trained policy cannot be exported: TypeError: missing a required" in error
+    assert "report" not in said.err
+    assert checkpoints(only_run(tmp_path)) == ["model_0.pt"]
 
 
 def test_handlers_of_signals_come_back(trained):
@@ -341,23 +417,25 @@ def stopped(tmp_path_factory):
     """Two long trainings at once, each sent its signal in the middle; status, run and what was said by signal."""
     environment = {**os.environ, "WHEELLEG_CACHE": str(cache_of(tmp_path_factory))}
     processes = {}
-    for number in (signal.SIGINT, signal.SIGTERM):
+    master, slave = os.openpty()
+    os.set_blocking(master, False)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         root = tmp_path_factory.mktemp(number.name)
         words = [*SMALL, "agent.max_iterations=100000", "agent.save_interval=1000", f"run.root={root}"]
         process = subprocess.Popen(
             [sys.executable, "-m", "wheelleg_exp.cli.main", "train", *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            **_streams(number, slave),
             text=True,
             cwd=root,
             env=environment,
         )
         processes[number] = (process, root)
+    os.close(slave)
     answers = {}
     try:
-        _signal_each_after(processes, iterations=3)
+        _signal_each_after(processes, master, iterations=3)
         for number, (process, root) in processes.items():
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=PATIENCE_S)
             answers[number] = (process.returncode, only_run(root), out, err)
     finally:
         for process, _ in processes.values():
@@ -366,15 +444,30 @@ def stopped(tmp_path_factory):
     return answers
 
 
-def _signal_each_after(processes: dict, iterations: int) -> None:
-    """Send each process its signal as soon as it has done some iterations."""
-    waiting, deadline = dict(processes), time.monotonic() + 60
+def _streams(number: signal.Signals, terminal: int) -> dict:
+    """Pipes; or a terminal of its own, which is to be closed."""
+    if number is not signal.SIGHUP:
+        return {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+
+    def lead() -> None:
+        os.setsid()
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    return {"stdin": terminal, "stdout": terminal, "stderr": terminal, "preexec_fn": lead}
+
+
+def _signal_each_after(processes: dict, terminal: int, iterations: int) -> None:
+    """Send each process its signal as soon as it has done some iterations: a hang-up by closing its terminal."""
+    waiting, deadline = dict(processes), time.monotonic() + PATIENCE_S
     while waiting:
+        with suppress(BlockingIOError):
+            while signal.SIGHUP in waiting and os.read(terminal, 1 << 16):
+                pass
         assert time.monotonic() < deadline, "the training does not begin"
         for number, (process, root) in list(waiting.items()):
             found = list(root.glob("stand/*/iterations.jsonl"))
             if found and len(found[0].read_text().splitlines()) >= iterations:
-                process.send_signal(number)
+                process.send_signal(number) if number is not signal.SIGHUP else os.close(terminal)
                 del waiting[number]
         time.sleep(0.05)
 
@@ -394,7 +487,14 @@ def test_a_signal_stops_the_training_after_its_iteration(stopped, number):
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_closed_terminal_stops_the_training_after_its_iteration(stopped):
+    status, path, _, _ = stopped[signal.SIGHUP]
+    assert (status, status_of(path)[0]) == (130, "interrupted")
+    run = RunDirectory.open(path, path.parent.parent)
+    assert checkpoint.load(run.latest_checkpoint())["iter"] == lines(run)[-1]["iteration"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_stopped_runs_files_are_whole(stopped, number):
     _, path, _, _ = stopped[number]
     findings = RunDirectory.open(path, path.parent.parent).manifest().compare_files()

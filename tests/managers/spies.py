@@ -8,11 +8,18 @@ import random
 from collections import deque
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 import torch
+from omegaconf import OmegaConf
 
+from wheelleg_exp.constraints import NonNegative
 from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, TermBase
-from wheelleg_exp.sim.actuators import ImplicitActuator
+from wheelleg_exp.sim.actuators import IdealPDActuator, ImplicitActuator
+from wheelleg_exp.sim.layout import JointTargets
+from wheelleg_exp.sim.sensors import SensorBase
+from wheelleg_exp.sim.terrain import TerrainBase
+from wheelleg_exp.state import Stateful
 
 LOG: list[Any] = []
 VALUES: dict[str, Any] = {}
@@ -45,6 +52,11 @@ def column(env: Env, key: str) -> torch.Tensor:
 def flag(env: Env, key: str) -> torch.Tensor:
     """Return ``VALUES[key]`` as (N,) bool."""
     return value(env, key).bool()
+
+
+def writes(env: Env, env_ids: torch.Tensor | None, key: str) -> None:
+    """Let ``VALUES[key]`` write into the environments of an event."""
+    VALUES[key](env, torch.arange(env.num_envs) if env_ids is None else env_ids)
 
 
 def noted(env: Env, env_ids: torch.Tensor | None, key: str = "event") -> None:
@@ -216,7 +228,7 @@ class RemembersNumbers(TermBase):
         return self._sum + self._count * self._mode[1]
 
 
-class _Helper:
+class _Helper(Stateful):
     def __init__(self) -> None:
         self.total, self.kept = 0.0, [torch.zeros(1)]
         self.scale = lambda x: 2.0 * x
@@ -228,7 +240,7 @@ class _Helper:
 
 
 class RemembersInAHelper(TermBase):
-    """Leaves its memory to an object that knows nothing of saving, and to a network."""
+    """Leaves its memory to an object of attributes, and to a network."""
 
     def __init__(self, env: Env) -> None:
         self._env = env
@@ -298,13 +310,169 @@ class RemembersInItsClass(TermBase):
         return torch.full((env.num_envs,), float(len(self.calls)))
 
 
+class RemembersOnANetwork(TermBase):
+    """Counts in a plain attribute of a network."""
+
+    def __init__(self, env: Env) -> None:
+        self.network = torch.nn.Linear(1, 1)
+        self.network.calls = 0
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        self.network.calls += 1
+        return torch.full((env.num_envs,), float(self.network.calls))
+
+
+class RemembersInAConfig(TermBase):
+    """Counts in an OmegaConf of its own."""
+
+    def __init__(self, env: Env) -> None:
+        self.settings = OmegaConf.create({"calls": 0})
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        self.settings.calls += 1
+        return torch.full((env.num_envs,), float(self.settings.calls))
+
+
+class RemembersInASimulation(TermBase):
+    """Steps a simulation of its own."""
+
+    def __init__(self, env: Env) -> None:
+        self.model = mujoco.MjModel.from_xml_string(
+            "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+        )
+        self.data = mujoco.MjData(self.model)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        mujoco.mj_step(self.model, self.data)
+        return torch.full((env.num_envs,), float(self.data.qpos[2]))
+
+
+def remembers_on_the_environment(env: Any) -> torch.Tensor:
+    """Counts in an attribute of the environment, and keeps a tensor there."""
+    if not hasattr(env, "own_calls"):
+        env.own_calls, env.own_heights = 0, torch.zeros(env.num_envs)
+    env.own_calls += 1
+    env.own_heights += env.scene.robot.data.root_pos_w[:, 2]
+    return env.own_heights + env.own_calls
+
+
+def remembers_on_itself(env: Env) -> torch.Tensor:
+    """Counts in an attribute of the function."""
+    remembers_on_itself.calls = getattr(remembers_on_itself, "calls", 0) + 1
+    return torch.full((env.num_envs,), float(remembers_on_itself.calls))
+
+
+def remembers_on_the_robot(env: Env) -> torch.Tensor:
+    """Keeps a number on the robot."""
+    robot = env.scene.robot
+    robot.own_calls = getattr(robot, "own_calls", 0) + 1  # type: ignore[attr-defined]
+    return torch.full((env.num_envs,), float(robot.own_calls))  # type: ignore[attr-defined]
+
+
+def remembers_in_the_config(env: Any) -> torch.Tensor:
+    """Counts in the environment's config."""
+    env.cfg["rewards"]["own"]["weight"] += 1.0
+    return torch.full((env.num_envs,), env.cfg["rewards"]["own"]["weight"])
+
+
+class RemembersTheLastAction(TermBase):
+    """Keeps the environment's own buffer in place of a copy."""
+
+    def __init__(self, env: Env) -> None:
+        self.last = torch.zeros(0)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        self.last = env.action_manager.action
+        return self.last.sum(dim=1)
+
+
 class Delayed(ImplicitActuator):
     """Acts two physics steps late, and heats up."""
 
-    def control(self, data: Any) -> torch.Tensor:
+    def control(self, targets: Any, data: Any) -> torch.Tensor:
         if not hasattr(self, "_waiting"):
             self._waiting: deque[torch.Tensor] = deque(maxlen=2)
             self.heat = torch.zeros(1)
-        self._waiting.append(super().control(data).clone())
+        self._waiting.append(super().control(targets, data).clone())
         self.heat += self._waiting[-1].abs().mean()
         return self._waiting[0] * torch.exp(-self.heat / 100.0)
+
+
+class Late(IdealPDActuator):
+    """Acts on targets of two physics steps ago, and keeps them for each environment."""
+
+    def connect(self, num_envs: int, dt: float, stream: Any) -> None:
+        super().connect(num_envs, dt, stream)
+        self.dt, self.past = dt, torch.zeros(num_envs, 2, len(self.joint_names))
+        self.offset = torch.rand(num_envs, len(self.joint_names), generator=stream())
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        self.past[env_ids] = 0.0
+
+    def control(self, targets: JointTargets, data: Any) -> torch.Tensor:
+        now = targets.pos[:, self.joint_ids]
+        pos = targets.pos.clone()
+        pos[:, self.joint_ids] = self.past[:, 0] + self.offset
+        self.past = torch.stack((self.past[:, 1], now), dim=1)
+        return super().control(JointTargets(pos, targets.vel, targets.effort), data)
+
+
+class Altimeter(SensorBase):
+    """Measures the root's height with noise, at a rhythm of its own."""
+
+    def connect(self, sim: Any, stream: Any) -> None:
+        super().connect(sim, stream)
+        self._stream, self.height = stream(), torch.zeros(sim.num_envs)
+        self.measured = torch.zeros(sim.num_envs)
+
+    def measure(self, due: torch.Tensor | None, elapsed: Any) -> None:
+        noise = torch.randn(len(self.height), generator=self._stream)
+        due = torch.ones_like(self.measured, dtype=torch.bool) if due is None else due
+        self.height = torch.where(due, self._sim.view("qpos")[:, 2].float() + 1e-3 * noise, self.height)
+        self.measured += due
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        super().reset(env_ids)
+        self.height[env_ids] = 0.0
+        self.measured[env_ids] = 0.0
+
+    def refresh(self, env_ids: torch.Tensor) -> None:
+        self.height[env_ids] = self._sim.view("qpos")[env_ids, 2].float()
+
+    def state_dict(self) -> dict[str, Any]:
+        return {**super().state_dict(), "height": self.height.clone(), "measured": self.measured.clone()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        super().load_state_dict(saved)
+        self.height.copy_(saved["height"])
+        self.measured.copy_(saved["measured"])
+
+
+class Step(TerrainBase):
+    """A plane with a step, and two places to begin."""
+
+    def __init__(
+        self, height: float, static_friction: NonNegative, dynamic_friction: NonNegative, restitution: float
+    ) -> None:
+        super().__init__(static_friction, dynamic_friction, restitution)
+        self.height = height
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        kind = mujoco.mjtGeom
+        spec.worldbody.add_geom(name="ground", type=kind.mjGEOM_PLANE, size=[0, 0, 0.1])
+        half = self.height / 2
+        spec.worldbody.add_geom(name="ground/step", type=kind.mjGEOM_BOX, size=[1, 1, half], pos=[5, 0, half])
+
+    def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
+        high = torch.tensor([5.0, 0.0, self.height], device=device)
+        return torch.where(torch.arange(num_envs).unsqueeze(1) % 2 == 0, high, torch.zeros(3))
+
+
+class KeepsMasses(TermBase):
+    """An event that keeps the masses' live tensor, and sets them to ``VALUES["mass"]``."""
+
+    def __init__(self, env: Env) -> None:
+        self._masses = (env.scene.sim.expand("body_mass"),)
+
+    def __call__(self, env: Env, env_ids: torch.Tensor) -> None:
+        self._masses[0][env_ids] = VALUES.get("mass", 1.0)

@@ -200,7 +200,7 @@ def test_a_changed_range_is_not_undone_by_a_restored_state(make_env):
     ("changes", "key"),
     [
         ({"heading_command": True}, "ranges.heading"),
-        ({"ranges": RANGES | {"lin_vel_z": [0, 1]}}, "ranges"),
+        ({"ranges": RANGES | {"lin_vel_z": [0, 1]}}, "ranges.lin_vel_z"),
         ({"ranges": RANGES | {"lin_vel_x": [1, 0]}}, "ranges.lin_vel_x"),
         ({"resampling_time_range": [2.0, 1.0]}, "resampling_time_range"),
         ({"resampling_time_range": [0.0, 0.0]}, "resampling_time_range"),

@@ -123,9 +123,12 @@ def test_a_value_that_is_not_finite_ends_that_environment_only(broken):
 
 def test_a_value_that_is_not_finite_is_named_with_its_state(broken):
     env, (*_, extras) = broken
-    assert list(extras["non_finite"]) == [2]
-    assert extras["non_finite"][2]["terms"] == ["a"]
-    assert extras["non_finite"][2]["state"].shape == env.scene.sim.state[2].shape
+    assert extras["non_finite"]["keys"] == {2: ["env.rewards.a"]}
+    kept = extras["non_finite"]["evidence"]
+    assert kept["env_ids"].tolist() == [2]
+    assert kept["state"].shape == env.scene.sim.state[[2]].shape
+    assert not kept["rewards"][0, 0].isfinite()
+    assert kept["rewards"][0, 1] == 1.0
 
 
 def test_a_value_that_is_not_finite_is_not_summed_and_spoils_no_log(broken):

@@ -112,3 +112,15 @@ def test_an_environment_without_terminations_runs_on(make_env):
     for _ in range(3):
         *_, terminated, time_outs, _ = env.step(STILL)
     assert not (terminated | time_outs).any()
+
+
+def test_an_environment_counts_once_whatever_ended_its_episode(make_env):
+    """Two terms end environment 0 at once, a reward that is not finite environment 2, and 3 goes on."""
+    env = _env(make_env)
+    manager = env.termination_manager
+    spies.VALUES.update(fall=_at(0), hit=_at(0, 1))
+    manager.compute()
+    manager.force(torch.tensor([2]))
+    expected = {"fall and hit": 1, "hit": 1, "a number that is not finite": 1}
+    assert manager.endings(manager.dones) == expected
+    assert manager.last_endings() == {"fall and hit": 1, "hit": 1, "none": 2}

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+
+import numpy as np
 import pytest
 
 from managers import spies
+from wheelleg_exp.config.checking.check_terms import check_nested_targets
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, TermBase
 
@@ -24,6 +28,14 @@ class NotATerm:
 class Refuses(TermBase):
     def __init__(self, env: Env, count: int) -> None:
         self.items = [0, 1, 2][count]
+
+
+def leaves(env: Env):
+    sys.exit(0)
+
+
+def breaks(env: Env):
+    raise RuntimeError("broken")
 
 
 HERE = "managers.test_terms."
@@ -75,7 +87,7 @@ def test_a_target_outside_the_allowed_packages_is_refused(make_env, target):
 
 
 @pytest.mark.parametrize(
-    "target", ["wheelleg_exp.managers.term.hydra.utils.instantiate", "wheelleg_exp.mdp.observations.torch.load"]
+    "target", ["wheelleg_exp.managers.term.inspect.signature", "wheelleg_exp.mdp.observations.torch.load"]
 )
 def test_no_way_leads_through_an_allowed_module_to_what_it_has_imported(make_env, target):
     _refused(make_env, {"_target_": target, "weight": 1.0})
@@ -91,6 +103,27 @@ def test_no_way_leads_through_an_allowed_module_to_what_it_has_imported(make_env
     }
     with pytest.raises(ConfigError):
         make_env(observations=nested)
+
+
+def test_a_text_that_looks_like_an_interpolation_is_a_text(make_env, tmp_path):
+    """Hydra's own instantiate would resolve it, and call what stands in it."""
+    read = tmp_path / "read.npy"
+    np.save(read, np.arange(3))
+    text = "${oc.create:" + f"{{_target_: numpy.load, file: '{read}'}}" + "}"
+    entity = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": text}
+    error = _refused(
+        make_env, {"_target_": "wheelleg_exp.mdp.rewards.joint_vel_l2", "weight": 1.0, "asset_cfg": entity}
+    )
+    assert text in str(error)
+
+
+@pytest.mark.parametrize("key", ["_args_", "_partial_", "_recursive_", "_convert_"])
+def test_no_other_special_key_of_hydra_works(make_env, key):
+    entity = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", key: False}
+    node = {"_target_": "wheelleg_exp.mdp.rewards.joint_vel_l2", "weight": 1.0, "asset_cfg": entity}
+    error = _refused(make_env, node)
+    assert error.key == f"env.rewards.term.asset_cfg.{key}"
+    assert error.key in str(check_nested_targets({"env": {"rewards": {"term": node}}})[0])
 
 
 def test_a_nested_target_outside_the_allowed_packages_is_refused(make_env):
@@ -194,3 +227,13 @@ def test_managers_print_as_tables(make_env):
     text = make_env(rewards={"alive": ALIVE}).describe()
     for word in ("alive", "is_alive", "left_hip", "JointPositionAction", "time_out", "contact"):
         assert word in text
+
+
+@pytest.mark.parametrize(("name", "said"), [("leaves", "SystemExit: 0"), ("breaks", "RuntimeError: broken")])
+def test_a_term_that_fails_while_the_environment_is_built_is_a_mistake_of_the_config(make_env, name, said):
+    observations = {"policy": {"terms": {"term": {"_target_": HERE + name}}}}
+    with pytest.raises(ConfigError, match=said) as caught:
+        make_env(observations=observations)
+    assert caught.value.key == "env.observations.policy.terms.term"
+    assert f"'managers.test_terms.{name}' raises" in caught.value.message
+    assert "test_terms.py:" in caught.value.where

@@ -386,7 +386,7 @@ def test_random_orientations_cover_the_sphere(make_env):
     assert abs(float(up.mean())) < 0.1
 
 
-@pytest.mark.parametrize(("pose", "axis"), [({"X": [0, 1]}, ""), ({"x": [1, 0]}, ".x"), ({"x": [1]}, ".x")])
+@pytest.mark.parametrize(("pose", "axis"), [({"X": [0, 1]}, ".X"), ({"x": [1, 0]}, ".x"), ({"x": [1]}, ".x")])
 def test_a_wrong_range_is_refused(make_env, pose, axis):
     with pytest.raises(ConfigError) as caught:
         _placed(make_env, pose_range=pose, velocity_range={})

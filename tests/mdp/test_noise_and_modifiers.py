@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.term import build
 from wheelleg_exp.mdp import modifiers, noise
 
 T = torch.tensor
@@ -35,19 +36,24 @@ def test_gaussian_noise_has_its_mean_and_deviation():
     assert float(drawn.std()) == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.parametrize("kind", [noise.ConstantNoise, noise.UniformNoise, noise.GaussianNoise])
+N = "wheelleg_exp.mdp.noise."
+
+
+@pytest.mark.parametrize("kind", ["ConstantNoise", "UniformNoise", "GaussianNoise"])
 def test_an_unknown_operation_is_refused(kind):
-    with pytest.raises(ConfigError, match="ad"):
-        kind(operation="ad")
+    with pytest.raises(ConfigError, match=r"noise\.operation: 'ad'.*did you mean 'add'"):
+        build({"_target_": N + kind, "operation": "ad"}, "noise")
 
 
 def _biased(operation="abs"):
-    return noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(0.0), noise.UniformNoise(-1.0, 1.0, operation))
+    bias = {"_target_": N + "UniformNoise", "operation": operation}
+    node = {"_target_": N + "NoiseModelWithAdditiveBias", "noise_cfg": {"_target_": N + "ConstantNoise"}}
+    return build(node | {"bias_noise_cfg": bias}, "noise")
 
 
 def test_a_bias_that_would_add_up_is_refused():
     for operation in ("add", "scale"):
-        with pytest.raises(ConfigError, match="abs"):
+        with pytest.raises(ConfigError, match=r"noise\.bias_noise_cfg\.operation: .*expected abs"):
             _biased(operation)
 
 

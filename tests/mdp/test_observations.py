@@ -54,7 +54,7 @@ def test_joints():
 
 
 def test_positions_between_their_limits():
-    close(observations.joint_pos_limit_normalized(ENV), [[0.0, 1.0, 0.5], [-0.5, 0.0, -1.0]])
+    close(observations.joint_pos_limit_normalized(ENV)(ENV), [[0.0, 1.0, 0.5], [-0.5, 0.0, -1.0]])
 
 
 def test_angles_as_sines_and_cosines():

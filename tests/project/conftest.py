@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from jobs.small import cache_of
 
-from wheelleg_exp import projects
+from wheelleg_exp import packages as projects
 
 
 @pytest.fixture(autouse=True)

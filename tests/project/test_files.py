@@ -13,7 +13,7 @@ from project.robots import tetrahedron, urdf
 from wheelleg_exp.asset import convert
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.paths import assets_dir
-from wheelleg_exp.project.files import copy_robot
+from wheelleg_exp.project.robot_files import copy_robot
 
 
 def model(source: Path, folder: Path) -> dict[str, bytes]:
@@ -102,6 +102,78 @@ def test_meshes_of_the_same_name_stay_two(tmp_path):
 def test_a_mesh_that_is_missing_is_missing_in_the_copy_too(tmp_path):
     source = urdf(tmp_path / "home", visual("nowhere.stl"))
     assert copy_robot(source, tmp_path / "copy").read_bytes() == source.read_bytes()
+
+
+def test_a_moved_mesh_does_not_take_the_place_of_one_that_stays(tmp_path):
+    home = tmp_path / "home"
+    tetrahedron(tmp_path / "other" / "mesh.obj", 0.05)
+    stays = tetrahedron(home / "meshes" / "mesh.obj", 0.01)
+    source = urdf(home, visual("../other/mesh.obj") + visual("meshes/mesh.obj"))
+    copy = copy_robot(source, tmp_path / "copy")
+    assert (copy.parent / "meshes" / "mesh.obj").read_bytes() == stays.read_bytes()
+    assert len(list((copy.parent / "meshes").iterdir())) == 2
+
+
+# ---------------------------------------------------------------- what is no part of a robot
+SECRET = "only its owner reads this"
+STAGE = """#usda 1.0
+(
+    defaultPrim = "bot"
+)
+def Xform "bot" (prepend apiSchemas = ["PhysicsRigidBodyAPI"])
+{{
+    def Shader "s"
+    {{
+        asset inputs:file = @{}@
+    }}
+}}
+"""
+
+
+def naming(folder: Path, ending: str, name: str) -> Path:
+    """A robot that names a file as its texture."""
+    texture = f'<visual><geometry><sphere radius="1"/></geometry><material name="m"><texture filename="{name}"/>'
+    if ending == "urdf":
+        return urdf(folder, f"{texture}</material></visual>")
+    (folder / "bot.usda").write_text(STAGE.format(name))
+    return folder / "bot.usda"
+
+
+@pytest.mark.parametrize("ending", ["urdf", "usda"])
+@pytest.mark.parametrize(
+    "name", ["{0}/passwd", "../passwd", "file://{0}/passwd", "id_rsa", "./id_rsa", "pipe.png", "zero.png", "gone.png"]
+)
+def test_a_robot_that_names_what_is_none_of_it_gets_no_copy(tmp_path, ending, name):
+    home = tmp_path / "home"
+    home.mkdir()
+    (tmp_path / "passwd").write_text(SECRET)
+    (home / "id_rsa").write_text(SECRET)
+    (home / "zero.png").symlink_to("/dev/zero")
+    os.mkfifo(home / "pipe.png")
+    source = naming(home, ending, name.format(tmp_path))
+    copy = copy_robot(source, tmp_path / "copy")
+    files = [path for path in (tmp_path / "copy").rglob("*") if path.is_file()]
+    assert files == [copy]
+    assert SECRET not in copy.read_text()
+
+
+@pytest.mark.parametrize("ending", ["urdf", "usda"])
+@pytest.mark.parametrize("name", ["wood.png", "../wood.png", "textures/wood.JPG"])
+def test_a_robot_keeps_its_textures(tmp_path, ending, name):
+    home = tmp_path / "home"
+    (home / "textures").mkdir(parents=True)
+    (home / name).write_text("wood")
+    copy = copy_robot(naming(home, ending, name), tmp_path / "copy")
+    (texture,) = [path for path in (tmp_path / "copy").rglob("*") if path.is_file() and path != copy]
+    assert texture.read_text() == "wood"
+    assert texture.relative_to(copy.parent).as_posix() in copy.read_text()
+
+
+def test_a_robot_that_names_a_pipe_as_a_layer_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.usda")
+    source = naming(tmp_path, "usda", "./pipe.usda")
+    with pytest.raises(WheellegError, match="is a pipe"):
+        copy_robot(source, tmp_path / "copy")
 
 
 @pytest.mark.parametrize("name", ["robot.stl", "robot.urdf.xacro"])

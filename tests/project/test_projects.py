@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from jobs.small import wheelleg
 
-from wheelleg_exp import projects, terms
+from wheelleg_exp import packages as projects
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.terms import allowed_targets
 
 DECLARED = '[project.entry-points."wheelleg_exp.packages"]\n'
 
@@ -96,9 +97,9 @@ def test_config_dir_may_name_an_installed_package(tmp_path, monkeypatch):
     (info / "entry_points.txt").write_text("[wheelleg_exp.packages]\nshelf = shelf\n")
     assert wheelleg("compose", "--config-dir", "shelf", "task=shelf_task").status == 2
     monkeypatch.syspath_prepend(str(site))
-    terms._declared_packages.cache_clear()
+    allowed_targets._declared_packages.cache_clear()
     said = wheelleg("check", "--config-dir", "shelf", "task=shelf_task")
-    terms._declared_packages.cache_clear()
+    allowed_targets._declared_packages.cache_clear()
     for name in [name for name in sys.modules if name.split(".")[0] == "shelf"]:
         del sys.modules[name]
     assert said.status == 0, said.err

@@ -9,13 +9,13 @@ import pytest
 import yaml
 
 from project.robots import HIGH, LEG, LOW, RADIUS, urdf
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
-from wheelleg_exp.project.drives import leg_gains, wheel_gains
+from wheelleg_exp.project.gains import leg_gains, wheel_gains
 from wheelleg_exp.project.robot_yaml import robot_yaml, spawn_height
 from wheelleg_exp.project.survey import survey
 from wheelleg_exp.project.task_yaml import config_files
-from wheelleg_exp.project.text import names, number
+from wheelleg_exp.project.yaml_text import names, number
 
 
 def surveyed(source):

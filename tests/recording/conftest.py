@@ -12,10 +12,10 @@ import rerun as rr
 import torch
 
 from wheelleg_exp.asset.cache import convert_cached
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset
-from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.recording.writing.recorder import Recorder
 
 STEPS = 90
 MakeEnv = Callable[..., ManagerBasedRLEnv]

@@ -9,8 +9,8 @@ import rerun.blueprint as rrb
 
 from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.blueprint import blueprint
-from wheelleg_exp.recording.reader import Recording
-from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.writing.recorder import Recorder
 
 KEYS = ["Train/mean_reward", "Episode_Reward/alive", "Episode_Termination/time_out", "Loss/value", "Own/thing"]
 
@@ -66,9 +66,9 @@ def test_the_first_curves_are_those_of_this_training(layouts):
     overview = tabs(made(layouts, "training")).contents[0].contents[0]
     assert overview.name == "Overview"
     assert [view.name for view in views(overview)] == [
-        "Return",
-        "Reward terms (1/s)",
-        "Ends of episodes (share)",
+        "Return, mean of the last 100 ended episodes",
+        "Reward by term: sum of an episode / longest episode's seconds",
+        "Last episode ended by, share of all environments",
         "Losses",
     ]
     every = {entity for view in views(tabs(made(layouts, "training")).contents[0]) for entity in shown(view)}

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.recording.geometry import body_geoms, colour, shape, xyzw
-from wheelleg_exp.recording.kinematics import Kinematics, weight
+from wheelleg_exp.recording.writing.geometry import body_geoms, colour, shape, xyzw
+from wheelleg_exp.recording.writing.kinematics import Kinematics, weight
 
 HALF = np.sqrt(0.5)
 

@@ -7,10 +7,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from wheelleg_exp.inspection.conditions import Condition
-from wheelleg_exp.inspection.query import find_hits
-from wheelleg_exp.inspection.summary import summarize
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.inspection.questions.conditions import Condition
+from wheelleg_exp.inspection.questions.query import find_hits
+from wheelleg_exp.inspection.questions.summary import summarize
+from wheelleg_exp.recording.reading.reader import Recording
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from patience import PATIENCE_S
 from recording.conftest import STEPS, Account, record, roll_out
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
-from wheelleg_exp.recording.digest import entity_digests
-from wheelleg_exp.recording.finishing import finish
-from wheelleg_exp.recording.reader import Recording
-from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.writing.finishing import finish
+from wheelleg_exp.recording.writing.recorder import Recorder
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -312,10 +315,10 @@ def test_a_full_disk_fails_the_run_with_one_message(mjcf, tmp_path):
         import resource, signal
         import torch
         from pathlib import Path
-        from wheelleg_exp.config.compose import compose
+        from wheelleg_exp.config.composing.compose import compose
         from wheelleg_exp.env import ManagerBasedRLEnv
         from wheelleg_exp.errors import SimulationFailure
-        from wheelleg_exp.recording.recorder import Recorder
+        from wheelleg_exp.recording.writing.recorder import Recorder
         config = compose(["task=stand", "env.num_envs=2"]).config
         env = ManagerBasedRLEnv(config["env"], Path({str(mjcf)!r}), 0)
         env.reset(seed=0)
@@ -333,7 +336,9 @@ def test_a_full_disk_fails_the_run_with_one_message(mjcf, tmp_path):
             assert env.common_step_counter == 50
             print(error)
     """
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=90)
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=PATIENCE_S
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"cannot write the recording '{path}': ")
     assert "expected room on a working disk" in done.stdout
@@ -351,7 +356,7 @@ def test_a_term_that_would_share_a_place_is_refused(make_env, tmp_path):
 def test_a_finished_recording_is_put_together_and_has_an_index(make_env, tmp_path, monkeypatch):
     """Small pieces as a killed process would leave them, against the finished file: the same content, less room."""
     path, env = tmp_path / "r.rrd", make_env(num_envs=2)
-    monkeypatch.setattr("wheelleg_exp.recording.sink.finish", lambda path: False)
+    monkeypatch.setattr("wheelleg_exp.recording.writing.sink.finish", lambda path: False)
     record(path, env, env_ids=(0,), steps=40, flush_every=4)
     before, pieces = entity_digests(path), Recording(path).health
     assert finish(path) is None
@@ -367,7 +372,7 @@ def test_a_finished_recording_is_put_together_and_has_an_index(make_env, tmp_pat
 def test_a_recording_that_cannot_be_finished_stays_as_it_is(recorded, tmp_path, monkeypatch):
     path = tmp_path / "r.rrd"
     path.write_bytes(recorded[0].read_bytes())
-    monkeypatch.setattr("wheelleg_exp.recording.finishing.rerun_program", lambda: str(tmp_path / "none"))
+    monkeypatch.setattr("wheelleg_exp.recording.writing.finishing.rerun_program", lambda: str(tmp_path / "none"))
     assert finish(path) == "rerun's program is not there"
     assert path.read_bytes() == recorded[0].read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]

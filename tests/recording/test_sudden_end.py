@@ -10,16 +10,18 @@ import textwrap
 import numpy as np
 import pytest
 
-from wheelleg_exp.recording.reader import Recording
+from wheelleg_exp.recording.reading.reader import Recording
+
+pytestmark = pytest.mark.slow
 
 _SCRIPT = """
     import json, os, signal, sys
     from pathlib import Path
     import torch
-    from wheelleg_exp.config.compose import compose
+    from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.env import ManagerBasedRLEnv
     from wheelleg_exp.jobs.episode_recording import EpisodeRecording
-    from wheelleg_exp.jobs.training_recording import TrainingRecording
+    from wheelleg_exp.jobs.train.training_recording import TrainingRecording
     from wheelleg_exp.recording.options import RecordingOptions
     from wheelleg_exp.run.directory import RunDirectory
 

@@ -1,24 +1,34 @@
-"""The recording of a training: segments, bound, journal, and going on after a checkpoint or a sudden end."""
+"""The recording of a training: samples, bound, journal, and going on after a checkpoint or a sudden end."""
 
 from __future__ import annotations
 
 import copy
 import json
 import re
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from wheelleg_exp.jobs.training_recording import TrainingRecording
-from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp.inspection.questions.selection import Selection
+from wheelleg_exp.inspection.questions.spans import Length
+from wheelleg_exp.inspection.questions.summary import summarize
+from wheelleg_exp.jobs.train.training_recording import TrainingRecording
 from wheelleg_exp.recording.options import RecordingOptions
-from wheelleg_exp.recording.reader import Recording
-from wheelleg_exp.recording.recorder import Recorder
+from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.recording.reading.messages import File, spans
+from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.writing.recorder import Recorder
 from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.manifest_format import FORMAT
+
+pytestmark = pytest.mark.slow
 
 ROLLOUT = 20  # control steps of an iteration
+LONGEST = 45 - 1 + 24  # steps of a sample whose last episode, of 0.4 s, begins one step before it is enough
 OPTIONS = {"enabled": True, "env_ids": [1], "interval": 3, "steps": 45, "max_mb": 200.0, "live": False}
 ACTIONS = 0.5 * torch.randn(10 * ROLLOUT, 2, 6, generator=torch.Generator().manual_seed(2))
 
@@ -35,7 +45,15 @@ def directory(tmp_path) -> RunDirectory:
 
 def a_directory(root: Path) -> RunDirectory:
     directory = RunDirectory.create(root / "runs", "stand", 0)
-    (directory.path / "manifest.json").write_text(json.dumps({"task": "stand", "command": ["wheelleg", "train"]}))
+    begun = {
+        "format": FORMAT,
+        "status": "running",
+        "task": "stand",
+        "started": "2026-01-01T00:00:00+00:00",
+        "ended": None,
+    }
+    empty = {"command": ["wheelleg", "train"], "results": {}, "resumes": [], "additions": [], "files": {}}
+    (directory.path / "manifest.json").write_text(json.dumps(begun | empty))
     return directory
 
 
@@ -46,6 +64,53 @@ def options(**changes) -> RecordingOptions:
 def scalars(iteration: int) -> dict[str, float]:
     found = {"Train/mean reward": 0.1 * iteration, "Loss/value": -1.0 / (1 + iteration)}
     return found if iteration < 2 else {**found, "Episode_Reward/alive": float(iteration)}
+
+
+@dataclass(frozen=True)
+class Lived:
+    """An episode as the environment itself showed it: its control steps, iterations, return, and what ended it."""
+
+    steps: list[int]
+    iterations: list[int]
+    total: float
+    ended_by: tuple[str, ...]
+
+
+def lived(env, env_id: int, until: int) -> list[Lived]:
+    """Return the episodes of one environment over so many iterations, watched by no recorder."""
+    env.common_step_counter = 0
+    env.reset(seed=4)
+    rows: list[tuple] = []
+
+    def watch() -> None:
+        manager = env.termination_manager
+        fired = tuple(name for name in manager.active_terms if manager.get_fired(name)[env_id])
+        rows.append((env.common_step_counter, float(env.reward_buf[env_id]), bool(manager.dones[env_id]), fired))
+
+    env.observers.append(watch)
+    with torch.inference_mode():
+        for action in ACTIONS[: until * ROLLOUT]:
+            env.step(action)
+    env.observers.remove(watch)
+    found, ends = [], [0, *(i + 1 for i, row in enumerate(rows) if row[2]), len(rows)]
+    for a, b in pairwise(ends):
+        part = rows[a:b]
+        steps = [row[0] for row in part]
+        total = sum(row[1] for row in part)
+        found += [Lived(steps, [(k - 1) // ROLLOUT for k in steps], total, part[-1][3])] if part else []
+    return found
+
+
+def sampled(episodes: list[Lived], until: int) -> list[Lived]:
+    """Return the episodes of the samples that are due with every third iteration: begun later, to 45 steps or more."""
+    found: list[Lived] = []
+    for due in range(0, until * ROLLOUT, 3 * ROLLOUT):
+        taken = 0
+        for episode in episodes:
+            if due < episode.steps[0] <= due + 3 * ROLLOUT and taken < 45:
+                found.append(episode)
+                taken += len(episode.steps)
+    return found
 
 
 def train(env, directory, until, *, start=0, checkpoint_at=None, **changes) -> dict | None:
@@ -82,9 +147,11 @@ def straight(env, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def stopped(env, tmp_path_factory) -> tuple[Path, dict]:
-    """A training that ran one iteration past its checkpoint of four; its second segment is under way."""
+    """A training that ran one iteration past its checkpoint of four; its second sample is under way."""
     directory = a_directory(tmp_path_factory.mktemp("stopped"))
-    kept = train(env, directory, 5, checkpoint_at=4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wheelleg_exp.recording.writing.sink.finish", lambda path: None)  # as after a kill
+        kept = train(env, directory, 5, checkpoint_at=4)
     assert kept is not None
     return directory.recording, kept
 
@@ -94,9 +161,31 @@ def rows(path: Path, entity: str = "base/height") -> list[tuple[int, int]]:
     return list(zip(table.column("step").to_pylist(), table.column("iteration").to_pylist(), strict=True))
 
 
-def test_segments_begin_every_interval_and_carry_their_iterations(straight):
-    expected = [(i * ROLLOUT + k + 1, i) for i in range(7) for k in range(ROLLOUT) if (i % 3) * ROLLOUT + k < 45]
+def test_samples_are_whole_episodes_and_carry_their_iterations(env, straight):
+    episodes = lived(env, 1, 7)
+    expected = [pair for one in sampled(episodes, 7) for pair in zip(one.steps, one.iterations, strict=True)]
     assert rows(straight) == expected
+    late = [one for one in sampled(episodes, 7) if one.iterations[0] >= 3]
+    assert late
+    assert late[0].steps[0] > 3 * ROLLOUT + 1, "the environment must be in mid-episode when the second sample is due"
+
+
+def test_every_sampled_episode_has_its_return_and_its_end(env, straight):
+    expected = [one for one in sampled(lived(env, 1, 7), 7) if one.ended_by]
+    found = [one for one in summarize(Recording(straight), Selection(begin=Length(0, True))).episodes if one.ended_by]
+    assert all(one.is_from_start for one in found)
+    assert [one.ended_by for one in found] == [one.ended_by for one in expected]
+    assert [one.total_reward for one in found] == pytest.approx([one.total for one in expected], rel=1e-5)
+
+
+def test_environments_are_sampled_each_from_its_own_beginning(env, directory):
+    train(env, directory, 7, env_ids=[0, 1])
+    recording = Recording(directory.recording)
+    for env_id in (0, 1):
+        steps = recording.table(f"env_{env_id}/base/height").column("step").to_pylist()
+        assert steps == [step for one in sampled(lived(env, env_id, 7), 7) for step in one.steps]
+        ends = [row for row in recording.events("episodes", env_id)]
+        assert len(ends) == sum(bool(one.ended_by) for one in sampled(lived(env, env_id, 7), 7))
 
 
 def test_every_iteration_has_its_scalars(straight):
@@ -144,8 +233,9 @@ def test_going_on_twice_is_going_on_once(env, straight, directory):
 def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, straight, stopped, tmp_path):
     """As after a kill at any moment: what stood there at the checkpoint is all that counts."""
     path, kept = stopped
-    data, random = path.read_bytes(), np.random.default_rng(0)
-    for number, end in enumerate([kept["bytes"], *random.integers(kept["bytes"], len(data), 3), len(data) - 1]):
+    data, later = path.read_bytes(), [span for span in spans(File(path)) if span.begin >= kept["bytes"]]
+    ends = [later[0].begin + 7, later[0].begin + 16, (later[1].begin + later[1].end) // 2, later[-2].end - 1]
+    for number, end in enumerate([kept["bytes"], *ends, len(data) - 1]):
         directory = a_directory(tmp_path / str(number))
         directory.recording.write_bytes(data[:end])
         go_on(env, directory, kept, 4, 7)
@@ -154,8 +244,9 @@ def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, str
 
 def test_a_file_that_ends_before_the_checkpoint_keeps_what_it_has_or_is_moved_aside(env, stopped, tmp_path):
     path, kept = stopped
-    data, random = path.read_bytes(), np.random.default_rng(1)
-    for number, end in enumerate([0, 11, 13, *random.integers(50, kept["bytes"], 4)]):
+    data, there = path.read_bytes(), [span for span in spans(File(path)) if span.end <= kept["bytes"]]
+    early, half, late = there[2], there[len(there) // 2], there[-1]
+    for number, end in enumerate([0, 11, 13, early.end, half.begin + 9, (half.begin + half.end) // 2, late.end - 1]):
         directory = a_directory(tmp_path / str(number))
         directory.recording.write_bytes(data[:end])
         go_on(env, directory, kept, 4, 5)
@@ -186,14 +277,17 @@ def test_a_file_that_is_no_recording_is_kept_beside_and_told(env, stopped, direc
     assert "begins with iteration 4" in text[0]
 
 
-def test_damage_in_the_middle_is_kept_beside(env, stopped, directory):
+@pytest.mark.parametrize("offset", [0, 8, 16, 40], ids=["kind", "length", "payload", "rows"])
+def test_damage_in_the_middle_is_kept_beside(env, stopped, directory, offset):
     path, kept = stopped
-    data = bytearray(path.read_bytes())
-    data[len(data) // 3 : len(data) // 3 + 200] = bytes(200)
+    data, found = bytearray(path.read_bytes()), list(spans(File(path)))
+    hit = found[len(found) // 3].begin + offset
+    data[hit : hit + 200] = bytes(200)
     directory.recording.write_bytes(data)
     go_on(env, directory, kept, 4, 5)
     assert (directory.path / "recording.rrd.damaged").read_bytes() == bytes(data)
-    assert rows(directory.recording)[0] == (4 * ROLLOUT + 1, 4)
+    begins = [one.steps[0] for one in lived(env, 1, 5)]
+    assert rows(directory.recording)[0] == (min(step for step in begins if step > 4 * ROLLOUT), 4)
 
 
 def test_a_missing_file_is_told(env, stopped, directory):
@@ -231,10 +325,10 @@ def test_scalars_outlast_a_sudden_end_in_the_journal(env, stopped, directory):
 
 @pytest.fixture(scope="module")
 def bound(env, tmp_path_factory) -> float:
-    """The bound, MB, that just leaves room for one segment."""
+    """The bound, MB, that just leaves room for one sample."""
     path = tmp_path_factory.mktemp("bound") / "r.rrd"
     with Recorder(path, env, recording_id="r", name="n", env_ids=[1], purpose="training") as recorder:
-        return next(mb for mb in np.arange(0.0, 50.0, 0.01).round(2).tolist() if recorder.frames_within(mb) >= 45)
+        return next(mb for mb in np.arange(0.0, 50.0, 0.01).round(2).tolist() if recorder.frames_within(mb) >= LONGEST)
 
 
 def test_at_the_bound_motion_ends_and_scalars_go_on(env, directory, bound):
@@ -245,9 +339,22 @@ def test_at_the_bound_motion_ends_and_scalars_go_on(env, directory, bound):
     table = recording.table("log/recording")
     assert table.column("step").to_pylist() == [3 * ROLLOUT]
     assert table.column("text").to_pylist() == [
-        [f"the bound of {bound:g} MB is reached after 1 recorded episodes; from here on there are scalars alone"]
+        [f"the bound of {bound:g} MB is reached after 1 sample; from here on there are scalars alone"]
     ]
     assert directory.recording.stat().st_size < bound * 1e6
+
+
+def test_a_bound_counts_the_frames_that_there_are(env, directory):
+    """Room for two samples as they were and a third as long as can be, which is less than three of the longest."""
+    episodes = lived(env, 1, 9)
+    frames = sum(len(one.steps) for one in sampled(episodes, 6)) + LONGEST
+    assert frames < 3 * LONGEST
+    with Recorder(directory.path / "r.rrd", env, recording_id="r", name="n", env_ids=[1], purpose="training") as made:
+        enough = made.megabytes(frames)
+        assert made.frames_within(enough) < 3 * LONGEST
+    train(env, directory, 9, max_mb=enough)
+    assert [step for step, _ in rows(directory.recording)] == [k for one in sampled(episodes, 9) for k in one.steps]
+    assert rows(directory.recording)[-1][1] >= 7
 
 
 def test_a_bound_of_nothing_leaves_the_scalars(env, directory):
@@ -258,9 +365,9 @@ def test_a_bound_of_nothing_leaves_the_scalars(env, directory):
     assert len(recording.table("log/recording")) == 1
 
 
-def test_a_bound_too_small_for_a_segment_is_told_before_it_begins(env, directory, bound):
+def test_a_bound_too_small_for_a_sample_is_told_before_it_begins(env, directory, bound):
     made = TrainingRecording(directory, env, options(max_mb=0.1), {})
-    assert "recording.max_mb=0.1 leaves no room for a segment of 45 steps" in str(made.note)
+    assert "recording.max_mb=0.1 leaves no room for a sample, which has up to 68 steps" in str(made.note)
     enough = float(re.search(r"([\d.]+) are enough for one", str(made.note))[1])
     assert bound <= enough < bound + 0.11
     said: list[str] = []

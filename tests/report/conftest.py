@@ -10,7 +10,7 @@ import pytest
 from jobs.small import Trained, trained_once
 
 from report.pages import Page
-from wheelleg_exp.config.compose import Composed, compose
+from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.report import drawings, make_report
 from wheelleg_exp.report.blocks import Plot
 from wheelleg_exp.run.directory import RunDirectory
@@ -53,7 +53,7 @@ def _compose_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def once(overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()) -> Composed:
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
-    monkeypatch.setattr("wheelleg_exp.config.compose.compose", once)
+    monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
     monkeypatch.setattr("report.runs.compose", once)
 
 

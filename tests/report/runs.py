@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.files import write_json, write_text, write_yaml
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import write_json, write_text, write_yaml
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.timestamps import parse_utc
+from wheelleg_exp.trusted_folders import trust
 
 STARTED = parse_utc("2026-03-01T10:00:00.000000Z")
 ENDED = parse_utc("2026-03-01T10:02:30.000000Z")
@@ -22,6 +23,9 @@ FIGURES = {
     "episodes": 8,
     "unfinished": 0,
     "survival": 0.75,
+    "settle_s": 1.0,
+    "settled_episodes": 7,
+    "settled_steps": 1500,
     "height_rmse_m": 0.0021,
     "height_mean_m": 0.072,
     "pitch_rms_deg": 1.1,
@@ -54,6 +58,7 @@ def make_run(
     results: Mapping[str, Any] | None = None,
 ) -> RunDirectory:
     """Make a run of the task ``stand`` with ``overrides``, as it would stand after a few iterations."""
+    trust(config_dirs)  # as a training with them does
     composed = compose(["task=stand", *(overrides or [])], config_dirs=config_dirs)
     run = RunDirectory.create(root, "stand", 0, name, STARTED)
     for part in ("env", "agent"):

@@ -7,7 +7,7 @@ import json
 from jobs.small import wheelleg
 
 from report.runs import FIGURES, make_run
-from wheelleg_exp.run.files import write_json, write_yaml
+from wheelleg_exp.files import write_json, write_yaml
 
 
 def test_it_says_where_the_report_is(root):

@@ -8,12 +8,14 @@ import pytest
 
 from report.pages import Page
 from report.runs import FIGURES, add_play, make_run
+from wheelleg_exp.files import write_text
+from wheelleg_exp.report.can_it_be_repeated import Verdict
 from wheelleg_exp.report.compile import compile_page
-from wheelleg_exp.report.look import Look
-from wheelleg_exp.report.page import render
+from wheelleg_exp.report.how_it_looked import Look
 from wheelleg_exp.report.subject import open_subject
-from wheelleg_exp.report.trust import Verdict
-from wheelleg_exp.run.files import write_text
+from wheelleg_exp.report.write import render
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -27,7 +29,7 @@ def test_broken_lines_of_the_log_are_left_out_and_counted(page, run):
     run.iterations.write_text(run.iterations.read_text() + '{"iteration": 3, "sca')
     found = page(run)
     assert "1 of the lines of iterations.jsonl cannot be read" in found.text
-    assert "Return of an episode" in found.section("learning")
+    assert "Return, mean of the last 100 ended episodes" in found.section("learning")
 
 
 def test_without_its_log_there_are_no_curves_and_everything_else(page, run):
@@ -52,7 +54,7 @@ def test_without_hydra_source_and_asset_the_rest_stands(page, run):
         shutil.rmtree(folder)
     found = page(run)
     assert "is not kept in this run" in found.section("settings")
-    assert "Return of an episode" in found.section("learning")
+    assert "Return, mean of the last 100 ended episodes" in found.section("learning")
 
 
 @pytest.mark.parametrize("content", [b"", b"no recording", b"RRF2\x00\x00"])
@@ -61,7 +63,7 @@ def test_a_damaged_recording_is_told_in_its_section(page, run, content):
     found = page(run)
     assert "recording" in found.section("learning")
     assert "cannot be shown" in found.section("learning")
-    assert "Return of an episode" in found.section("learning")
+    assert "Return, mean of the last 100 ended episodes" in found.section("learning")
 
 
 def test_a_run_without_a_recording_says_so(page, run):

@@ -11,10 +11,13 @@ def test_a_played_policy_is_judged_by_its_play(page, root):
     run = make_run(root, ["agent.max_iterations=3"])
     add_play(run)
     text = page(run).text
-    assert "The policy stays up through 6 of 8 episodes of 5 s, 2.1 mm (RMS) off its target height of 70 mm." in text
+    assert (
+        "The policy stays up through 6 of 8 episodes of 5 s, 2.1 mm (RMS, after 1 s) off its target height of 70 mm."
+        in text
+    )
     assert "Survival 75 %" in text
-    assert "Base height 72.0 mm RMS error 2.1 mm against 70 mm" in text
-    assert "Pitch 1.1° RMS; mean lean 0.90°" in text
+    assert "Base height 72.0 mm mean after 1 s; RMS error 2.1 mm against 70 mm" in text
+    assert "Pitch 1.1° RMS after 1 s; mean lean 0.90°" in text
     assert "Iterations 3 in 2 min 30 s" in text
 
 
@@ -28,12 +31,38 @@ def test_figures_that_there_are_none_of_are_dashes_and_say_why(page, root):
     """As JSON has them: a policy that falls before its episodes settle has neither height nor pitch."""
     run = make_run(root)
     none = dict.fromkeys(("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg"), float("nan"))
-    add_play(run, survival=0.0, **none)
-    add_play(run, survival=0.0, **none)
+    add_play(run, survival=0.0, **none, settled_episodes=0, settled_steps=0)
+    add_play(run, survival=0.0, **none, settled_episodes=0, settled_steps=0)
     found = page(run)
     assert "nan" not in found.text.split()
-    assert "Base height, mean – Pitch, RMS – Pitch, mean –" in found.section("standing")
+    assert "Base height, mean, after 1 s – 0 steps of 0 episodes Pitch, RMS, after 1 s – " in found.section("standing")
     assert "none lasted that long" in found.section("standing")
+
+
+def test_the_last_episode_of_each_environment_counts_once(page, root):
+    """Three fell with the time-out; the time-out's own share, which counts them, would be 80 %."""
+    run = make_run(root)
+    counts = {"time_out": 5, "base_contact": 1, "time_out and base_contact": 3, "none": 1}
+    change_manifest(run, last_ended_by=counts)
+    found = page(run)
+    assert "In 50 % of the environments the last episode ran to the time-out." in found.text
+
+
+def test_figures_of_a_play_say_of_which_steps_and_episodes_they_are(page, root):
+    run = make_run(root)
+    add_play(run, unfinished=1, survival=6 / 7, ended_by={"time_out": 6, "base_contact and leg_contact": 1})
+    found = page(run).section("standing")
+    assert "Base height, mean, after 1 s 72.0 mm 1 500 steps of 7 episodes" in found
+    assert "Survived to the time-out 85.7 % 7 ended episodes" in found
+    assert "How its 7 ended episodes ended" in found
+    assert "base contact and leg contact 1 14.3 %" in found
+    assert "Settle" not in found
+
+
+def test_an_older_play_that_counts_twice_says_so(page, root):
+    run = make_run(root)
+    add_play(run, ended_by={"time_out": 6, "base_contact": 2, "leg_contact": 2})
+    assert "what two terminations ended counts for both" in page(run).section("standing")
 
 
 def test_the_last_play_counts_and_all_are_listed(page, root):
@@ -49,8 +78,8 @@ def test_the_last_play_counts_and_all_are_listed(page, root):
 def test_without_a_play_the_training_speaks_and_the_command_is_told(page, root):
     found = page(make_run(root))
     # Two environments in ten ended otherwise in the last iteration; 60 steps of 1/60 s are one second.
-    assert "When it ended, 80 % of the episodes ran to the time-out." in found.text
-    assert "Episode length 1.00 s of 5 s at most" in found.text
+    assert "In 80 % of the environments the last episode ran to the time-out." in found.text
+    assert "Episode length 1.00 s mean of the last 100 ended episodes, of 5 s at most" in found.text
     assert "wheelleg play" in found.section("standing")
 
 

@@ -8,8 +8,10 @@ import pytest
 
 from report.pages import Page
 from report.runs import FIGURES, change_manifest, iteration, make_run
+from wheelleg_exp.files import write_json, write_text, write_yaml
 from wheelleg_exp.report import make_report
-from wheelleg_exp.run.files import write_json, write_text, write_yaml
+
+pytestmark = pytest.mark.slow
 
 EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>{{ 7 * 7 }}</style></title>"
 
@@ -58,7 +60,7 @@ def evil(root):
         process={"host": EVIL},
         results={"iterations": EVIL, EVIL: EVIL},
         replay_of=EVIL,
-        resumes=[{"when": EVIL, "overrides": [EVIL], "iteration": EVIL, "before": {"status": EVIL}}],
+        resumes=[{"when": EVIL, "overrides": [EVIL], "iteration": 1, "before": {"status": EVIL}}],
         additions=[
             {
                 "kind": kind,

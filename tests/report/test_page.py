@@ -12,6 +12,8 @@ from report.runs import add_play, make_run
 from wheelleg_exp.report import make_report
 from wheelleg_exp.run.directory import RunDirectory
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> RunDirectory:

@@ -25,8 +25,8 @@ def asked(monkeypatch) -> list[list[float]]:
         moments.append([round(time, 3) for time in times])
         return [PICTURE for _ in times]
 
-    monkeypatch.setattr("wheelleg_exp.report.look.shots", shots)
-    monkeypatch.setattr("wheelleg_exp.inspection.pictures.scenery", lambda recording: None)
+    monkeypatch.setattr("wheelleg_exp.report.how_it_looked.shots", shots)
+    monkeypatch.setattr("wheelleg_exp.inspection.pictures.pictures.scenery", lambda recording: None)
     return moments
 
 
@@ -71,6 +71,21 @@ def test_of_a_play_the_first_episode_is_shown_which_its_figures_are_of(root, pag
     assert "The play, first episode: ended by base contact and leg contact after 0.20 s" in text
 
 
+def test_at_last_the_first_whole_episode_is_shown_and_not_the_longest(root, asked):
+    """The last sample had begun before it was recorded, and one before holds the longest episode of all."""
+    run = make_run(root)
+    writer = Writer(run.recording)
+    steps = np.r_[1:11, 101:201, 301:331, 501:541]
+    ages = np.r_[1:11, 1:101, 1:11, 1:21, 61:101]
+    iterations = (steps - 1) // 10
+    writer.numbers("base/height", 0.0 * steps, steps, None, iterations)
+    writer.numbers("episode/step", ages, steps, None, iterations)
+    writer.numbers("terminations/fell", np.isin(steps, [10, 200, 310, 330, 540]), steps, None, iterations)
+    writer.close()
+    text = Page(make_report(run.path, root).path.read_text()).section("learning")
+    assert "At last, iteration 30: ended by fell after 0.20 s" in text
+
+
 def test_what_happened_to_a_recording_is_told(root, page):
     run = make_run(root)
     writer = Writer(run.recording)
@@ -92,12 +107,23 @@ def test_tables_hold_what_was_recorded(run, page):
     assert f"knee {number(float(np.sqrt(np.mean(effort**2))))} {number(float(np.abs(effort).max()))}" in text
 
 
+def test_curves_and_tables_say_of_which_environment_and_steps_they_are(run, page, root):
+    text = page(run).section("standing")
+    assert f"The curves and tables are of environment 0 alone: all {STEPS} recorded steps, of 2 episodes." in text
+    folder = run.play / "2026-03-01_12-00-00"
+    folder.mkdir()
+    write_recording(folder / "recording.rrd", env_ids=(0, 3))
+    run.manifest().add("play", [folder / "recording.rrd"], FIGURES, command=["wheelleg", "play"])
+    text = page(run).section("standing")
+    assert "The curves are of environment 0, the tables of environments 0, 3: all 120 recorded steps" in text
+
+
 def test_without_a_renderer_the_report_says_what_to_install(run, root, monkeypatch):
     def nothing(*_):
         raise WheellegError("no backend draws here", expected="a driver")
 
-    monkeypatch.setattr("wheelleg_exp.report.look.shots", nothing)
-    monkeypatch.setattr("wheelleg_exp.inspection.pictures.scenery", lambda recording: None)
+    monkeypatch.setattr("wheelleg_exp.report.how_it_looked.shots", nothing)
+    monkeypatch.setattr("wheelleg_exp.inspection.pictures.pictures.scenery", lambda recording: None)
     made = make_report(run.path, root)
     assert made.notes == ("no pictures of the robot: no backend draws here; expected a driver",)
     assert "no pictures of the robot: no backend draws here" in Page(made.path.read_text()).section("learning")
@@ -109,4 +135,4 @@ def test_a_recording_that_was_cut_off_is_shown_as_far_as_it_goes(run, page):
     text = page(run).section("learning")
     assert "not whole" in text
     assert "inspect --repair" in text
-    assert "Return of an episode" in text
+    assert "Return, mean of the last 100 ended episodes" in text

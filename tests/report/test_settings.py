@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from report.runs import change_manifest, make_run
-from wheelleg_exp.run.files import read_yaml, write_text, write_yaml
+from wheelleg_exp.files import read_yaml, write_text, write_yaml
+
+pytestmark = pytest.mark.slow
 
 
 def test_an_override_is_told_with_both_values(page, root):

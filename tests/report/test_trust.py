@@ -8,9 +8,11 @@ import shutil
 import pytest
 from jobs.small import ITERATIONS, copied
 
+from wheelleg_exp.files import write_text
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import write_text
 from wheelleg_exp.run.manifest import Manifest
+
+pytestmark = pytest.mark.train
 
 
 @pytest.fixture
@@ -66,6 +68,15 @@ def test_one_run_with_other_numbers_refutes_it(page, run, root):
     found = page(run)
     assert "Reproducibility Refuted stand/unlike gave other numbers" in found.text
     assert "different" in found.section("trust")
+
+
+def test_a_repeat_that_is_damaged_refutes_nothing(page, run, root):
+    repeat = _repeat(run, root / "replays" / "stand" / "again", replay_of=run.id)
+    repeat.latest_checkpoint().unlink()
+    found = page(run)
+    assert "Reproducibility Untested" in found.text
+    assert "not compared" in found.section("trust")
+    assert "damaged: B: model_2.pt is missing" in found.section("trust")
 
 
 def test_runs_of_other_settings_are_not_compared(page, run):

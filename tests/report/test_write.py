@@ -6,8 +6,8 @@ import pytest
 
 from report.runs import make_run
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import sha256
 from wheelleg_exp.report import make_report
-from wheelleg_exp.run.files import sha256
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ import torch
 import yaml
 
 from repro.runs import ITERATIONS, Lab, Refused, differences, only_run
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 
 
 def two_processes(lab: Lab) -> list[str]:

@@ -14,8 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from patience import PATIENCE_S
+
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.recording.digest import entity_digests
+from wheelleg_exp.recording.reading.digest import entity_digests
 
 PROJECT = Path(__file__).parent / "planted_project"
 ITERATIONS = 4
@@ -69,7 +71,7 @@ class Lab:
     def wheelleg(self, *words: str | Path, statuses: Sequence[int] = (0,), **variables: str) -> Answer:
         """Run a command in a process of its own."""
         done = subprocess.run(
-            self.command(*words), capture_output=True, text=True, timeout=600, env=self.variables(**variables)
+            self.command(*words), capture_output=True, text=True, timeout=PATIENCE_S, env=self.variables(**variables)
         )
         if done.returncode not in statuses:
             raise Refused(f"{' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}")
@@ -127,7 +129,7 @@ def differences(a: Path, b: Path, *, exported: bool = True) -> list[str]:
 
     Bytes are compared by sha256 and the recordings by their content; nothing here is the program's own ``verify``.
     """
-    patterns = ["model_*.pt", *(["exported/*"] if exported else [])]
+    patterns = ["model_*.pt", *(["exported/*.onnx", "exported/*.json"] if exported else [])]
     found = [name for pattern in patterns for name in _unequal_files(a, b, pattern)]
     found += _unequal_iterations(_lines(a), _lines(b))
     if (a / "recording.rrd").is_file() and (b / "recording.rrd").is_file():

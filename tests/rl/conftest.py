@@ -13,7 +13,7 @@ import torch
 from jobs.small import TINY, cache_of
 
 from wheelleg_exp.asset import convert_cached
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.rl.trainer import Trainer

@@ -74,3 +74,9 @@ def test_a_saved_and_loaded_state_has_the_same_digests(tmp_path):
 def test_layout_in_memory_does_not_matter():
     w = torch.arange(6.0).reshape(2, 3)
     assert digests.tree_digest(w.T.contiguous().T) == digests.tree_digest(w)
+
+
+def test_one_number_of_a_row_has_the_bytes_of_that_number():
+    """Such a view is contiguous, and has another stride all the same: the bound of an action on one joint."""
+    number = torch.tensor([[1.0, 2.0]])[:, 1]
+    assert bytes(digests.tensor_bytes(number)) == bytes(digests.tensor_bytes(torch.tensor([2.0])))

@@ -19,6 +19,10 @@ import torch
 from tensordict import TensorDict
 
 from wheelleg_exp.rl import export
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.verify.exported_policies import exported_part
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +100,8 @@ def test_the_exports_draw_nothing(policy):
 
 
 _EXPORT = """
-import hashlib, io, json, sys
+import io, json, sys
+from pathlib import Path
 import torch
 from tensordict import TensorDict
 from rsl_rl.models import MLPModel
@@ -116,21 +121,28 @@ loaded = torch.jit.load(io.BytesIO(script))
 assert torch.equal(loaded(x), made.as_jit()(x)) and not loaded.training
 assert set(loaded.state_dict()) == set(made.as_jit().state_dict())
 loaded.reset()
-print(hashlib.sha256(script).hexdigest(), hashlib.sha256(graph).hexdigest())
+Path(sys.argv[2]).write_bytes(script)
+Path(sys.argv[3]).write_bytes(graph)
 """
 
 
-def exported_elsewhere(hash_seed: int, *hidden: list[int]) -> str:
-    """The digests of the last of some policies, exported in a process of its own one after another."""
-    command = [sys.executable, "-W", "ignore", "-c", _EXPORT, json.dumps(hidden)]
-    environ = {**os.environ, "PYTHONHASHSEED": str(hash_seed)}
-    return subprocess.run(command, env=environ, capture_output=True, text=True, check=True).stdout
+def exported_elsewhere(folder: Path, hash_seed: int, *hidden: list[int]) -> RunDirectory:
+    """A run with the last of some policies, exported in a process of its own one after another."""
+    run = RunDirectory(folder)
+    run.exported.mkdir(parents=True)
+    files = [run.exported / name for name in ("policy.pt", "policy.onnx")]
+    command = [sys.executable, "-W", "ignore", "-c", _EXPORT, json.dumps(hidden), *files]
+    subprocess.run(command, env={**os.environ, "PYTHONHASHSEED": str(hash_seed)}, check=True, timeout=300)
+    return run
 
 
-def test_the_bytes_depend_neither_on_the_process_nor_on_what_it_exported_before():
-    first = exported_elsewhere(1, [8, 8, 6])
-    assert exported_elsewhere(2, [8, 8, 6]) == first
-    assert exported_elsewhere(3, [4], [16, 8], [8, 8, 6]) == first
+def test_what_is_exported_depends_neither_on_the_process_nor_on_what_it_exported_before(tmp_path):
+    first = exported_elsewhere(tmp_path / "first", 1, [8, 8, 6])
+    other = exported_elsewhere(tmp_path / "other", 3, [4], [16, 8], [8, 8, 6])
+    assert (first.exported / "policy.onnx").read_bytes() == (other.exported / "policy.onnx").read_bytes()
+    assert exported_part(first, other).state == "equal"
+    wider = exported_elsewhere(tmp_path / "wider", 1, [8, 8, 8])
+    assert exported_part(first, wider).state == "different"
 
 
 def test_the_exports_name_no_place_of_this_disk(policy, model):

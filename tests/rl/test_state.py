@@ -25,6 +25,10 @@ DERIVED = frozenset(
         "._views['actuator_force']",
         "._sim._current",
         ".robot.data._cache",
+        ".robot.data.motion_at_start",  # read within a control step alone
+        "._has_worked",  # what messages tell: whether a term has run before, and what it returned
+        ".form",
+        "._part_forms",
         "._norms",
         "._data",
         "._pressures",

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
-import itertools
 import os
 import subprocess
 import sys
@@ -13,8 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 from jobs.small import TINY
+from patience import PATIENCE_S
 
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.trainer import build_algorithm
@@ -197,7 +196,7 @@ _GO_ON = """
 import hashlib, sys, torch
 from pathlib import Path
 from wheelleg_exp.asset import convert_cached
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import cache_dir, find_asset
 from wheelleg_exp.rl import checkpoint
@@ -218,7 +217,7 @@ print(hashlib.sha256(checkpoint.serialize(trainer.state_dict())).hexdigest())
 def test_three_iterations_are_one_and_two_more_in_a_new_process(mjcf, straight, stopped):
     environment = {**os.environ, "WHEELLEG_CACHE": str(mjcf.parents[2])}
     command = [sys.executable, "-c", _GO_ON, str(stopped), "task=stand", *TINY, *NORMALISED]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=PATIENCE_S)
     assert done.stdout.split()[-1:] == [hashlib.sha256(straight[0]).hexdigest()], done.stderr
 
 
@@ -303,65 +302,6 @@ def test_reading_the_observations_changes_nothing(adapter):
 
 
 # --- failures ---
-
-
-def spoil(monkeypatch, name, value, after):
-    """Let an observation term of the library give ``value`` to environment 2 from its n-th call on."""
-    from wheelleg_exp.mdp import observations
-
-    function, calls = getattr(observations, name), itertools.count()
-
-    @functools.wraps(function)
-    def spoiled(*args, **kwargs):
-        found = function(*args, **kwargs).clone()
-        if next(calls) >= after:
-            found[2] = value
-        return found
-
-    monkeypatch.setattr(observations, name, spoiled)
-
-
-@pytest.mark.train
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
-def test_an_observation_that_is_not_finite_fails_the_run(make_trainer, monkeypatch, value):
-    spoil(monkeypatch, "joint_effort_commanded", value, after=40)
-    trainer = make_trainer()
-    with pytest.raises(SimulationFailure, match="critic") as caught:
-        finish(trainer, 4)
-    assert "iteration 1" in str(caught.value)
-    assert caught.value.exit_code == 3
-
-
-@pytest.mark.train
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_a_reward_that_is_not_finite_fails_the_run(make_trainer, value):
-    trainer = make_trainer()
-    step = trainer.env.step
-
-    def spoiled(actions):
-        observations, rewards, dones, extras = step(actions)
-        rewards[1] = value
-        return observations, rewards, dones, extras
-
-    trainer.env.step = spoiled
-    with pytest.raises(SimulationFailure, match="reward"):
-        finish(trainer, 1)
-
-
-@pytest.mark.train
-def test_networks_that_went_to_nan_fail_the_run(make_trainer):
-    trainer = make_trainer("observation@env.observations.policy.terms=[base_ang_vel,joint_pos_rel]")
-    update = trainer.algorithm.update
-
-    def spoiled():
-        losses = update()
-        with torch.no_grad():
-            trainer.algorithm.critic.mlp[0].weight.fill_(float("nan"))
-        return losses
-
-    trainer.algorithm.update = spoiled
-    with pytest.raises(SimulationFailure):
-        finish(trainer, 3)
 
 
 @pytest.mark.train

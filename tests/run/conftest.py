@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -58,22 +57,3 @@ def make_run(tmp_path: Path) -> Callable[..., RunDirectory]:
         return directory
 
     return make
-
-
-@pytest.fixture(scope="session")
-def _built(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
-    from run import synthetic
-
-    return synthetic.build(tmp_path_factory.mktemp("synthetic") / "runs")
-
-
-@pytest.fixture
-def copy_run(_built: RunDirectory, tmp_path: Path) -> Callable[[str], RunDirectory]:
-    """Copy a finished run, made without training, under another name."""
-
-    def copied(name: str) -> RunDirectory:
-        path = tmp_path / "runs" / "stand" / name
-        shutil.copytree(_built.path, path)
-        return RunDirectory.open(path, tmp_path / "runs")
-
-    return copied

@@ -137,7 +137,7 @@ def test_an_absent_distribution_has_no_version(monkeypatch):
 
 
 def test_the_part_loads_neither_torch_nor_mujoco():
-    code = "import sys, wheelleg_exp.run.snapshot, wheelleg_exp.run.listing, wheelleg_exp.run.restore\n"
+    code = "import sys, wheelleg_exp.run.begin, wheelleg_exp.run.listing, wheelleg_exp.run.source.restore\n"
     code += "print([m for m in ('torch', 'mujoco', 'hydra') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

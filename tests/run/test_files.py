@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wheelleg_exp import files
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
-from wheelleg_exp.run import files
 
 
 def test_a_file_and_its_missing_folders_are_written(tmp_path):
@@ -109,6 +109,48 @@ def test_broken_json_is_told_with_its_line(tmp_path):
     (tmp_path / "x.json").write_text('{\n "a": 1,\n oops\n}')
     with pytest.raises(RunDirectoryError, match=r"broken JSON.*x\.json:3"):
         files.read_json(tmp_path / "x.json")
+
+
+BROKEN_JSON = {
+    "nested without end": b"[" * 100_000,
+    "mappings without end": b'{"a":' * 100_000,
+    "a number of thousands of digits": b"9" * 5000,
+    "a number that is none": b"[NaN]",
+    "a key twice": b'{"a": 1, "a": 2}',
+    "no text": b'"\xff"',
+    "nothing": b"",
+}
+BROKEN_YAML = {
+    "nested without end": b"[" * 100_000,
+    "mappings without end": b"{a: " * 100_000,
+    "lists without end": b"- " * 100_000,
+    "a number of thousands of digits": b"a: " + b"9" * 5000,
+    "a key twice": b"a: 1\na: 2\n",
+    "a key that is none": b"? []\n: 1\n",
+    "no text": b"a: \xff\xfe\xfa",
+    "no number": b"a: !!int ''",
+    "no truth": b"a: !!bool x",
+    "no day": b"a: 2001-99-99",
+    "a call": b"a: !!python/object/apply:os.getcwd []",
+    "a reference to itself": b"a: &x [*x]",
+    "what grows without bound": b"a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n",
+}
+
+
+@pytest.mark.parametrize("content", BROKEN_JSON.values(), ids=BROKEN_JSON)
+def test_json_of_others_is_read_or_told(tmp_path, content):
+    (tmp_path / "x.json").write_bytes(content)
+    with pytest.raises(RunDirectoryError, match=r"broken JSON: .*x\.json") as caught:
+        files.read_json(tmp_path / "x.json")
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("content", BROKEN_YAML.values(), ids=BROKEN_YAML)
+def test_yaml_of_others_is_read_or_told(tmp_path, content):
+    (tmp_path / "x.yaml").write_bytes(content)
+    with pytest.raises(RunDirectoryError, match=r"broken YAML: .*x\.yaml") as caught:
+        files.read_yaml(tmp_path / "x.yaml")
+    assert caught.value.exit_code == 2
 
 
 def test_broken_yaml_is_told_with_its_line(tmp_path):

@@ -8,11 +8,12 @@ import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from patience import wait_until
 
 from wheelleg_exp.run.directory import NEEDED
 from wheelleg_exp.run.listing import list_runs, list_sweeps
 from wheelleg_exp.run.process import is_alive, this_process
-from wheelleg_exp.run.sweep import SweepIndex
+from wheelleg_exp.run.sweep_index import SweepIndex
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 
@@ -208,8 +209,5 @@ def test_a_zombie_is_not_alive():
     recorded["pid"] = process.pid
     assert is_alive(recorded) is True
     process.stdin.close()
-    deadline = time.monotonic() + 5
-    while is_alive(recorded) and time.monotonic() < deadline:  # ended, and not yet waited for
-        time.sleep(0.01)
-    assert is_alive(recorded) is False
+    assert wait_until(lambda: not is_alive(recorded))  # ended, and not yet waited for
     process.wait()

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from patience import PATIENCE_S
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run import lock
@@ -17,7 +18,7 @@ from pathlib import Path
 from wheelleg_exp.run.lock import RunLock
 RunLock(Path(sys.argv[1])).acquire()
 print("held", flush=True)
-time.sleep(60)
+time.sleep(600)
 """
 
 
@@ -50,7 +51,7 @@ def test_a_second_process_is_refused_with_the_pid_of_the_first(tmp_path, holder)
 def test_a_killed_process_leaves_no_lock_behind(tmp_path, holder, kind):
     holder.send_signal(signal.SIGKILL)
     holder.wait()
-    with RunLock(tmp_path, timeout_s=1.0):
+    with RunLock(tmp_path, timeout_s=PATIENCE_S):
         pass
 
 

@@ -26,7 +26,7 @@ def test_a_run_begins_as_running_with_all_that_made_it(tmp_path, monkeypatch):
     monkeypatch.setenv("WHEELLEG_API_TOKEN", "hidden")
     begin(tmp_path)
     data = on_disk(tmp_path)
-    assert data["format"] == 1
+    assert data["format"] == 2
     assert data["status"] == "running"
     assert data["command"] == ["wheelleg", "train"]
     assert data["seeds"] == [3]
@@ -107,7 +107,7 @@ def test_a_run_that_ends_well_is_finished(tmp_path):
 
 def test_the_first_error_is_kept_when_the_end_cannot_be_written(tmp_path, monkeypatch):
     manifest = begin(tmp_path)
-    monkeypatch.setattr("wheelleg_exp.run.manifest.write_json", lambda *_: (_ for _ in ()).throw(OSError("disk")))
+    monkeypatch.setattr("wheelleg_exp.run.manifest.write_text", lambda *_: (_ for _ in ()).throw(OSError("disk")))
     with pytest.raises(ValueError, match="first") as caught, manifest.finishing():
         raise ValueError("first")
     assert "disk" in caught.value.__notes__[0]

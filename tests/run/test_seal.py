@@ -1,39 +1,72 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 
-from wheelleg_exp.run.seal import seal_holds, sealed
+from wheelleg_exp.run.seal import bytes_hold, sealed_text, values_hold
 
-DOCUMENT = {"a": [1, 2.5, None, {"b": "ü"}], "c": {"x": True}}
-
-
-def test_a_sealed_document_holds_also_after_it_was_written_and_read():
-    assert seal_holds(sealed(DOCUMENT)) is True
-    assert seal_holds(json.loads(json.dumps(sealed(DOCUMENT)))) is True
-    assert sealed(sealed(DOCUMENT)) == sealed(DOCUMENT)
+DOCUMENT: dict[str, Any] = {"a": [1, 0.1, None, {"b": "ü"}], "c": {"x": True}}
+# What a program of format 1 wrote, whose digest is of the values.
+OF_VALUES: dict[str, Any] = {**DOCUMENT, "sha256": "1be7de195f5b192e19776cdec00626a6bc2cc5c73c1eba2d48160f1066d09ddd"}
 
 
-def test_the_order_of_keys_does_not_count():
-    assert seal_holds(dict(reversed(sealed(DOCUMENT).items()))) is True
+def test_a_sealed_text_holds_and_is_the_document_with_its_digest_at_the_end():
+    text = sealed_text(DOCUMENT)
+    assert bytes_hold(text.encode())
+    assert list(json.loads(text).items())[:-1] == list(DOCUMENT.items())
+    assert sealed_text(json.loads(text)) == text
+
+
+def test_every_changed_bit_breaks_it():
+    data = sealed_text(DOCUMENT).encode()
+    for at in range(len(data)):
+        for bit in range(8):
+            assert not bytes_hold(data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :]), (at, bit)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"0.1,", b"0.10000000000000001,"),
+        (b"0.1,", b"1e-1,"),
+        (b'"c": {', b'"c":  {'),
+        (b'"a": [', b'"c": 1, "a": ['),
+        (b"\xc3\xbc", b"\\u00fc"),
+        (b"\n}\n", b"\n}\n\n"),
+        (b'"sha256"', b'"sha257"'),
+    ],
+)
+def test_other_bytes_of_the_same_values_break_it(old, new):
+    data = sealed_text(DOCUMENT).encode()
+    assert data.replace(old, new) != data
+    assert not bytes_hold(data.replace(old, new))
+
+
+def test_a_text_that_is_sealed_as_broken_stays_so():
+    text = sealed_text(DOCUMENT, broken=True)
+    assert not bytes_hold(text.encode())
+    assert {**json.loads(text), "sha256": None} == {**DOCUMENT, "sha256": None}
+
+
+def test_a_document_of_format_1_holds_by_its_values():
+    assert values_hold(OF_VALUES) is True
+    assert values_hold(dict(reversed(OF_VALUES.items()))) is True
+    assert values_hold(DOCUMENT) is None
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        lambda d: d["a"].__setitem__(1, 2.6),
+        lambda d: d["a"].__setitem__(1, 0.2),
         lambda d: d.pop("c"),
         lambda d: d.update(more=None),
         lambda d: d["c"].update(x=1),
         lambda d: d.update(sha256="0" * 64),
     ],
 )
-def test_any_change_breaks_it(change):
-    document = json.loads(json.dumps(sealed(DOCUMENT)))
+def test_any_other_value_of_format_1_is_found(change):
+    document = json.loads(json.dumps(OF_VALUES))
     change(document)
-    assert seal_holds(document) is False
-
-
-def test_a_document_without_a_seal_says_nothing():
-    assert seal_holds(DOCUMENT) is None
+    assert values_hold(document) is False

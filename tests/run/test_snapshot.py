@@ -6,9 +6,9 @@ import pytest
 import yaml
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.run.begin import begin, refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.params import load_params, write_params
-from wheelleg_exp.run.snapshot import begin, refuse_secrets
 
 PARAMS = {
     "env": {
@@ -101,7 +101,7 @@ def test_missing_and_broken_parameters_are_told_with_their_file(tmp_path):
     with pytest.raises(RunDirectoryError, match=r"agent\.yaml:2"):
         load_params(tmp_path)
     (tmp_path / "params" / "agent.yaml").write_text("- 1\n")
-    with pytest.raises(RunDirectoryError, match="a list, not parameters"):
+    with pytest.raises(RunDirectoryError, match=r"agent\.yaml: holds a list"):
         load_params(tmp_path)
 
 
@@ -290,7 +290,7 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
         seen.append(directory.manifest().status)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wheelleg_exp.run.snapshot.snapshot_source", look)
+    monkeypatch.setattr("wheelleg_exp.run.begin.snapshot_source", look)
     with pytest.raises(KeyboardInterrupt):
         begin(
             directory,

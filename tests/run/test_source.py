@@ -3,16 +3,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import random
 import shutil
 import subprocess
 
 import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run import git as git_module
-from wheelleg_exp.run.restore import restore_source
-from wheelleg_exp.run.source import snapshot_source
-from wheelleg_exp.run.source_lines import source_lines
+from wheelleg_exp.run.source import git as git_module
+from wheelleg_exp.run.source.description import source_lines
+from wheelleg_exp.run.source.restore import restore_source
+from wheelleg_exp.run.source.snapshot import snapshot_source
 
 ODD = ["a b.txt", "tab\there", "new\nline", 'quo"te', "back\\slash", "ünï", "-dash", ":(top)x", "*"]
 ODD += [os.fsdecode(b"\xff")]  # no UTF-8
@@ -260,7 +261,7 @@ def test_a_file_that_is_left_out_does_not_count_towards_the_cap(repository, git,
 
 
 def test_a_patch_over_the_cap_is_refused_with_the_big_files(repository, git, tmp_path):
-    (repository / "package" / "data.bin").write_bytes(os.urandom(300_000))
+    (repository / "package" / "data.bin").write_bytes(random.Random(0).randbytes(300_000))
     record = snapshot(repository, tmp_path, max_patch_mb=0.1)
     assert record["status"] == "patch_too_large"
     assert record["big_files"] == [{"path": "package/data.bin", "bytes": 300_000}]

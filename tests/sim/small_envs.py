@@ -9,9 +9,10 @@ from typing import Any
 
 ASSETS = Path(__file__).parents[1] / "assets"
 ACTUATORS = "wheelleg_exp.sim.actuators."
+PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 _CONTACT = {
-    "_target_": "wheelleg_exp.sim.contact.ContactSensor",
+    "_target_": "wheelleg_exp.sim.sensors.ContactSensor",
     "body_names": [".*"],
     "history_length": 3,
     "track_air_time": True,
@@ -24,6 +25,8 @@ _ROVER: dict[str, Any] = {
     "episode_length_s": 2.0,
     "decimation": 2,
     "sim": {
+        "engine": "mujoco",
+        "device": "cpu",
         "dt": 0.01,
         "gravity": [0.0, 0.0, -9.81],
         "integrator": "implicitfast",
@@ -37,7 +40,7 @@ _ROVER: dict[str, Any] = {
     },
     "scene": {
         "env_spacing": 3.0,
-        "ground": {"static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0},
+        "terrain": {"_target_": PLANE, "static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0},
         "sensors": {"contact": _CONTACT},
     },
     "robot": {

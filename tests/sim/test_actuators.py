@@ -110,8 +110,8 @@ def test_numbers_by_joint_reach_their_joints(make_env):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("stiffness", {"left_.*": 5.0}, "no value for joint 'right_hip'"),
-        ("damping", -1.0, "negative"),
+        ("stiffness", {"left_.*": 5.0}, "no value for joint right_hip"),
+        ("damping", -1.0, "at least 0"),
         ("joint_names_expr", ["hip"], "matches nothing"),
         ("effort_limit", {"left_ankle": 1.0}, "matches nothing"),
     ],
@@ -122,3 +122,43 @@ def test_wrong_numbers_name_their_key(make_env, key, value, message):
     with pytest.raises(ConfigError, match=message) as caught:
         make_env(robot={"actuators": actuators})
     assert caught.value.key == f"env.robot.actuators.hips.{key}"
+
+
+def _late(make_env, **changes):
+    actuators = make_env().cfg["robot"]["actuators"]
+    actuators["hips"]["_target_"] = "managers.spies.Late"
+    env = make_env(robot={"actuators": actuators}, **changes)
+    env.reset()
+    return env, env.scene.robot.actuators["hips"]
+
+
+@pytest.mark.usefixtures("allow_test_terms")
+def test_an_actuator_with_a_memory_has_a_stream_and_acts_on_what_it_remembers(make_env):
+    env, late = _late(make_env)
+    named = env.streams.state_dict()["generators"]
+    assert "env.robot.actuators.hips" in named
+    assert "env.robot.actuators.axles" not in named
+    assert late.dt == env.physics_dt
+    robot, data, ids = env.scene.robot, env.scene.robot.data, late.joint_ids
+    targets = [torch.full((4, 4), value) for value in (0.1, 0.2, 0.3, 0.4)]
+    for step, target in enumerate(targets):
+        robot.set_joint_position_target(target, slice(None))
+        q, qd = data.joint_pos[:, ids].clone(), data.joint_vel[:, ids].clone()
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+        then = (targets[step - 2][:, ids] if step >= 2 else 0.0) + late.offset
+        expected = KP[ids] * (then - q) - KD[ids] * qd
+        torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-5, rtol=1e-5)
+        robot.set_joint_position_target(torch.zeros(4, 4), slice(None))  # nor do later targets change the report
+        data.invalidate()
+        torch.testing.assert_close(data.computed_torque[:, ids], expected, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.usefixtures("allow_test_terms")
+def test_an_actuators_memory_is_reset_with_its_environment(make_env):
+    env, late = _late(make_env)
+    env.step(torch.ones(4, 4))
+    late.past.fill_(1.0)
+    env.reset(env_ids=torch.tensor([1, 3]))
+    assert late.past.flatten(1).sum(dim=1).tolist() == [4, 0, 4, 0]

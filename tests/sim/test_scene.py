@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from sim.small_envs import PLANE
 from wheelleg_exp.errors import AssetError, ConfigError
-from wheelleg_exp.sim.scene import grid_origins, model_digest
+from wheelleg_exp.sim.scene import model_digest
+from wheelleg_exp.sim.terrain import grid_origins
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9, 12, 17, 64, 100])
@@ -200,7 +202,10 @@ def test_derived_quantities_are_fresh_after_env_step(make_env):
 
 def _slides(make_env, push: float, **ground) -> bool:
     env = make_env(
-        "block", scene={"ground": {"static_friction": 0.5, "dynamic_friction": 0.3, "restitution": 0} | ground}
+        "block",
+        scene={
+            "terrain": {"_target_": PLANE, "static_friction": 0.5, "dynamic_friction": 0.3, "restitution": 0} | ground
+        },
     )
     env.reset()
     for _ in range(30):

@@ -1,7 +1,18 @@
-"""Reads robots from USD into a plain description, and writes MJCF from it.
+"""Reads robots from USD and URDF into a plain description, and writes MJCF from it.
 
 ``convert`` makes one MJCF file; ``convert_cached`` keeps it in a cache, keyed by the content of every layer
 that the USD stage is made of.
+
+| module | what it offers |
+|---|---|
+| `conversion` | a USD or URDF file becomes an MJCF |
+| `cache` | conversions kept by the content of what they were made of |
+| `description` | a robot as plain data |
+| `usd`, `urdf` | read a robot |
+| `mjcf` | writes it |
+| `report` | what was read, assumed and left out |
+| `geometry`, `solids` | frames, volumes and inertias |
+| `sources`, `allocation` | how much files may hold and take |
 """
 
 from __future__ import annotations

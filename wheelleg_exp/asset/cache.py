@@ -5,19 +5,21 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import shutil
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from wheelleg_exp.asset.allocation import bounded_memory
 from wheelleg_exp.asset.conversion import convert, is_urdf
 from wheelleg_exp.asset.description import BaseMode
-from wheelleg_exp.asset.reader.stage import open_stage
-from wheelleg_exp.asset.reader.urdf.robot import source_files
 from wheelleg_exp.asset.report import Report
+from wheelleg_exp.asset.urdf.robot import source_files
+from wheelleg_exp.asset.usd.stage import open_stage
 from wheelleg_exp.errors import AssetError
+from wheelleg_exp.reading import json_value
 
 MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
 _ATTEMPTS = 3  # to put an entry in place while others do the same
@@ -52,7 +54,8 @@ def source_digest(source: Path, variants: Mapping[str, str] | None = None) -> di
         AssetError: the source cannot be read.
     """
     source, chosen = Path(source), variants or {}
-    return source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers
+    with bounded_memory(source):
+        return source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers
 
 
 def convert_cached(
@@ -101,11 +104,13 @@ def _converter_digest() -> str:
 def _read(entry: Path) -> Report | None:
     """Return an entry's report, None when the entry is absent or damaged."""
     try:
-        contents = json.loads((entry / CONTENTS).read_text(encoding="utf-8"))
-        if _hashes(entry) != contents:
+        if not (entry / CONTENTS).is_file():  # nor a pipe
+            return None
+        contents = json_value((entry / CONTENTS).read_text(encoding="utf-8"))
+        if MODEL not in contents or _hashes(entry) != contents:
             return None
         return Report.from_json((entry / REPORT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, TypeError, ValueError):
         return None
 
 
@@ -139,15 +144,5 @@ def _publish(draft: Path, entry: Path, scratch: Path) -> None:
                 return
             if attempt == _ATTEMPTS - 1:
                 raise
-            _move_away(entry, scratch / f"damaged_{attempt}")
-
-
-def _move_away(entry: Path, to: Path) -> None:
-    try:
-        entry.rename(to)
-    except FileNotFoundError:
-        return
-    except NotADirectoryError:
-        entry.unlink(missing_ok=True)
-        return
-    shutil.rmtree(to, ignore_errors=True)
+            with suppress(FileNotFoundError):
+                entry.rename(scratch / f"damaged_{attempt}")  # which is removed with the scratch folder

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 
+from wheelleg_exp.asset.allocation import bounded_memory
 from wheelleg_exp.asset.description import BaseMode, RobotDescription
-from wheelleg_exp.asset.reader.robot import read_usd
-from wheelleg_exp.asset.reader.stage import SUFFIXES as USD
-from wheelleg_exp.asset.reader.urdf.robot import SUFFIXES as URDF
-from wheelleg_exp.asset.reader.urdf.robot import read_urdf
+from wheelleg_exp.asset.mjcf.acceleration_drives import with_force_gains
+from wheelleg_exp.asset.mjcf.document import Writer, file_name, obj_text
+from wheelleg_exp.asset.mjcf.verify import load, verify
 from wheelleg_exp.asset.report import Report
-from wheelleg_exp.asset.writer.effective import with_force_gains
-from wheelleg_exp.asset.writer.meshes import file_name, obj_text
-from wheelleg_exp.asset.writer.mjcf import Writer
-from wheelleg_exp.asset.writer.verify import load, verify
+from wheelleg_exp.asset.sources import require_near
+from wheelleg_exp.asset.urdf.robot import SUFFIXES as URDF
+from wheelleg_exp.asset.urdf.robot import read_urdf
+from wheelleg_exp.asset.usd.robot import read_usd
+from wheelleg_exp.asset.usd.stage import SUFFIXES as USD
 from wheelleg_exp.errors import AssetError
 
 MESHES = "_meshes"  # what an MJCF's folder of meshes is called, after its own name
@@ -51,8 +52,9 @@ def convert(
     """
     source, output = Path(source), Path(output)
     _require_output(source, output)
-    with _told_by_mujoco() as told:
+    with _told_by_mujoco() as told, bounded_memory(source):
         robot, report = read(source, base, variants or {})
+        _require_apart(source, report, output)
         robot = with_force_gains(robot)
         write(robot, report, output)
     return Conversion(output, robot, replace(report, warnings=report.warnings + tuple(dict.fromkeys(told))))
@@ -76,7 +78,14 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
     Raises:
         AssetError: there is no such file, or it cannot be read or holds no robot.
     """
-    return read_urdf(source, base) if is_urdf(source, variants) else read_usd(source, base, variants)
+    robot, report = read_urdf(source, base) if is_urdf(source, variants) else read_usd(source, base, variants)
+    for body in robot.bodies:
+        require_near((*body.pose.position, *body.inertial.center_of_mass), key=body.path, where=str(source))
+        for dof in body.dofs:
+            require_near(dof.anchor, key=dof.path, where=str(source))
+    for geom in (*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)):
+        require_near((*geom.pose.position, *geom.size), key=geom.path, where=str(source))
+    return robot, report
 
 
 def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
@@ -124,6 +133,9 @@ def mesh_folder(output: Path) -> Path:
 def _require_output(source: Path, output: Path) -> None:
     """Refuse an output that is no name for an MJCF, or stands where something else is."""
     try:
+        str(output).encode()
+        with suppress(FileNotFoundError):
+            output.lstat()
         problem = _problem_of(source, output)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -145,6 +157,14 @@ def _problem_of(source: Path, output: Path) -> str | None:
     return None
 
 
+def _require_apart(source: Path, report: Report, output: Path) -> None:
+    """Refuse an output whose folder of meshes holds some of what the robot is made of."""
+    home, folder = source.resolve().parent, mesh_folder(output).resolve()
+    for name in report.layers:
+        if (home / name).resolve().is_relative_to(folder):
+            raise AssetError(f"'{name}' would be replaced by the meshes", key="-o", expected="another name")
+
+
 def _write_draft(robot: RobotDescription, report: Report, draft: Path) -> None:
     meshes = mesh_folder(draft)
     draft.write_text(Writer(robot, meshes.name, report.assumptions).text(), encoding="utf-8")
@@ -157,7 +177,7 @@ def _write_draft(robot: RobotDescription, report: Report, draft: Path) -> None:
 def _publish(draft: Path, output: Path, old: Path) -> None:
     """Put a draft and its meshes in the place of older ones; when that is interrupted, the older ones stay."""
     new, target = mesh_folder(draft), mesh_folder(output)
-    _require_meshes_only(target)
+    _require_own_meshes(output)
     try:
         if target.exists():
             target.replace(old)
@@ -172,7 +192,11 @@ def _publish(draft: Path, output: Path, old: Path) -> None:
         raise
 
 
-def _require_meshes_only(folder: Path) -> None:
-    foreign = [path.name for path in folder.iterdir() if path.suffix != ".obj"] if folder.exists() else []
+def _require_own_meshes(output: Path) -> None:
+    """Refuse to replace a folder that holds anything but the meshes that the older MJCF names."""
+    folder = mesh_folder(output)
+    text = output.read_text(encoding="utf-8", errors="replace") if folder.exists() and output.is_file() else ""
+    foreign = [path.name for path in folder.iterdir() if f'file="{path.name}"' not in text] if folder.exists() else []
     if foreign:
-        raise AssetError(f"'{folder}' holds other files, such as '{foreign[0]}'", key="-o", expected="meshes only")
+        message = f"'{folder}' holds other files than the meshes of '{output.name}', such as '{foreign[0]}'"
+        raise AssetError(message, key="-o", expected="another name, or that folder moved away")

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from wheelleg_exp.reading import json_value
+
 VERSION = 1
 
 
@@ -84,7 +86,7 @@ class Report:
             ValueError: the text is no report of this version.
         """
         try:
-            return _parse(json.loads(text))
+            return _parse(json_value(text))
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a conversion report: {error}") from error
 

@@ -31,14 +31,14 @@ def run_random(args: argparse.Namespace) -> int:
 
 
 def _run(kind: AgentKind, args: argparse.Namespace) -> int:
-    from wheelleg_exp.config.collect import compose_valid
+    from wheelleg_exp.config.checking.collect import compose_valid
 
     if args.steps is not None and args.steps < 1:
         raise WheellegError(f"is {args.steps}", key="--steps", expected="at least 1")
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.figures import print_contacts, print_figures, print_recording
+    from wheelleg_exp.cli.printing.display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.figures import print_contacts, print_figures, print_recording
     from wheelleg_exp.jobs.agents import run_agent
 
     with ConsoleDisplay(quiet=args.json) as display:
@@ -46,9 +46,10 @@ def _run(kind: AgentKind, args: argparse.Namespace) -> int:
     if args.json:
         contacts = {name: [asdict(row) for row in rows] for name, rows in made.contacts.items()}
         print_json({"folder": str(made.folder), "contacts": contacts, "figures": made.figures.as_dict()})
-        return EXIT_OK
-    print_figures(made.figures)
-    for sensor, rows in made.contacts.items():
-        print_contacts(sensor, rows)
-    print_recording(made.recording)
+    else:
+        print_figures(made.figures)
+        for sensor, rows in made.contacts.items():
+            print_contacts(sensor, rows)
+        print_recording(made.recording)
+    made.failures.require_few("in this run")
     return EXIT_OK

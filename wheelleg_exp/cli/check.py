@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json, print_table
-from wheelleg_exp.config.compose import Composed
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.cli.printing.tables import print_blocks, print_table
+from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK
 
 if TYPE_CHECKING:
-    from wheelleg_exp.physics.findings import Finding
-    from wheelleg_exp.physics.report import PhysicsReport
+    from wheelleg_exp.lint.examine import PhysicsReport
+    from wheelleg_exp.lint.findings import Finding
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
     parser.add_argument("--physics", action="store_true", help="look at the numbers as well; exit 1 with findings")
+    parser.add_argument("--all", action="store_true", help="with --physics: show what is silenced as well")
     parser.add_argument("--list", action="store_true", help="list the rules of --physics, and check nothing")
     add_json(parser)
 
@@ -27,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the mistakes, or the findings; 0 without either, 1 with findings, 2 with mistakes."""
     if args.list:
         return _list(as_json=args.json)
-    from wheelleg_exp.config.collect import find_mistakes
+    from wheelleg_exp.config.checking.collect import find_mistakes
     from wheelleg_exp.config.problems import document, raise_all
 
     composed, mistakes = find_mistakes(args.overrides, config_dirs=args.config_dirs)
@@ -38,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_INPUT
     assert composed is not None
     if args.physics:
-        return _physics(composed, as_json=args.json)
+        return _physics(composed, show_all=args.all, as_json=args.json)
     if args.json:
         print_json({"mistakes": []})
     else:
@@ -46,34 +49,39 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _physics(composed: Composed, *, as_json: bool) -> int:
-    from wheelleg_exp.physics.report import examine
+def _physics(composed: Composed, *, show_all: bool, as_json: bool) -> int:
+    from wheelleg_exp.lint.examine import examine
 
     report = examine(composed)
     if as_json:
         print_json({"mistakes": [], **report.document()})
     else:
-        _show(report)
+        _show(report, show_all=show_all)
     return EXIT_FINDING if report.open else EXIT_OK
 
 
-def _show(report: PhysicsReport) -> None:
-    _section("Robot", ("robot", "", ""), report.facts_table())
+def _show(report: PhysicsReport, *, show_all: bool) -> None:
+    _section(print_table, ("robot", "", ""), report.facts_table())
     columns = ("reward", "weight", "at a tolerance of", "per step", "per episode", "share")
-    _section("Rewards", columns, report.rewards_table())
-    _section("Findings", ("finding", "key", "place", "what", "hint"), [(*_cells(f), f.hint) for f in report.open])
-    silenced = [(*_cells(finding), report.reasons[finding.rule]) for finding in report.silenced]
-    _section("Silenced", ("silenced", "key", "place", "what", "because"), silenced)
+    _section(print_table, columns, report.rewards_table())
+    _section(_print_findings, ("", "", "place", "what", "hint"), [(*_cells(f), f.hint) for f in report.open])
+    if show_all:
+        silenced = [(*_cells(finding), report.reasons[finding.rule]) for finding in report.silenced]
+        _section(_print_findings, ("", "", "place", "what", "silenced"), silenced)
     for name in report.unused:
         print(f"note: check.silence.{name} silences nothing here")
-    count = len(report.open)
-    print(f"{count} finding{'' if count == 1 else 's'}, {len(report.silenced)} silenced")
+    count, silent = len(report.open), len(report.silenced)
+    more = " (--all shows them)" if silent and not show_all else ""
+    print(f"{count} finding{'' if count == 1 else 's'}, {silent} silenced{more}")
 
 
-def _section(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def _section(show: Callable[..., None], columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     if rows:
-        print_table(columns, rows, title=title)
+        show(columns, rows)
         print()
+
+
+_print_findings = partial(print_blocks, heads=2)
 
 
 def _cells(finding: Finding) -> tuple[str, str, str, str]:
@@ -81,7 +89,7 @@ def _cells(finding: Finding) -> tuple[str, str, str, str]:
 
 
 def _list(*, as_json: bool) -> int:
-    from wheelleg_exp.physics.rules import RULES
+    from wheelleg_exp.lint.examine import RULES
 
     rows: list[dict[str, Any]] = [{"rule": name, "what": rule.summary} for name, rule in RULES.items()]
     if as_json:

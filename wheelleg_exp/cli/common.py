@@ -1,16 +1,16 @@
-"""What the commands share: the parser, the options of those that compose, tables and JSON."""
+"""What the commands share: the parser, the options of those that compose, JSON."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from wheelleg_exp.errors import WheellegError, nearest_name
-from wheelleg_exp.run.files import dump_json
+from wheelleg_exp.errors import WheellegError, nearest_name, printable
+from wheelleg_exp.files import dump_json, json_plain
 
 
 class UsageError(WheellegError):
@@ -26,7 +26,11 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the mistake as a UsageError."""
         options = [option for action in self._actions for option in action.option_strings]
-        raise _unknown_word(message, options) or _wrong_value(message) or UsageError(message, key=self.prog)
+        words = [action for action in self._actions if not action.option_strings]
+        wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
+        optional = [str(action.metavar) for action in words if str(action.metavar) not in wanted]
+        problem = _unknown_word(message, options) or _wrong_value(message, optional)
+        raise problem or UsageError(message, key=self.prog)
 
 
 def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
@@ -37,14 +41,18 @@ def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
     if not word.startswith("-"):
         return UsageError("one word too many", key=word)
     nearest = nearest_name(word.split("=")[0], options)
+    if "=" in word and nearest is None:
+        return UsageError("unknown option", key=word, expected=f"an override without dashes, {word.lstrip('-')}")
     return UsageError("unknown option", key=word, expected="one of " + ", ".join(options), nearest=nearest)
 
 
-def _wrong_value(message: str) -> UsageError | None:
+def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     """Explain what argparse says of one argument: a choice, a type, a count, or that it is missing."""
     missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:
-        return UsageError("is missing", key=missing.group(1))
+    if missing is not None:  # argparse counts words that may be left out among those that it wants
+        wanted = missing.group(1).split(", ")
+        names = [name for name in wanted if name not in optional] or wanted  # two words may have one name
+        return UsageError("is missing", key=", ".join(names))
     argument = re.match(r"argument (\S+): (.+)", message)
     if argument is None:
         return None
@@ -56,8 +64,8 @@ def _wrong_value(message: str) -> UsageError | None:
         return UsageError(f"'{choice.group(1)}' is not known", key=key, expected=expected, nearest=nearest)
     kind = re.match(r"invalid (\w+) value: '?(.*?)'?$", text)
     if kind is not None:
-        wanted = {"int": "a whole number", "float": "a number", "Path": "a path"}.get(kind.group(1), kind.group(1))
-        return UsageError(f"'{kind.group(2)}' is not of the right type", key=key, expected=wanted)
+        meant = {"int": "a whole number", "float": "a number", "Path": "a path"}.get(kind.group(1), kind.group(1))
+        return UsageError(f"'{kind.group(2)}' is not of the right type", key=key, expected=meant)
     return UsageError(text, key=key)
 
 
@@ -86,6 +94,11 @@ def add_config_dir(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_root(parser: argparse.ArgumentParser) -> None:
+    """Add ``--root``."""
+    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add ``--json``."""
     parser.add_argument("--json", action="store_true", help="print one JSON document and nothing else")
@@ -93,35 +106,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def print_json(document: Any) -> None:
     """Print one JSON document."""
-    print(dump_json(document), end="")
-
-
-def print_table(
-    columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str | None = None, lines: bool = True
-) -> None:
-    """Print a table: with lines in a terminal (but for a wide one: ``lines``), as plain columns otherwise."""
-    cells = [["" if cell is None else str(cell) for cell in row] for row in rows]
-    if lines and sys.stdout.isatty():
-        _print_rich(columns, cells, title)
-    else:
-        _print_plain(columns, cells)
-
-
-def _print_rich(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    grid = Table(title=title, title_justify="left")
-    for column in columns:
-        grid.add_column(column)
-    for row in rows:
-        grid.add_row(*(Text(cell) for cell in row))
-    Console().print(grid)
-
-
-def _print_plain(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    lines = [list(columns), *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(columns))]
-    for line in lines:
-        print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+    text = dump_json(document)
+    if printable(text) != text:  # what would be shown by its code is so in the way of JSON
+        text = json.dumps(json_plain(document), indent=2, allow_nan=False) + "\n"
+    print(text, end="")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wheelleg_exp.cli.common import Parser
 from wheelleg_exp.errors import EXIT_OK, WheellegError
-from wheelleg_exp.projects import with_current
+from wheelleg_exp.packages import with_current
 
 # The shell hands over the line up to the cursor; bash also the letters at which it breaks words.
 LINE, BREAKS = "WHEELLEG_COMPLETE_LINE", "WHEELLEG_COMPLETE_BREAKS"
@@ -143,14 +143,14 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list
     if action.choices is not None:
         return [str(choice) for choice in action.choices]
     if name in ("OVERRIDE", "KEY"):
-        from wheelleg_exp.config import candidates as config
+        from wheelleg_exp.config.explaining import candidates as config
 
         return (config.overrides if name == "OVERRIDE" else config.keys)(word, before, folders, primary)
     if name in ("RUN", "A", "B"):
         root = Path(given.get("root", ["runs"])[-1])
         return [*(_tasks(folders) if name != "RUN" else []), *_runs(root), *_files(word)]
     if name == "GROUP":
-        from wheelleg_exp.config import catalog
+        from wheelleg_exp.config.explaining import catalog
 
         return catalog.groups(folders)
     if action.dest == "primary":
@@ -159,7 +159,7 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list
 
 
 def _tasks(folders: list[Path]) -> list[str]:
-    from wheelleg_exp.config import catalog
+    from wheelleg_exp.config.explaining import catalog
 
     return [entry.name for entry in catalog.tasks(folders)]
 

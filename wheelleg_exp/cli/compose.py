@@ -6,16 +6,16 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json, print_table
-from wheelleg_exp.cli.words import source_document
-from wheelleg_exp.config.compose import Composed, compose
-from wheelleg_exp.config.diagnose import nearest_path
-from wheelleg_exp.config.provenance import Source
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.cli.printing.tables import hanging, print_table, screen_width
+from wheelleg_exp.config.checking.diagnose import nearest_path
+from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.provenance import Source
 from wheelleg_exp.config.tree import dotted, node_paths, select
 from wheelleg_exp.errors import EXIT_OK, ConfigError, WheellegError
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.shapes import GroupShape, Shapes, TermShape
+    from wheelleg_exp.config.explaining.shapes import GroupShape, Shapes, TermShape
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +69,8 @@ def _part(tree: Any, package: str | None) -> Any:
 def _yaml(tree: Any) -> str:
     import yaml
 
-    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
+    # A line goes on to the end of the entry in which it grows too long.
+    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
     return text.removesuffix("...\n")
 
 
@@ -85,16 +86,22 @@ def _print_provenance(composed: Composed, package: str | None, *, resolve: bool,
         print_json({**found, **{source.path: {**_document(source, None), "deleted": True} for source in deleted}})
         return
     for source in sources:
-        print(f"{source.path}: {select(values, source.path)!r}  # {source.where}")
+        _print_line(f"{source.path}: {select(values, source.path)!r}", f"  # {source.where}")
         _print_hidden(source)
     for source in deleted:
-        print(f"# {source.path}: removed  # {source.where}")
+        _print_line(f"# {source.path}: removed", f"  # {source.where}")
         _print_hidden(source)
 
 
 def _print_hidden(source: Source) -> None:
     for hidden in reversed(source.shadowed):
-        print(f"  # hides {hidden.path}: {hidden.value!r} ({hidden.where})")
+        _print_line(f"  # hides {hidden.path}: {hidden.value!r}", f" ({hidden.where})")
+
+
+def _print_line(text: str, place: str) -> None:
+    """Print a text and its place behind it, or below it where both do not fit the screen."""
+    line = text + place
+    print(line if len(line) <= screen_width() else f"{hanging(text, 4)}\n    {place.lstrip()}")
 
 
 def _document(source: Source, value: Any) -> dict[str, Any]:
@@ -102,8 +109,8 @@ def _document(source: Source, value: Any) -> dict[str, Any]:
 
 
 def _print_shapes(composed: Composed, *, as_json: bool) -> None:
-    from wheelleg_exp.config.check import require_valid
-    from wheelleg_exp.config.shapes import shapes
+    from wheelleg_exp.config.checking.check import require_valid
+    from wheelleg_exp.config.explaining.shapes import shapes
 
     require_valid(composed)
     found = shapes(composed)
@@ -152,3 +159,15 @@ def _shapes_document(found: Shapes) -> dict[str, Any]:
 def _group_document(group: GroupShape) -> dict[str, Any]:
     terms = {term.name: {k: v for k, v in asdict(term).items() if k != "name"} for term in group.terms}
     return {"shape": group.shape, "terms": terms}
+
+
+def source_document(source: Source) -> dict[str, Any]:
+    """Return one writer of a leaf as JSON has it."""
+    return {
+        "path": source.path,
+        "value": source.value,
+        "where": source.where,
+        "file": None if source.file is None else str(source.file),
+        "line": source.line,
+        "override": source.override,
+    }

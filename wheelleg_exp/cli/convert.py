@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         sys.stdout.write(conversion.report.to_json())
     else:
-        from wheelleg_exp.cli.conversion import show
+        from wheelleg_exp.cli.printing.conversion import show
 
         show(conversion)
     return EXIT_OK

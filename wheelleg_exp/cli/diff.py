@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, print_json, print_table
-from wheelleg_exp.cli.words import shown
+from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, print_json
+from wheelleg_exp.cli.printing.tables import print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
+from wheelleg_exp.report.words import plain as shown
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.difference import Change, Difference, Side
+    from wheelleg_exp.config.explaining.difference import Change, Difference, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
 _WIDEST = 44  # letters of a value before it is cut
@@ -23,15 +23,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("a", metavar="A", help=_SIDE)
     parser.add_argument("b", metavar="B", help="the same")
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_root(parser)
     add_config_dir(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the differences; exit status 0 for equal, 1 for different."""
-    from wheelleg_exp.config.difference import compare
-    from wheelleg_exp.jobs.sides import load_sides
+    from wheelleg_exp.config.explaining.difference import compare
+    from wheelleg_exp.jobs.diff_inputs import load_sides
 
     a, b = load_sides(args.a, args.b, args.root, args.config_dirs)
     difference = compare(a, b)
@@ -61,10 +61,10 @@ def _print(a: Side, b: Side, difference: Difference) -> None:
         return
     if difference.terms:
         rows = [_row(change) for change in difference.terms]
-        _titled("terms", ("", "term", "A", "B", "A set by", "B set by", "note"), rows)
+        _titled("terms", ("", "term", "A", "B", "note"), rows)
     if difference.parameters:
         rows = [_row(change)[:-1] for change in difference.parameters]
-        _titled("parameters", ("", "key", "A", "B", "A set by", "B set by"), rows)
+        _titled("parameters", ("", "key", "A", "B"), rows)
     for section in dict.fromkeys(change.section for change in difference.facts):
         facts = [(f.name, _cut(f.a), _cut(f.b)) for f in difference.facts if f.section == section]
         _titled(section, ("", "A", "B"), facts)
@@ -72,21 +72,17 @@ def _print(a: Side, b: Side, difference: Difference) -> None:
 
 def _titled(title: str, columns: tuple[str, ...], rows: list[Any]) -> None:
     print(f"\n{title}")
-    print_table(columns, rows)
+    print_table(columns, rows, heads=2)
 
 
 def _row(change: Change) -> tuple[str, ...]:
-    first = "-" if change.kind == "added" else _brief(change.a)
-    second = "-" if change.kind == "removed" else _brief(change.b)
-    return (
-        change.kind,
-        change.path,
-        first,
-        second,
-        change.where_a or "-",
-        change.where_b or "-",
-        change.note,
-    )
+    first = "-" if change.kind == "added" else _placed(change.a, change.where_a)
+    second = "-" if change.kind == "removed" else _placed(change.b, change.where_b)
+    return change.kind, change.path, first, second, change.note
+
+
+def _placed(value: Any, where: str | None) -> str:
+    return _brief(value) + (f"  ({where})" if where else "")
 
 
 def _brief(value: Any) -> str:

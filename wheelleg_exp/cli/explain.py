@@ -7,15 +7,18 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from wheelleg_exp.cli.common import add_json, add_overrides, print_json
-from wheelleg_exp.cli.words import shown, source_document
-from wheelleg_exp.config.compose import compose
-from wheelleg_exp.config.explanation import Explanation, explain_key
-from wheelleg_exp.config.known import section_of
-from wheelleg_exp.config.mounts import Mount
-from wheelleg_exp.config.provenance import Source
+from wheelleg_exp.cli.compose import source_document
+from wheelleg_exp.cli.printing.tables import hanging, screen_width
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.mounts import Mount
+from wheelleg_exp.config.composing.provenance import Source
+from wheelleg_exp.config.explaining.explanation import Explanation, explain_key
+from wheelleg_exp.config.keys import section_of
 from wheelleg_exp.config.tree import split_path
 from wheelleg_exp.errors import EXIT_OK
+from wheelleg_exp.report.words import plain as shown
 
+_LABEL = 14  # columns of a label and its indent
 _SHOWN = 24  # values or keys of a list before the rest is only counted
 
 
@@ -35,8 +38,14 @@ def run(args: argparse.Namespace) -> int:
         print_json(document(explained))
     else:
         for line in text(explained):
-            print(line)
+            print(_fitting(line))
     return EXIT_OK
+
+
+def _fitting(line: str) -> str:
+    """Return a line in as many as fit the screen: what follows a label stands below what follows it first."""
+    blanks = len(line) - len(line.lstrip())
+    return hanging(line, {0: 4, 2: _LABEL}.get(blanks, blanks + 4)) if len(line) > screen_width() else line
 
 
 def text(explained: Explanation) -> Iterator[str]:

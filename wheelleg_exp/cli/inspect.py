@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
-from wheelleg_exp.cli.common import add_json, print_json
-from wheelleg_exp.cli.inspect_action import Action, Inspected, require_used
-from wheelleg_exp.cli.inspect_pictures import ACTIONS as PICTURES
-from wheelleg_exp.cli.inspect_reading import ACTIONS as READING
-from wheelleg_exp.cli.inspect_reading import STATISTICS, SUMMARY, add_selection, selection_of
+from wheelleg_exp.cli.common import add_json, add_root, print_json
+from wheelleg_exp.cli.inspecting.action import Action, Inspected, require_used
+from wheelleg_exp.cli.inspecting.pictures import ACTIONS as PICTURES
+from wheelleg_exp.cli.inspecting.reading import ACTIONS as READING
+from wheelleg_exp.cli.inspecting.reading import STATISTICS, SUMMARY, add_selection, selection_of
 
 # Files and figures first and the viewer last, because that one stays open.
 ACTIONS: tuple[Action, ...] = (*READING, *PICTURES)
@@ -25,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RUN|FILE", help="a run directory, its id, 'latest', or a recording")
     parser.add_argument("--play", action="store_true", help="the run's newest play instead of its training")
     parser.add_argument("--id", metavar="ID", help="which recording of a file that holds several")
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_root(parser)
     add_selection(parser)
     for action in ACTIONS:
         action.configure(parser)
@@ -34,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do what was asked for; the summary when nothing was."""
-    from wheelleg_exp.inspection.target import find_target
+    from wheelleg_exp.inspection.questions.target import find_target
 
     chosen = [action for action in ACTIONS if action.is_chosen(args)] or [STATISTICS if args.term else SUMMARY]
     require_used(args, chosen, ACTIONS)

@@ -6,9 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json, print_table
-from wheelleg_exp.config import catalog
-from wheelleg_exp.config.catalog import Entry
+from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json
+from wheelleg_exp.cli.printing.tables import print_blocks, print_table
+from wheelleg_exp.config.explaining import catalog
+from wheelleg_exp.config.explaining.catalog import Entry
 from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
 
 KINDS = ("tasks", "terms", "groups", "options", "runs", "sweeps")
@@ -36,8 +37,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(documents)
     else:
-        print_table(columns, [list(map(_cell, row)) for row in rows], lines=args.kind != "runs")
-        _print_problems(args.kind, documents)
+        _show(args.kind, columns, [list(map(_cell, row)) for row in rows], documents)
     return EXIT_OK
 
 
@@ -51,12 +51,15 @@ def _listed(args: argparse.Namespace) -> tuple[list[str], list[list[Any]], list[
     return columns, rows, [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def _print_problems(kind: str, documents: list[dict[str, Any]]) -> None:
+def _show(kind: str, columns: list[str], rows: list[list[Any]], documents: list[dict[str, Any]]) -> None:
     if kind in ("runs", "sweeps"):
         from wheelleg_exp.cli import list_runs
 
-        for line in list_runs.problems(documents):
-            print(line)
+        list_runs.show(columns, rows, documents)
+    elif kind == "terms":
+        print_blocks(columns, rows, heads=2)
+    else:
+        print_table(columns, rows, heads=2 if kind == "options" else 1)
 
 
 def _cell(value: Any) -> Any:
@@ -86,7 +89,7 @@ def _options(args: argparse.Namespace) -> Table:
 
 
 def _terms(args: argparse.Namespace) -> Table:
-    from wheelleg_exp.config.library import MODULES, library
+    from wheelleg_exp.config.explaining.catalog import MODULES, library
 
     section = _section(args.group) if args.group else None
     group = args.group if section is None else section.removesuffix("s")
@@ -97,30 +100,30 @@ def _terms(args: argparse.Namespace) -> Table:
     found = [t for t in library() if t.target not in used and (group is None or section == t.section)]
     names = [t.target.rsplit(".", 1)[-1] for t in found]
     rows += [
-        [t.section.removesuffix("s"), name, None, t.target, t.signature, t.help]
+        [t.section.removesuffix("s"), name, t.help, t.target, t.signature, None]
         for name, t in zip(names, found, strict=True)
     ]
     order = {name.removesuffix("s"): index for index, name in enumerate(MODULES.values())}
     rows.sort(key=lambda row: order.get(row[0], len(order)))
-    return ["group", "term", "file", "target", "takes", "help"], rows
+    return ["group", "term", "help", "target", "takes", "file"], rows
 
 
 def _section(name: str) -> str | None:
     """Return the section that a group or a section name stands for: reward, rewards."""
-    from wheelleg_exp.terms import RESERVED
+    from wheelleg_exp.terms.binding import RESERVED
 
     return next((section for section in RESERVED if name in (section, section.removesuffix("s"))), None)
 
 
 def _stock_row(entry: Entry) -> list[Any]:
-    from wheelleg_exp.config.library import signature_of
-    from wheelleg_exp.terms import resolve_target
+    from wheelleg_exp.config.explaining.catalog import signature_of
+    from wheelleg_exp.terms.binding import resolve_target
 
     try:
         takes = signature_of(resolve_target(str(entry.target), f"{entry.group}.{entry.name}"))
     except WheellegError:
         takes = ""
-    return [entry.group, entry.name, entry.file, entry.target, takes, entry.help]
+    return [entry.group, entry.name, entry.help, entry.target, takes, entry.file]
 
 
 def _entries(columns: list[str], entries: list[Entry]) -> Table:

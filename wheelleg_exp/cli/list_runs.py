@@ -8,15 +8,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.cli.printing.tables import hanging, print_table, screen_width, table_width
+from wheelleg_exp.definitions.definition import percent
+from wheelleg_exp.definitions.training import LAST, LISTED
 from wheelleg_exp.errors import WheellegError, nearest_name
 from wheelleg_exp.run.listing import RunSummary, SweepSummary, list_runs, list_sweeps
 from wheelleg_exp.run.timestamps import utc_text
 
 ROOT = Path("runs")
 _NEVER = datetime.min.replace(tzinfo=UTC)  # what stands for an unknown start
-_ID_WIDTH = 32
+_LEAST_ID = 16  # columns
 
-RUN_COLUMNS = ["id", "task", "status", "iterations", "return", "steps", "time-out", "played", "took", "resume"]
+RUN_COLUMNS = ["id", "task", "status", *LISTED, "resume"]
+LEGEND = (
+    f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode it ended; "
+    "played: how many of the last play's ended episodes survived"
+)
 SWEEP_COLUMNS = ["id", "status", "jobs", "swept", "took"]
 
 _PROBLEMS_SHOWN = 10
@@ -38,6 +45,15 @@ def sweeps(root: Path | None) -> Listed:
     """Do the same for the sweeps."""
     found = list_sweeps(_folder(root))
     return SWEEP_COLUMNS, [_sweep_row(sweep) for sweep in found], [_document(sweep) for sweep in found]
+
+
+def show(columns: Sequence[str], rows: Sequence[Sequence[Any]], documents: Sequence[Mapping[str, Any]]) -> None:
+    """Print a table, and below it what is wrong with some of them and what the figures are of."""
+    print_table(columns, _fitted(columns, rows), lines=False)
+    for line in problems(documents):
+        print(hanging(line, 4))
+    if any(entry.get("figures") or entry.get("played") for entry in documents):
+        print(hanging(LEGEND, 0))
 
 
 def problems(documents: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -70,14 +86,13 @@ def _run_row(run: RunSummary) -> list[Any]:
     done = None if run.iterations is None and run.max_iterations is None else f"{run.iterations or 0}"
     total = "" if run.max_iterations is None else f"/{run.max_iterations}"
     return [
-        _shortened(run.id),
+        run.id,
         run.task,
         run.status,
         done and done + total,
         _number(run.figures, "return", "{:.2f}"),
-        _number(run.figures, "episode_length", "{:.0f}"),
-        _number(run.figures, "time_out", "{:.0%}"),
-        _number(run.played, "survival", "{:.0%}"),
+        _percent(run.figures.get("time_out")),
+        _survived(run.played),
         _duration(run.seconds),
         ("from start" if run.checkpoint is None else f"from {run.checkpoint}") if run.resumable else None,
     ]
@@ -86,7 +101,7 @@ def _run_row(run: RunSummary) -> list[Any]:
 def _sweep_row(sweep: SweepSummary) -> list[Any]:
     jobs = ", ".join(f"{count} {status}" for status, count in sweep.jobs.items())
     took = None if sweep.ended is None else (datetime.fromisoformat(sweep.ended) - sweep.started).total_seconds()
-    return [_shortened(sweep.id), sweep.status, jobs or None, " ".join(sweep.swept) or None, _duration(took)]
+    return [sweep.id, sweep.status, jobs or None, " ".join(sweep.swept) or None, _duration(took)]
 
 
 def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
@@ -96,15 +111,33 @@ def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
     return document | {"seeds": list(summary.seeds) or None} if isinstance(summary, RunSummary) else document
 
 
-def _shortened(text: str) -> str:
-    """Return a name that fits its column: the middle gives way, because the end tells runs apart."""
-    half = (_ID_WIDTH - 1) // 2
-    return text if len(text) <= _ID_WIDTH else f"{text[: _ID_WIDTH - half - 1]}…{text[-half:]}"
+def _fitted(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """Return rows whose ids leave room for the other columns: the middle gives way, the end tells runs apart."""
+    room = max(screen_width() - table_width(columns[1:], [row[1:] for row in rows]) - 2, _LEAST_ID)
+    return [[_shortened(str(row[0]), room), *row[1:]] for row in rows]
+
+
+def _shortened(text: str, width: int) -> str:
+    half = (width - 1) // 2
+    return text if len(text) <= width else f"{text[: width - half - 1]}…{text[-half:]}"
 
 
 def _number(values: Mapping[str, Any], key: str, form: str) -> str | None:
     value = values.get(key)
     return form.format(value) if isinstance(value, (int, float)) else None
+
+
+def _percent(value: Any) -> str | None:
+    return percent(value) if isinstance(value, (int, float)) else None
+
+
+def _survived(played: Mapping[str, Any]) -> str | None:
+    """Return how many of a play's ended episodes survived, ``60/64``; the share where the play does not tell."""
+    survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
+    if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
+        return _percent(survival)
+    ended = episodes - unfinished
+    return f"{round(survival * ended)}/{ended}"
 
 
 def _duration(seconds: float | None) -> str | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 import threading
@@ -16,9 +15,21 @@ from types import FrameType
 
 from wheelleg_exp import __version__
 from wheelleg_exp.cli.common import Parser, UsageError
-from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, WheellegError, nearest_name
-from wheelleg_exp.projects import with_current
+from wheelleg_exp.cli.printing.streams import lasting_streams
+from wheelleg_exp.cli.printing.tables import hanging
+from wheelleg_exp.errors import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    ConfigError,
+    Interrupted,
+    WheellegError,
+    nearest_name,
+)
+from wheelleg_exp.jobs.stop import stop_signals
+from wheelleg_exp.packages import with_current
 from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.user_code import in_words
 
 
 @dataclass(frozen=True)
@@ -63,23 +74,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     prepare_threads()
     words = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in words
+    with lasting_streams():
+        return _answer(words, "--debug" in words)
+
+
+def _answer(words: list[str], debug: bool) -> int:
     try:
-        with _terminate_is_interrupt():
+        with _interrupts():
             status = _dispatch(words)
             sys.stdout.flush()
             return status
-    except BrokenPipeError:
-        _silence_stdout()
-        return EXIT_OK
     except KeyboardInterrupt:
         return _failed("interrupted", EXIT_INTERRUPTED, debug)
     except WheellegError as error:
         return _failed(str(error), error.exit_code, debug)
-    except Exception as error:
+    except BaseException as error:  # SystemExit as well: who has called it was not asked to
         hint = "" if debug else " (--debug shows the traceback)"
-        notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
-        return _failed(f"{type(error).__name__}: {error}{notes}{hint}", EXIT_FAILED, debug)
+        return _failed(f"{in_words(error)}{hint}", EXIT_FAILED, debug)
 
 
 def _dispatch(words: list[str]) -> int:
@@ -100,7 +111,7 @@ def _run(name: str, words: list[str]) -> int:
             "there is no such command",
             key=name,
             expected="one of " + ", ".join(COMMANDS),
-            nearest=nearest_name(name, COMMANDS),
+            nearest=nearest_name(name, [*COMMANDS, "--version", "--help"]),
         )
     module = import_module(f"wheelleg_exp.cli.{command.module}")
     parser = Parser(prog=f"wheelleg {name}", description=f"{command.help[0].upper()}{command.help[1:]}.")
@@ -134,11 +145,11 @@ def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
 
 
 def _script_parser() -> Parser:
-    lines = "\n".join(f"  {name:<14}{command.help}" for name, command in COMMANDS.items())
+    lines = "\n".join(hanging(command.help, 16, f"  {name}") for name, command in COMMANDS.items())
     parser = Parser(
         prog="wheelleg",
         usage="wheelleg COMMAND [OVERRIDE ...] [options]",
-        description="Config-first, reproducible reinforcement learning for wheel-legged robots.",
+        description=hanging("Config-first, reproducible reinforcement learning for wheel-legged robots.", 0),
         epilog=f"commands:\n{lines}\n\n'wheelleg COMMAND --help' tells more.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -157,32 +168,22 @@ def _failed(message: str, status: int, debug: bool) -> int:
     return status
 
 
-def _silence_stdout() -> None:
-    """Point standard output at nothing, so that the interpreter's last flush does not complain."""
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(null, sys.stdout.fileno())
-    except (OSError, ValueError):
-        pass
-    finally:
-        os.close(null)
-
-
 @contextmanager
-def _terminate_is_interrupt() -> Iterator[None]:
-    """Treat SIGTERM as Ctrl-C; only the main thread may set handlers."""
+def _interrupts() -> Iterator[None]:
+    """Treat SIGTERM and SIGHUP as Ctrl-C; only the main thread may set handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def interrupt(_signal: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
+        raise Interrupted
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in stop_signals()}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_json, print_json
+from wheelleg_exp.cli.common import add_json, add_root, print_json
 from wheelleg_exp.errors import EXIT_OK
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "overrides", nargs="*", metavar="OVERRIDE", help="changes for this play: env.num_envs=16, seed=7"
     )
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_root(parser)
     add_json(parser)
 
 
@@ -31,19 +31,20 @@ def run(args: argparse.Namespace) -> int:
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = None if args.checkpoint is None else _checkpoint(directory, args.checkpoint)
 
-    from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.figures import print_figures, print_recording, shown
+    from wheelleg_exp.cli.printing.display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.figures import print_figures, print_recording, shown
     from wheelleg_exp.jobs.play import play
 
     with ConsoleDisplay(quiet=True) as display:
         played = play(directory, checkpoint, args.overrides, args.command, display)
     if args.json:
         print_json({"run": str(directory.path), "folder": str(played.folder), "figures": played.figures.as_dict()})
-        return EXIT_OK
-    print(f"played {shown(played.checkpoint)} without exploration noise")
-    print_figures(played.figures)
-    print(f"\nrun directory: {shown(directory.path)}")
-    print_recording(played.recording)
+    else:
+        print(f"played {shown(played.checkpoint)} without exploration noise")
+        print_figures(played.figures)
+        print(f"\nrun directory: {shown(directory.path)}")
+        print_recording(played.recording)
+    played.failures.require_few("in this play")
     return EXIT_OK
 
 

@@ -10,7 +10,7 @@ from wheelleg_exp.cli.common import add_json, print_json
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
 if TYPE_CHECKING:
-    from wheelleg_exp.jobs.replay import Replayed
+    from wheelleg_exp.jobs.replay.replay import Replayed
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
         directory = RunDirectory.open(args.run, args.root)
 
-        from wheelleg_exp.cli.display import ConsoleDisplay
-        from wheelleg_exp.jobs.replay import replay
+        from wheelleg_exp.cli.printing.display import ConsoleDisplay
+        from wheelleg_exp.jobs.replay.replay import replay
 
         with ConsoleDisplay() as display:
             found = replay(
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(found: Replayed) -> None:
-    from wheelleg_exp.cli.figures import shown
+    from wheelleg_exp.cli.printing.figures import shown
 
     iterations = f"{found.iterations} iteration{'' if found.iterations == 1 else 's'}"
     part = "all" if found.whole else "the first"

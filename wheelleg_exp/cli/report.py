@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wheelleg_exp.cli.common import add_json, print_json
+from wheelleg_exp.cli.common import add_json, add_root, print_json
 from wheelleg_exp.config.tree import show_file
 from wheelleg_exp.errors import EXIT_OK
 
@@ -20,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="where to write it (default: report.html in the run directory)",
     )
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_root(parser)
     parser.add_argument("--no-pictures", action="store_true", help="leave the pictures of the robot out")
     add_json(parser)
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_config_dir, add_json
-from wheelleg_exp.cli.outcome import tell_trained, train_on
+from wheelleg_exp.cli.common import add_config_dir, add_json, add_root
+from wheelleg_exp.cli.printing.outcome import tell_trained, train_on
 
 if TYPE_CHECKING:
     from wheelleg_exp.jobs.stop import StopRequest
@@ -22,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="OVERRIDE",
         help="changes from here on: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ...",
     )
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_root(parser)
     add_config_dir(parser)
     add_json(parser)
 
@@ -40,9 +39,9 @@ def _resume(args: argparse.Namespace, stop: StopRequest) -> int:
 
     directory = RunDirectory.open(args.run, args.root)
 
-    from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.figures import shown
-    from wheelleg_exp.jobs import resume
+    from wheelleg_exp.cli.printing.display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.jobs.resume import resume
 
     with ConsoleDisplay(quiet=True) as display:
         stop.check()

@@ -11,15 +11,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import print_json, print_table
+from wheelleg_exp.cli.common import print_json
+from wheelleg_exp.cli.printing.tables import print_table
 from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError
-from wheelleg_exp.projects import with_current
+from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.sweep import Sweep, SweepJob
+    from wheelleg_exp.config.composing.sweep import Sweep, SweepJob
     from wheelleg_exp.jobs.stop import StopRequest
-    from wheelleg_exp.jobs.sweep_job import Request
-    from wheelleg_exp.run.sweep import SweepIndex
+    from wheelleg_exp.jobs.sweep.job import Request
+    from wheelleg_exp.run.sweep_index import SweepIndex
 
 _MOST_SHOWN = 3
 _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTERRUPTED}
@@ -27,8 +28,8 @@ _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTER
 
 def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
     """Expand, check every job, train them, and say what was made."""
-    from wheelleg_exp.cli.sweep_display import ConsoleSweepDisplay
-    from wheelleg_exp.config.sweep import compose_sweep
+    from wheelleg_exp.cli.printing.sweep_display import ConsoleSweepDisplay
+    from wheelleg_exp.config.composing.sweep import compose_sweep
 
     with ConsoleSweepDisplay() as display:
 
@@ -39,9 +40,9 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         sweep = compose_sweep(args.overrides, config_dirs=args.config_dirs, progress=progress)
         display.checked()
 
-        from wheelleg_exp.cli.figures import shown
-        from wheelleg_exp.jobs.sweep import SweepRunner
-        from wheelleg_exp.run.snapshot import refuse_secrets
+        from wheelleg_exp.cli.printing.figures import shown
+        from wheelleg_exp.jobs.sweep.sweep import SweepRunner
+        from wheelleg_exp.run.begin import refuse_secrets
 
         refuse_secrets(args.command)
         at_once, named = _at_once(sweep), _named(args.config_dirs)
@@ -76,7 +77,7 @@ def _joblib() -> ModuleType:
 def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepIndex:
     from omegaconf import OmegaConf
 
-    from wheelleg_exp.run.sweep import SweepIndex
+    from wheelleg_exp.run.sweep_index import SweepIndex
 
     index = SweepIndex.create(
         sweep.jobs[0].config["run"]["root"],
@@ -90,7 +91,7 @@ def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepInde
 
 
 def _request(job: SweepJob, config_dirs: Sequence[Path], command: list[str]) -> Request:
-    from wheelleg_exp.jobs.sweep_job import Request
+    from wheelleg_exp.jobs.sweep.job import Request
 
     return Request(list(job.overrides), [str(folder) for folder in config_dirs], command, job.digest)
 
@@ -132,7 +133,7 @@ def _text(path: Path | None) -> str | None:
 
 
 def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
-    from wheelleg_exp.cli.figures import shown
+    from wheelleg_exp.cli.printing.figures import shown
 
     print_table(("job", "overrides", "status", "return", "run"), [_row(index, job) for job in index.jobs])
     done = [job for job in index.jobs if job["status"] == "finished"]
@@ -150,7 +151,7 @@ def _print_labelled(label: str, lines: Sequence[str]) -> None:
 
 
 def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
-    from wheelleg_exp.cli.figures import shown
+    from wheelleg_exp.cli.printing.figures import shown
 
     run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
     status = "not started" if job["status"] == "waiting" else job["status"]
@@ -160,7 +161,7 @@ def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
 
 def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the commands that one would want next."""
-    from wheelleg_exp.cli.figures import shown, tool
+    from wheelleg_exp.cli.printing.figures import shown, tool
 
     runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]
     if not runs:
@@ -173,6 +174,6 @@ def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _program() -> list[str]:
-    from wheelleg_exp.cli.figures import tool
+    from wheelleg_exp.cli.printing.figures import tool
 
     return [tool("wheelleg")]

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_json, add_overrides
-from wheelleg_exp.cli.outcome import tell_trained, train_on
+from wheelleg_exp.cli.printing.outcome import tell_trained, train_on
 
 if TYPE_CHECKING:
     from wheelleg_exp.jobs.stop import StopRequest
@@ -39,16 +39,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _train(args: argparse.Namespace, stop: StopRequest) -> int:
-    from wheelleg_exp.config.collect import compose_valid
-    from wheelleg_exp.config.sweep import require_no_sweep
+    from wheelleg_exp.config.checking.collect import compose_valid
 
-    require_no_sweep(args.overrides)
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.cli.display import ConsoleDisplay
-    from wheelleg_exp.cli.figures import shown
-    from wheelleg_exp.jobs import training
-    from wheelleg_exp.physics.report import examine
+    from wheelleg_exp.cli.printing.display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.cli.printing.tables import hanging
+    from wheelleg_exp.jobs.train import training
+    from wheelleg_exp.lint.examine import examine
 
     with ConsoleDisplay() as display:
         stop.check()
@@ -56,6 +55,6 @@ def _train(args: argparse.Namespace, stop: StopRequest) -> int:
         directory = ready.directory
         display.note(f"run directory: {shown(directory.path)}")
         for finding in examine(composed).open:
-            display.note(f"warning: {finding.line()}")
+            display.note(hanging(f"warning: {finding.line()}", 4))
         results = train_on(ready, display, stop)
     return tell_trained(directory, results, as_json=args.json)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import UsageError, add_json, print_json
+from wheelleg_exp.cli.common import UsageError, add_json, add_root, print_json
+from wheelleg_exp.cli.printing.tables import hanging
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
 if TYPE_CHECKING:
-    from wheelleg_exp.run.verification import Comparison, RunFindings
+    from wheelleg_exp.verify import Comparison, RunFindings
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("a", metavar="RUN", help="a run's path, its id, or latest")
     parser.add_argument("b", metavar="RUN", nargs="?", help="another run, to compare the first with")
-    parser.add_argument("--root", type=Path, default=Path("runs"), help="where runs are looked up (default: runs)")
+    add_root(parser)
     parser.add_argument("--common", action="store_true", help="compare only the iterations that both runs have")
     parser.add_argument("--iterations", type=int, metavar="N", help="compare only the first N iterations")
     add_json(parser)
@@ -26,10 +26,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print what was found; exit status 0 for sound, identical or within tolerance, else 1."""
     from wheelleg_exp.run.directory import RunDirectory
-    from wheelleg_exp.run.verification import compare_runs, verify_run
+    from wheelleg_exp.verify import compare_runs, verify_run
 
     _require_sensible(args)
-    one = RunDirectory.open(args.a, args.root)
+    one = RunDirectory.open(args.a, args.root, odd=args.b is None)
     if args.b is None:
         findings = verify_run(one)
         _print(args.json, findings)
@@ -52,4 +52,5 @@ def _print(as_json: bool, found: RunFindings | Comparison) -> None:
     if as_json:
         print_json(found.as_dict())
     else:
-        print("\n".join(found.lines()))
+        for line in found.lines():
+            print(hanging(line, len(line) - len(line.lstrip()) + 4))

@@ -19,6 +19,16 @@ class Mistakes(ConfigError):
         self.errors = tuple(errors)
 
 
+class UnknownName(ConfigError):
+    """A value names a part of the config that is not there; ``named`` is the key that it should have."""
+
+    named: str
+
+
+class AbsentKey(ConfigError):
+    """An override names a key that is not there."""
+
+
 def join(errors: Sequence[ConfigError]) -> ConfigError:
     """Return one error that tells all of ``errors``, one a line; a single error is returned as it is."""
     return errors[0] if len(errors) == 1 else Mistakes(errors)

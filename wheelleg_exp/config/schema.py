@@ -1,17 +1,17 @@
 """The fixed part of the composed tree: which keys there are, of which type, in which range.
 
-The keys of a section are the fields of the dataclass that reads it, so that the two cannot drift apart. A
-field's ``metadata`` may hold ``minimum`` (value at least that), ``above`` (value greater than that) and
-``maximum``.
+The keys of a section are the fields of the dataclass that reads it, so that the two cannot drift apart; what a value
+may be stands in the field's annotation (``constraints``).
 """
 
 from __future__ import annotations
 
-import dataclasses
 import typing
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Literal
+
+from wheelleg_exp.constraints import Natural, NonNegative, Seed
+from wheelleg_exp.terms.sections import Env, Section
 
 # Section of the tree -> the dataclass whose fields are its keys; imported when it is needed.
 OPTIONS: dict[str, str] = {
@@ -22,44 +22,12 @@ OPTIONS: dict[str, str] = {
     "run": "wheelleg_exp.run.options.RunOptions",
 }
 
-Section = dict[str, Any]
-
 
 @dataclass(frozen=True)
 class Task:
     """``task``: what is trained."""
 
     name: str
-
-
-@dataclass(frozen=True)
-class Env:
-    """``env``: the size and pace of the environments, and the sections that others read."""
-
-    num_envs: int = field(metadata={"minimum": 1})
-    episode_length_s: float = field(metadata={"above": 0.0})
-    decimation: int = field(metadata={"minimum": 1})
-    sim: Section
-    scene: Section
-    robot: Section
-    commands: Section
-    actions: Section
-    observations: Section
-    events: Section
-    rewards: Section
-    terminations: Section
-    curriculum: Section
-
-
-@dataclass(frozen=True)
-class ObservationGroup:
-    """``env.observations.<group>``."""
-
-    terms: Section
-    concatenate_terms: bool = True
-    enable_corruption: bool = False
-    history_length: int | None = field(default=None, metadata={"minimum": 0})
-    flatten_history_dim: bool = True
 
 
 @dataclass(frozen=True)
@@ -73,7 +41,7 @@ class Check:
 class Root:
     """The top of the tree."""
 
-    seed: int = field(metadata={"minimum": 0})
+    seed: Seed
     task: Task
     env: Env
     agent: Section
@@ -86,7 +54,7 @@ class Root:
 class Play:
     """``play``: how figures are taken."""
 
-    settle_s: float = field(metadata={"minimum": 0.0})
+    settle_s: NonNegative
 
 
 @dataclass(frozen=True)
@@ -94,8 +62,8 @@ class PlayRecording:
     """``recording`` of a play."""
 
     enabled: bool
-    env_ids: list[int]
-    max_mb: float = field(metadata={"minimum": 0.0})
+    env_ids: list[Natural]
+    max_mb: NonNegative
     live: bool
 
 
@@ -103,49 +71,11 @@ class PlayRecording:
 class PlayRoot:
     """The top of the tree that a play reads: the run's own ``env`` and ``agent``, and the play's settings."""
 
-    seed: int = field(metadata={"minimum": 0})
+    seed: Seed
     play: Play
     recording: PlayRecording
     env: Env
     agent: Section
-
-
-@dataclass(frozen=True)
-class Agent:
-    """``agent``: what rsl_rl's algorithm and networks read, and what the trainer reads."""
-
-    algorithm: Section
-    num_steps_per_env: int = field(metadata={"minimum": 1})
-    max_iterations: int = field(metadata={"minimum": 1})
-    save_interval: int = field(metadata={"minimum": 1})
-    obs_groups: dict[str, list[str]]
-    actor: Section
-    critic: Section
-    device: str
-    torch_threads: int = field(metadata={"minimum": 1, "maximum": 1024})
-    clip_actions: float | None = field(default=None, metadata={"above": 0.0})
-    logger: Literal["tensorboard"] | None = "tensorboard"
-    torch_compile_mode: str | None = None
-
-
-# The manager's own fields of a term, by section: their types, and which of them every term must have.
-FIELD_TYPES: dict[str, Any] = {
-    "weight": float,
-    "time_out": bool,
-    "mode": str,
-    "interval_range_s": tuple[float, float] | None,
-    "is_global_time": bool,
-    "min_step_count_between_reset": int,
-    "history_length": int,
-    "flatten_history_dim": bool,
-    "clip": tuple[float, float] | None,
-    "scale": float | list[float] | None,
-}
-# Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.
-EVENT_MODES = ("prestartup", "startup", "reset", "interval")
-# Fields that only events of one mode read.
-MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
-REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 
 
 # The rules of `wheelleg check --physics`, which `check.silence` may name.
@@ -180,27 +110,6 @@ PHYSICS_RULES: tuple[str, ...] = (
     "wrench_size",
     "zero_width_range",
 )
-
-
-@dataclass(frozen=True)
-class Key:
-    """One allowed key of a section."""
-
-    name: str
-    annotation: Any
-    required: bool
-    limits: dict[str, Any]
-
-
-def keys_of(options: type) -> dict[str, Key]:
-    """Return the allowed keys of a section from the fields of its dataclass."""
-    hints = typing.get_type_hints(options)
-    missing = dataclasses.MISSING
-    return {
-        f.name: Key(f.name, hints[f.name], f.default is missing and f.default_factory is missing, dict(f.metadata))
-        for f in dataclasses.fields(options)
-        if f.init
-    }
 
 
 def is_open(root: type, path: str) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Mapping
+import errno
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,26 +12,23 @@ from typing import Any
 
 import yaml
 
-Keys = tuple[str, ...]
-
-_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_PART = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
-
-
-def dotted(keys: Iterable[str]) -> str:
-    """Return the path as text; a key that holds dots or brackets itself stands in brackets."""
-    text = ""
-    for key in keys:
-        if re.search(r"[.\[\]]", key):
-            text += f"[{key}]"
-        else:
-            text += f".{key}" if text else key
-    return text
+from wheelleg_exp.paths import show_file as show_file
+from wheelleg_exp.reading import yaml_tree
+from wheelleg_exp.terms.keys import Keys as Keys
+from wheelleg_exp.terms.keys import dotted as dotted
+from wheelleg_exp.terms.keys import split_path as split_path
 
 
-def split_path(path: str) -> Keys:
-    """Return the keys of a path such as ``env.rewards.alive`` or ``env.robot.joint_pos[.*_hip]``."""
-    return tuple(bracket or plain for bracket, plain in _PART.findall(path))
+def file_text(file: Path) -> str:
+    """Return the text of a config file.
+
+    Raises:
+        OSError: there is none, or it is no ordinary file: on a pipe nobody waits.
+        UnicodeDecodeError: it is no UTF-8.
+    """
+    if not file.is_file():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
+    return file.read_text(encoding="utf-8")
 
 
 def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
@@ -76,8 +74,7 @@ def select(node: Any, path: str) -> Any:
 
 @lru_cache(maxsize=1024)
 def _yaml_node(file: Path, _stamp: int) -> yaml.Node | None:
-    with file.open(encoding="utf-8") as stream:
-        return yaml.compose(stream, Loader=_LOADER)
+    return yaml_tree(file.read_bytes())
 
 
 def yaml_node(file: Path) -> yaml.Node | None:
@@ -125,15 +122,6 @@ def _scalar_line(node: yaml.Node | None, texts: tuple[str, ...]) -> int | None:
         if line is not None:
             return line
     return None
-
-
-def show_file(file: Path, line: int | None = None) -> str:
-    """Return ``file:line``, relative to the current folder when the file lies in it."""
-    try:
-        shown = file.relative_to(Path.cwd())
-    except ValueError:
-        shown = file
-    return f"{shown}:{line}" if line is not None else str(shown)
 
 
 @dataclass(frozen=True)

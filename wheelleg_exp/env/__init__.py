@@ -1,4 +1,11 @@
-"""The environment: the order of one step and of one reset."""
+"""The manager-based environment: the step and the reset of N robots, as Isaac Lab orders them.
+
+| module | what it offers |
+|---|---|
+| `env` | the environment: build, step, reset, state |
+| `state_elsewhere` | what terms keep beside their own attributes: saved, or refused by name |
+| `host` | whole tensors brought to the host for whoever records them |
+"""
 
 from wheelleg_exp.env.env import ManagerBasedRLEnv, Observations, StepResult
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
     ActionManager,
     CommandManager,
@@ -20,9 +20,16 @@ from wheelleg_exp.managers import (
     SceneManager,
     TerminationManager,
 )
+from wheelleg_exp.managers.finite import failures, require_finite_observations
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
-from wheelleg_exp.sim.state import Kept, cloned
+from wheelleg_exp.memory import require_memory
+from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.options import SimOptions
+from wheelleg_exp.state import Kept, cloned
+from wheelleg_exp.terms.sections import Env, read_value
+
+_LEAST_PER_ENV = 10_000  # bytes: state, outputs and observations of one small robot
 
 Observations = dict[str, Group]
 StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
@@ -37,6 +44,7 @@ class ManagerBasedRLEnv(Kept):
         seed: seed of every random stream.
 
     Attributes:
+        device: where all tensors are; nobody else says so.
         auto_reset: whether an environment that is done is reset within the step.
         keep_final_obs: whether ``extras["final_obs"]`` holds the last observation of the episodes that end.
         observers: called in every step after the rewards and before the resets.
@@ -48,16 +56,19 @@ class ManagerBasedRLEnv(Kept):
     def __init__(self, cfg: Mapping[str, Any], mjcf: Path, seed: int) -> None:
         self.cfg = cfg
         self.seed = seed
-        self.num_envs = _positive_int(cfg, "num_envs")
-        self.decimation = _positive_int(cfg, "decimation")
-        self.physics_dt = _positive(_section(cfg, "sim"), "dt", "env.sim.dt")
+        self.num_envs: int = read_value(Env, cfg, "env", "num_envs")
+        require_memory(_LEAST_PER_ENV * self.num_envs, "env.num_envs", f"{self.num_envs:,} environments")
+        self.decimation: int = read_value(Env, cfg, "env", "decimation")
+        sim = read_value(Env, cfg, "env", "sim")
+        self.device = torch.device(read_value(SimOptions, sim, "env.sim", "device"))
+        self.physics_dt = float(read_value(SimOptions, sim, "env.sim", "dt"))
         self.step_dt = self.physics_dt * self.decimation
-        self.max_episode_length_s = _positive(cfg, "episode_length_s", "env.episode_length_s")
+        self.max_episode_length_s = float(read_value(Env, cfg, "env", "episode_length_s"))
         # Rounded first, because 5 s / (2 / 120 s) must be 300 steps and not 301.
         self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
         self.common_step_counter = 0
-        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long)
-        self.streams = Streams(seed)
+        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
+        self.streams = Streams(seed, self.device)
         self.extras: dict[str, Any] = {}
         self.keep_final_obs = False
         self.auto_reset = True
@@ -67,16 +78,17 @@ class ManagerBasedRLEnv(Kept):
         self.scene = self.scene_manager.scene
         self.event_manager = EventManager(cfg.get("events"), self)
         self.event_manager.apply("prestartup")
-        self.scene.play()
+        self.scene.play(self.streams.get)
         self.event_manager.play()
         self.command_manager = CommandManager(cfg.get("commands"), self)
         self.action_manager = ActionManager(cfg.get("actions"), self)
-        self.observation_manager = ObservationManager(_section(cfg, "observations"), self)
+        self.observation_manager = ObservationManager(read_value(Env, cfg, "env", "observations"), self)
         self.termination_manager = TerminationManager(cfg.get("terminations"), self)
         self.reward_manager = RewardManager(cfg.get("rewards"), self)
         self.curriculum_manager = CurriculumManager(cfg.get("curriculum"), self)
         self.event_manager.apply("startup")
-        self.reward_buf = torch.zeros(self.num_envs)
+        self.reward_buf = torch.zeros(self.num_envs, device=self.device)
+        self._term_state = TermState(self, self.managers, cfg)
 
     @property
     def managers(self) -> dict[str, Any]:
@@ -103,9 +115,14 @@ class ManagerBasedRLEnv(Kept):
             action: raw actions (N, total_action_dim).
 
         Returns:
-            Observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras.
+            Observations by group, reward (N,), terminated (N,) bool, truncated (N,) bool, and extras. An environment
+            whose physics or rewards were not finite has failed, and this step's reward is 0: ``extras["non_finite"]``.
+
+        Raises:
+            SimulationFailure: observations, or what an event wrote, are not finite: the run cannot go on.
         """
         self.action_manager.process_action(action)
+        self.scene.robot.data.begin_control_step()
         for _ in range(self.decimation):
             self.action_manager.apply_action()
             self.scene.write_data_to_sim()
@@ -117,21 +134,25 @@ class ManagerBasedRLEnv(Kept):
         self.extras.pop("non_finite", None)
         done = self.termination_manager.compute()
         self.reward_buf = self.reward_manager.compute(self.step_dt)
-        if self.reward_manager.non_finite:
-            done = self._end_non_finite()
+        unstable = ids_where(self.scene.unstable())
+        if len(unstable) or self.reward_manager.non_finite:
+            done = self._end_failed(unstable)
         for observe in self.observers:
             observe()
 
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
-        if self.auto_reset and done.any():
+        ended = ids_where(done & self.auto_reset)
+        if len(ended):
             if self.keep_final_obs:
                 self.extras["final_obs"] = self.observation_manager.peek()
-            self._reset_idx(done.nonzero().squeeze(1))
+            self._reset_idx(ended)
         self.command_manager.compute(self.step_dt)
         self.event_manager.apply_interval(self.step_dt)
         self.scene.refresh()
         observations = self.observation_manager.compute()
+        if self.auto_reset:  # else those that have failed still show it
+            require_finite_observations(self)
         terminated, time_outs = self.termination_manager.terminated, self.termination_manager.time_outs
         return observations, self.reward_buf, terminated.clone(), time_outs.clone(), self.extras
 
@@ -150,11 +171,13 @@ class ManagerBasedRLEnv(Kept):
         if seed is not None:
             self.seed = seed
             self.streams.reseed(seed)
-        ids = torch.arange(self.num_envs) if env_ids is None else torch.unique(env_ids)
+        ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         if len(ids):
             self._reset_idx(ids)
         self.scene.refresh()
-        return self.observation_manager.compute(), self.extras
+        observations = self.observation_manager.compute()
+        require_finite_observations(self)
+        return observations, self.extras
 
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
         """Reset ``env_ids``: the curriculum sees the terminal state, events set the new one, then the records."""
@@ -181,15 +204,23 @@ class ManagerBasedRLEnv(Kept):
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
         self.scene.refresh()
 
-    def _end_non_finite(self) -> torch.Tensor:
-        """End the environments whose reward was not finite; name the terms and keep the state in ``extras``."""
-        found = self.reward_manager.non_finite
-        state = self.scene.sim.state
-        self.extras["non_finite"] = {i: {"terms": terms, "state": state[i].clone()} for i, terms in found.items()}
-        return self.termination_manager.force(torch.tensor(list(found)))
+    def _end_failed(self, unstable: torch.Tensor) -> torch.Tensor:
+        """End the episodes in which a number was not finite; tell whose it was, and keep the state, in ``extras``.
+
+        Args:
+            unstable: the environments whose physics has failed, (n,).
+        """
+        found = failures(self, unstable)
+        self.extras["non_finite"] = found
+        return self.termination_manager.force(torch.tensor(list(found["keys"]), device=self.device))
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the coming steps depend on."""
+        """Return everything that the coming steps depend on.
+
+        Raises:
+            ConfigError: a term keeps state where it cannot be saved.
+        """
+        attributes = self._term_state.save()
         return {
             "seed": self.seed,
             "common_step_counter": self.common_step_counter,
@@ -199,6 +230,7 @@ class ManagerBasedRLEnv(Kept):
             "streams": self.streams.state_dict(),
             "scene": self.scene.state_dict(),
             "managers": {n: m.state_dict() for n, m in self.managers.items() if n != "scene"},
+            **({"attributes": attributes} if attributes else {}),
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -212,28 +244,8 @@ class ManagerBasedRLEnv(Kept):
         for name, state in saved["managers"].items():
             self.managers[name].load_state_dict(state)
         self.streams.load_state_dict(saved["streams"])
+        self._term_state.restore(saved.get("attributes", {}))
 
     def describe(self) -> str:
         """Return a table for each manager: its terms, shapes, weights."""
         return "\n\n".join(str(manager) for manager in self.managers.values())
-
-
-def _positive_int(cfg: Mapping[str, Any], key: str) -> int:
-    value = cfg.get(key)
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ConfigError(f"is {value!r}", key=f"env.{key}", expected="a whole number of at least 1")
-    return value
-
-
-def _positive(cfg: Mapping[str, Any], key: str, path: str) -> float:
-    value = cfg.get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
-        raise ConfigError(f"is {value!r}", key=path, expected="seconds, above 0")
-    return float(value)
-
-
-def _section(cfg: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    value = cfg.get(key)
-    if not isinstance(value, Mapping):
-        raise ConfigError("the section is missing", key=f"env.{key}", expected="a mapping")
-    return value

@@ -1,18 +1,76 @@
-"""The Gymnasium faces: ``gymnasium.make`` and ``gymnasium.make_vec`` of ``Wheelleg-Velocity-v0``."""
+"""The Gymnasium faces: ``gymnasium.make`` and ``gymnasium.make_vec`` of ``Wheelleg-Velocity-v0``.
+
+| module | what it offers |
+|---|---|
+| `task` | a task's name becomes an environment and its spaces |
+| `single_env`, `vector_env` | the two faces of it |
+"""
 
 from __future__ import annotations
 
-from gymnasium.envs.registration import register as register_in_gymnasium
-from gymnasium.envs.registration import registry
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 
 ENV_ID = "Wheelleg-Velocity-v0"
+_GYMNASIUM = "gymnasium"
 
 
 def register() -> None:
-    """Register the environments; importing the package does it."""
+    """Register the environments with Gymnasium."""
+    from gymnasium.envs.registration import register as register_in_gymnasium
+    from gymnasium.envs.registration import registry
+
     if ENV_ID not in registry:
         register_in_gymnasium(
             ENV_ID,
             entry_point="wheelleg_exp.gym.single_env:WheellegEnv",
             vector_entry_point="wheelleg_exp.gym.vector_env:WheellegVectorEnv",
         )
+
+
+def register_with_gymnasium() -> None:
+    """Register the environments as soon as Gymnasium is there: now, or when somebody imports it.
+
+    Gymnasium takes a quarter of a second, which a command that simulates nothing should not wait for.
+    """
+    if _GYMNASIUM in sys.modules:
+        register()
+    elif not any(isinstance(finder, _GymnasiumFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _GymnasiumFinder())
+
+
+class _GymnasiumFinder(MetaPathFinder):
+    """Finds Gymnasium as others do, once, and registers the environments behind its import."""
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Return the spec of Gymnasium alone."""
+        del path, target
+        if name != _GYMNASIUM:
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _RegisteringLoader(spec.loader)
+        return spec
+
+
+class _RegisteringLoader(Loader):
+    """Loads a module as its own loader does, and then registers the environments."""
+
+    def __init__(self, loader: Loader) -> None:
+        self._loader = loader
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        """Make the module."""
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run the module, give it its own loader back, and register."""
+        assert module.__spec__ is not None
+        module.__spec__.loader = module.__loader__ = self._loader
+        self._loader.exec_module(module)
+        register()

@@ -42,10 +42,15 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         return _first(as_arrays(observations)), {}
 
     def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
-        """Advance by one control step, for a raw action (A,)."""
+        """Advance by one control step, for a raw action (A,).
+
+        Where a reward or the physics was not finite, the episode has failed with a reward of 0, and ``non_finite`` in
+        the info says whose numbers these were.
+        """
         raw = torch.as_tensor(np.asarray(action, dtype=np.float32)).unsqueeze(0)
-        observations, reward, terminated, truncated, _ = self.env.step(raw)
-        return _first(as_arrays(observations)), float(reward[0]), bool(terminated[0]), bool(truncated[0]), {}
+        observations, reward, terminated, truncated, extras = self.env.step(raw)
+        info = {"non_finite": extras["non_finite"]["keys"][0]} if "non_finite" in extras else {}
+        return _first(as_arrays(observations)), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
 
 def _first(arrays: Arrays) -> Arrays:

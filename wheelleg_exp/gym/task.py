@@ -10,10 +10,11 @@ import numpy as np
 import torch
 
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.collect import compose_valid
+from wheelleg_exp.config.checking.collect import compose_valid
 from wheelleg_exp.env import ManagerBasedRLEnv, Observations
+from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.projects import with_current
+from wheelleg_exp.packages import with_current
 
 Arrays = dict[str, np.ndarray]
 
@@ -63,4 +64,4 @@ def action_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Box:
 
 def as_arrays(observations: Observations) -> Arrays:
     """Return observations as arrays of their own."""
-    return {group: value.numpy().copy() for group, value in observations.items() if isinstance(value, torch.Tensor)}
+    return {group: host_copy(value) for group, value in observations.items() if isinstance(value, torch.Tensor)}

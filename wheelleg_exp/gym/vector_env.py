@@ -11,6 +11,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.gym.task import Arrays, action_space, as_arrays, observation_space, task_env
 
 
@@ -18,7 +19,9 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     """A task as a vector environment with same-step autoreset.
 
     An environment that is done is reset within the step: its last observation stands in ``infos["final_obs"]``
-    (rows where ``infos["_final_obs"]`` is true), the returned one begins the next episode.
+    (rows where ``infos["_final_obs"]`` is true), the returned one begins the next episode. Where a reward or the
+    physics was not finite, the environment has failed with a reward of 0: ``infos["non_finite"]`` says whose numbers
+    these were.
 
     Args:
         num_envs: number of environments, N.
@@ -64,8 +67,13 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         infos: dict[str, Any] = {}
         if "final_obs" in extras:
             infos["final_obs"] = as_arrays(extras["final_obs"])
-            infos["_final_obs"] = (terminated | truncated).numpy()
+            infos["_final_obs"] = host_copy(terminated | truncated)
         if extras["log_is_fresh"]:
             infos["log"] = {key: float(value) for key, value in extras["log"].items()}
-        rewards = reward.double().numpy()
-        return as_arrays(observations), rewards, terminated.numpy(), truncated.numpy(), infos
+        if "non_finite" in extras:
+            infos["non_finite"] = np.full(self.num_envs, None, dtype=object)
+            for env_id, keys in extras["non_finite"]["keys"].items():
+                infos["non_finite"][env_id] = keys
+            infos["_non_finite"] = np.array([keys is not None for keys in infos["non_finite"]])
+        rewards = host_copy(reward.double())
+        return as_arrays(observations), rewards, host_copy(terminated), host_copy(truncated), infos

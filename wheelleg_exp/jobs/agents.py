@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,17 +11,20 @@ from typing import Any, Literal
 import torch
 
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.compose import Composed
+from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.files import while_running, write_json, write_yaml
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.documents import config_document
 from wheelleg_exp.jobs.episode_recording import EpisodeRecording
 from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandFigures, StandMeter
-from wheelleg_exp.recording.recorder import require_env_ids
+from wheelleg_exp.recording.writing.recorder import require_env_ids
+from wheelleg_exp.rl.episode_log import FailureCount
+from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import write_json, write_yaml
-from wheelleg_exp.run.snapshot import refuse_secrets
-from wheelleg_exp.sim.contact import ContactSensor
+from wheelleg_exp.sim.sensors import ContactSensor
+from wheelleg_exp.user_code import ending_as
 
 AgentKind = Literal["zero", "random"]
 
@@ -39,12 +42,14 @@ class AgentRun:
         recording: the recording, or None.
         contacts: what each link carried while the robot stood, by sensor.
         figures: how long the first episodes lasted and how they ended.
+        failures: the episodes that ended because a number was not finite.
     """
 
     folder: Path
     recording: Path | None
     contacts: dict[str, list[ContactFigures]]
     figures: StandFigures
+    failures: FailureCount
 
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
@@ -68,6 +73,18 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     run, task, seed = config["run"], config["task"]["name"], config["seed"]
     name = "_".join(part for part in (kind, run.get("name")) if part)
     directory = RunDirectory.create(run["root"], task, seed, name=name, section="agents")
+    with while_running():
+        return _run(kind, config, env, directory, steps, display)
+
+
+def _run(
+    kind: AgentKind,
+    config: dict[str, Any],
+    env: ManagerBasedRLEnv,
+    directory: RunDirectory,
+    steps: int | None,
+    display: Display,
+) -> AgentRun:
     write_yaml(directory.path / "config.yaml", config)
     sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
     meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
@@ -78,14 +95,14 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     if recording is not None:
         recording.warn(display.note)
     with recording or nullcontext():
-        _roll(env, _actor(kind, env), steps or env.max_episode_length, display)
+        failures = _roll(env, _actor(kind, env), steps or env.max_episode_length, config["agent"], display)
         contacts = {name: meter.figures() for name, meter in meters.items()}
         content = {"agent": kind, "figures": stand.figures().as_dict()}
         content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
         if recording is not None:
             recording.figures(content)
     write_json(directory.path / "figures.json", content)
-    return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures())
+    return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures(), failures)
 
 
 def _recording(
@@ -110,9 +127,19 @@ def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor
     return lambda: 2.0 * torch.rand(shape, generator=generator) - 1.0
 
 
+@ending_as(SimulationFailure)
 @torch.inference_mode()
-def _roll(env: ManagerBasedRLEnv, actor: Callable[[], torch.Tensor], steps: int, display: Display) -> None:
+def _roll(
+    env: ManagerBasedRLEnv,
+    actor: Callable[[], torch.Tensor],
+    steps: int,
+    agent: Mapping[str, Any],
+    display: Display,
+) -> FailureCount:
     env.reset()
+    failures = FailureCount(env.num_envs, agent)
     for step in range(steps):
-        env.step(actor())
+        *_, extras = env.step(actor())
+        failures.take(extras)
         display.steps(step + 1, steps)
+    return failures

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import dump_json, read_text
+from wheelleg_exp.plain_yaml import dump_yaml
+from wheelleg_exp.reading import json_value
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import dump_json
 from wheelleg_exp.run.inventory import MANIFEST_NAME
-from wheelleg_exp.run.plain_yaml import dump_yaml
+from wheelleg_exp.run.recorded import CONFIG
 
 _LARGEST = 400_000  # characters of a text: a viewer is to show it
 
@@ -35,7 +37,7 @@ def run_documents(directory: RunDirectory) -> dict[str, str]:
     source = _text(directory, "source/git.json")
     if source is not None:
         found["git"] = fenced(source, "json")
-    config = _text(directory, ".hydra/config.yaml")
+    config = _text(directory, CONFIG)
     if config is not None:
         found["config"] = fenced(config, "yaml")
     return found
@@ -58,13 +60,13 @@ def json_document(name: str, value: Any) -> dict[str, str]:
 
 def _text(directory: RunDirectory, name: str) -> str | None:
     try:
-        return (directory.path / name).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
+        return read_text(directory.path / name)
+    except RunDirectoryError:
         return None
 
 
 def _command(manifest: str) -> list[str]:
     try:
-        return [str(word) for word in json.loads(manifest)["command"]]
+        return [str(word) for word in json_value(manifest)["command"]]
     except (ValueError, LookupError, TypeError):
         return []

@@ -2,44 +2,59 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections import Counter
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.sim.contact import ContactSensor
+from wheelleg_exp.sim.sensors import ContactSensor
 
 
 @dataclass(frozen=True)
 class StandFigures:
-    """How a policy stood, over the first episode of each environment.
+    """How a policy stood, over the first episode of each environment; see ``definitions.rollout``.
 
     Attributes:
         episodes: number of episodes.
         unfinished: episodes that had not ended when the rollout did.
-        survival: share that reached the time-out.
-        height_rmse_m: root mean square of base height minus target, after the settling time; None without target.
-        height_mean_m: mean base height after the settling time.
-        pitch_rms_deg: root mean square of the pitch after the settling time, against upright.
-        pitch_mean_deg: mean pitch after the settling time: the lean.
-        mean_return: mean of the episodes' reward.
-        ended_by: number of episodes ended by each termination.
+        survival: share of the ended ones that reached the time-out; None when none ended.
+        settle_s: seconds at the start of each episode that height and pitch leave out.
+        settled_episodes: episodes that lasted longer.
+        settled_steps: control steps that height and pitch are of.
+        height_rmse_m: root mean square of base height minus target; None without target.
+        height_mean_m: mean base height.
+        pitch_rms_deg: root mean square of the pitch against upright.
+        pitch_mean_deg: mean pitch: the lean.
+        mean_return: mean of the ended episodes' sums of rewards, of those whose numbers were finite; None without any.
+        ended_by: number of episodes by what ended them; one that two terminations ended counts for both together.
+        non_finite: number of episodes that ended because a number was not finite, by config key.
     """
 
     episodes: int
     unfinished: int
-    survival: float
+    survival: float | None
+    settle_s: float
+    settled_episodes: int
+    settled_steps: int
     height_rmse_m: float | None
     height_mean_m: float
     pitch_rms_deg: float
     pitch_mean_deg: float
-    mean_return: float
+    mean_return: float | None
     ended_by: dict[str, int]
+    non_finite: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def ended(self) -> int:
+        """How many episodes have ended."""
+        return self.episodes - self.unfinished
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain values."""
-        return asdict(self)
+        found = asdict(self)
+        return found if self.non_finite else {key: value for key, value in found.items() if key != "non_finite"}
 
 
 class StandMeter:
@@ -52,61 +67,79 @@ class StandMeter:
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
-        self._settle_steps = settle_s / env.step_dt
+        self._settle_s, self._settle_steps = settle_s, settle_s / env.step_dt
         self._target = target_height(env)
         self.running = torch.ones(env.num_envs, dtype=torch.bool)
         self._survived = torch.zeros(env.num_envs, dtype=torch.bool)
+        self._settled = torch.zeros(env.num_envs, dtype=torch.bool)
         self._return = torch.zeros(env.num_envs)
-        self._ended = {name: 0 for name in env.termination_manager.active_terms}
+        self._ended = Counter({name: 0 for name in env.termination_manager.active_terms})
+        self._failed = torch.zeros(env.num_envs, dtype=torch.bool)
+        self._non_finite: Counter[str] = Counter()
         self._heights: list[torch.Tensor] = []
         self._pitches: list[torch.Tensor] = []
 
     def observe(self) -> None:
         """Take up one step, before anything is reset."""
         env, now = self._env, self.running
+        self._note_failures()
         self._return += env.reward_buf * now
-        settled = now & (env.episode_length_buf > self._settle_steps)
+        settled = now & ~self._failed & (env.episode_length_buf > self._settle_steps)
+        self._settled |= settled
         data = env.scene.robot.data
         self._heights.append(data.root_pos_w[settled, 2])
         self._pitches.append(torch.asin(data.projected_gravity_b[settled, 0].clamp(-1.0, 1.0)))
         done = env.termination_manager.dones & now
         self._survived |= done & env.termination_manager.time_outs & ~env.termination_manager.terminated
-        for name in self._ended:
-            self._ended[name] += int((done & env.termination_manager.get_fired(name)).sum())
+        self._ended.update(env.termination_manager.endings(done))
         self.running = now & ~done
+
+    def _note_failures(self) -> None:
+        for env_id, keys in self._env.extras.get("non_finite", {"keys": {}})["keys"].items():
+            if self.running[env_id]:
+                self._failed[env_id] = True
+                self._non_finite.update(keys)
 
     def figures(self) -> StandFigures:
         """Return the figures of the episodes so far."""
         heights, pitches = torch.cat(self._heights), torch.rad2deg(torch.cat(self._pitches))
         error = None if self._target is None else heights - self._target
+        ended = ~self.running
+        whole = ended & ~self._failed
         return StandFigures(
             episodes=self._env.num_envs,
             unfinished=int(self.running.sum()),
-            survival=float(self._survived.float().mean()),
+            survival=float(self._survived[ended].float().mean()) if ended.any() else None,
+            settle_s=self._settle_s,
+            settled_episodes=int(self._settled.sum()),
+            settled_steps=len(heights),
             height_rmse_m=None if error is None else _rms(error),
             height_mean_m=float(heights.mean()) if len(heights) else float("nan"),
             pitch_rms_deg=_rms(pitches),
             pitch_mean_deg=float(pitches.mean()) if len(pitches) else float("nan"),
-            mean_return=float(self._return.mean()),
+            mean_return=float(self._return[whole].mean()) if whole.any() else None,
             ended_by=dict(self._ended),
+            non_finite=dict(self._non_finite),
         )
 
 
 @dataclass(frozen=True)
 class ContactFigures:
-    """What one link carried: normal force over the steps between landing and tipping over.
+    """What one link carried: normal force at the end of each step between landing and tipping over.
 
     Attributes:
         body: the link.
         mean_n: mean force, N.
         max_n: largest force, N.
         contact_share: share of the steps with contact.
+        steps: number of steps, of all environments.
     """
 
     body: str
     mean_n: float
     max_n: float
     contact_share: float
+    steps: int
 
 
 class ContactMeter:
@@ -147,7 +180,7 @@ class ContactMeter:
         if count == 0:
             return []
         rows = zip(self._sensor.body_names, self._sum, self._max, self._touching, strict=True)
-        return [ContactFigures(b, float(s) / count, float(m), float(t) / count) for b, s, m, t in rows]
+        return [ContactFigures(b, float(s) / count, float(m), float(t) / count, count) for b, s, m, t in rows]
 
 
 def target_height(env: ManagerBasedRLEnv) -> float | None:

@@ -13,25 +13,28 @@ from typing import Any
 import torch
 
 from wheelleg_exp.config import schema
-from wheelleg_exp.config.amend import amend
-from wheelleg_exp.config.check import check_tree
-from wheelleg_exp.config.compose import compose
+from wheelleg_exp.config.checking.check import check_tree
+from wheelleg_exp.config.composing.amend import amend, placing
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.assets import kept_mjcf, kept_model_digest
+from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.files import sha256, while_running, write_json
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.documents import command_document, config_document, json_document, run_documents
 from wheelleg_exp.jobs.episode_recording import EpisodeRecording
 from wheelleg_exp.jobs.figures import StandFigures, StandMeter
+from wheelleg_exp.jobs.kept_robot import kept_mjcf, kept_model_digest
 from wheelleg_exp.jobs.threads import set_threads
-from wheelleg_exp.recording.recorder import require_env_ids
+from wheelleg_exp.managers.finite import require_finite_actions
+from wheelleg_exp.recording.writing.recorder import require_env_ids
+from wheelleg_exp.rl.episode_log import FailureCount
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory, create_exclusively
-from wheelleg_exp.run.files import sha256, write_json
-from wheelleg_exp.run.params import load_params
-from wheelleg_exp.run.snapshot import refuse_secrets
+from wheelleg_exp.run.params import load_params, present_form
+from wheelleg_exp.user_code import ending_as
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class Played:
         folder: what was written, below the run.
         recording: the recording, or None.
         figures: how the policy stood.
+        failures: the episodes that ended because a number was not finite.
     """
 
     run: RunDirectory
@@ -51,6 +55,7 @@ class Played:
     folder: Path
     recording: Path | None
     figures: StandFigures
+    failures: FailureCount
 
 
 def play(
@@ -74,38 +79,41 @@ def play(
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
-    kept = {**_own_settings(), "env": env_params, "agent": agent}
+    kept = {**_own_settings(), "env": present_form(env_params), "agent": agent}
     tree = amend(kept, overrides)
     refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree, kept)
-    _require_playable(kept, tree)
-    env = ManagerBasedRLEnv(tree["env"], kept_mjcf(run), tree["seed"])
+    with placing(overrides):
+        _require_playable(kept, tree)
+        env = ManagerBasedRLEnv(tree["env"], kept_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
     if tree["env"] == kept["env"] and env.scene.model_digest() != kept_model_digest(run):
         display.note("note: the compiled model is not the one of the training; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
     meter = StandMeter(env, float(tree["play"]["settle_s"]))
+    failures = FailureCount(env.num_envs, tree["agent"])
     own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
     name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
     about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
     content = {**about, "seed": tree["seed"], "overrides": list(overrides)}
     folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     try:
-        recording = _recording(env, folder, tree, run, about, command) if tree["recording"]["enabled"] else None
-        if recording is not None:
-            recording.warn(display.note)
-        with recording or nullcontext():
-            _roll(env, adapter, policy, meter, display)
-            content |= meter.figures().as_dict()
+        with while_running():
+            recording = _recording(env, folder, tree, run, about, command) if tree["recording"]["enabled"] else None
             if recording is not None:
-                recording.figures(content)
+                recording.warn(display.note)
+            with recording or nullcontext():
+                _roll(adapter, policy, meter, failures, display)
+                content |= meter.figures().as_dict()
+                if recording is not None:
+                    recording.figures(content)
+            write_json(folder / "figures.json", content)
+            files = [folder / "figures.json", *([recording.path] if recording else [])]
+            run.manifest().add("play", files, content, command=command)
     except BaseException:  # an interrupted play leaves nothing that looks like one
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    write_json(folder / "figures.json", content)
-    files = [folder / "figures.json", *([recording.path] if recording else [])]
-    run.manifest().add("play", files, content, command=command)
-    return Played(run, checkpoint, folder, recording.path if recording else None, meter.figures())
+    return Played(run, checkpoint, folder, recording.path if recording else None, meter.figures(), failures)
 
 
 def _recording(
@@ -153,12 +161,17 @@ def _require_playable(kept: dict[str, Any], tree: dict[str, Any]) -> None:
     require_env_ids(tree["recording"]["env_ids"], tree["env"]["num_envs"])
 
 
+@ending_as(SimulationFailure)
 @torch.inference_mode()
-def _roll(env: ManagerBasedRLEnv, adapter: RslRlVecEnv, policy: Any, meter: StandMeter, display: Display) -> None:
+def _roll(adapter: RslRlVecEnv, policy: Any, meter: StandMeter, failures: FailureCount, display: Display) -> None:
     """Step until every environment has finished its first episode."""
+    env = adapter.env
     env.observers.append(meter.observe)
     for step in range(env.max_episode_length):
-        adapter.step(policy(adapter.get_observations()))
+        actions = policy(adapter.get_observations())
+        require_finite_actions(env, actions)
+        *_, extras = adapter.step(actions)
+        failures.take(extras)
         display.steps(step + 1, env.max_episode_length)
         if not meter.running.any():
             break

@@ -1,13 +1,23 @@
-"""The eight managers: when terms run, what they accumulate, what they log."""
+"""The eight managers: when terms run, what they accumulate, what they log.
+
+| module | what it offers |
+|---|---|
+| `*_manager` | when terms run, what they accumulate, what they log |
+| `manager_base`, `term` | binding, listing, printing and state of terms |
+| `environment` | what terms may ask of the environment |
+| `entity` | members of the scene, and named ranges, as terms take them |
+| `returned`, `finite`, `failures` | what terms return and raise, told by the key of the term |
+| `streams` | random draws, a stream for each term |
+| `buffers` | history of samples |
+"""
 
 from wheelleg_exp.managers.action_manager import ActionManager, ActionTerm
 from wheelleg_exp.managers.command_manager import CommandManager, CommandTerm
 from wheelleg_exp.managers.curriculum_manager import CurriculumManager
-from wheelleg_exp.managers.entity import SceneEntityCfg
+from wheelleg_exp.managers.entity import SceneEntityCfg, bounds
+from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.event_manager import EventManager
-from wheelleg_exp.managers.face import Env
 from wheelleg_exp.managers.observation_manager import ObservationManager
-from wheelleg_exp.managers.ranges import bounds, interval
 from wheelleg_exp.managers.reward_manager import RewardManager
 from wheelleg_exp.managers.scene_manager import SceneManager
 from wheelleg_exp.managers.term import Term, TermBase
@@ -29,5 +39,4 @@ __all__ = [
     "TermBase",
     "TerminationManager",
     "bounds",
-    "interval",
 ]

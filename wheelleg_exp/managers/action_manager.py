@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.managers.failures import code_place, require_form
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.term import TermBase
+from wheelleg_exp.managers.returned import row_form
+from wheelleg_exp.managers.term import Term, TermBase
+from wheelleg_exp.sim.names import shared_errors
 
 
 class ActionTerm(TermBase):
-    """A slice of the action vector."""
+    """A slice of the action vector.
 
+    Attributes:
+        drives: which target of its joints it sets: ``position``, ``velocity``, ``effort``; empty when none of these.
+        joint_names: names of the joints, of a term that drives some.
+    """
+
+    drives: ClassVar[str] = ""
+    joint_names: list[str]
     action_dim: int
     raw_actions: torch.Tensor
     processed_actions: torch.Tensor
@@ -27,6 +37,23 @@ class ActionTerm(TermBase):
     def apply_actions(self) -> None:
         """Set targets, once per physics step."""
         raise NotImplementedError
+
+
+def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
+    """Return the mistakes of joints whose target of one kind two terms set: the later one's alone would count.
+
+    Args:
+        claims: config key of the term, the kind of target that it sets, and the joints.
+    """
+    found = list(claims)
+    return [
+        error
+        for kind in dict.fromkeys(kind for _, kind, _ in found if kind)
+        for error in shared_errors(
+            [(path.rpartition(".")[2], f"{path}.joint_names", joints) for path, of, joints in found if of == kind],
+            f"each joint in one term that sets {kind} targets",
+        )
+    ]
 
 
 class ActionManager(ManagerBase):
@@ -41,8 +68,16 @@ class ActionManager(ManagerBase):
             if not isinstance(term.func, ActionTerm):
                 raise ConfigError(f"'{term.target}' is no action term", key=term.path, expected="an action term")
             self._action_terms[name] = term.func
-        self.action = torch.zeros(self._num_envs, self.total_action_dim)
+            _require_actions(term.func, term, env)
+        claims = [(term.path, f.drives, f.joint_names) for term, f in self._driving()]
+        for error in shared_action_errors(claims):
+            raise error
+        self.action = torch.zeros(self._num_envs, self.total_action_dim, device=env.device)
         self.prev_action = torch.zeros_like(self.action)
+
+    def _driving(self) -> list[tuple[Term, ActionTerm]]:
+        pairs = [(self._terms[name], term) for name, term in self._action_terms.items()]
+        return [(term, action) for term, action in pairs if action.drives]
 
     @property
     def action_term_dim(self) -> list[int]:
@@ -70,14 +105,16 @@ class ActionManager(ManagerBase):
         self.prev_action.copy_(self.action)
         self.action.copy_(action)
         start = 0
-        for term in self._action_terms.values():
-            term.process_actions(self.action[:, start : start + term.action_dim])
+        for name, term in self._action_terms.items():
+            with self._terms[name].blamed():
+                term.process_actions(self.action[:, start : start + term.action_dim])
             start += term.action_dim
 
     def apply_action(self) -> None:
         """Let every term set its targets, before each physics step."""
-        for term in self._action_terms.values():
-            term.apply_actions()
+        for name, term in self._action_terms.items():
+            with self._terms[name].blamed():
+                term.apply_actions()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Zero the actions of ``env_ids``."""
@@ -106,3 +143,18 @@ class ActionManager(ManagerBase):
             for i, (name, term) in enumerate(self._action_terms.items())
         ]
         return table(f"Actions: {self.total_action_dim}", ("index", "name", "width", "term"), rows)
+
+
+def _require_actions(actions: ActionTerm, term: Term, env: Env) -> None:
+    """Raise ConfigError unless a term says how wide its actions are, and holds them."""
+    width = getattr(actions, "action_dim", None)
+    if isinstance(width, bool) or not isinstance(width, int) or width < 1:
+        raise ConfigError(
+            f"action_dim of '{term.target}' is {width!r}",
+            key=term.path,
+            where=code_place(actions),
+            expected="a whole number of at least 1, set in __init__",
+        )
+    for name in ("raw_actions", "processed_actions"):
+        source = f"{name} of '{term.target}'"
+        require_form(row_form(env.num_envs, env.device), getattr(actions, name, None), source, term.path, actions)

@@ -15,10 +15,11 @@ class HistoryBuffer:
         num_envs: number of environments, N.
         length: samples kept, H.
         shape: shape of one sample.
+        device: where the samples are.
     """
 
-    def __init__(self, num_envs: int, length: int, shape: torch.Size) -> None:
-        self.samples = torch.zeros(num_envs, length, *shape)
+    def __init__(self, num_envs: int, length: int, shape: torch.Size, device: torch.device) -> None:
+        self.samples = torch.zeros(num_envs, length, *shape, device=device)
 
     def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
         """Take up a sample (N, ...), drop the oldest, and return the history (N, H, ...).

@@ -7,10 +7,14 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.constraints import PositiveInterval
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.managers.failures import require_form
 from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.returned import described, row_form
 from wheelleg_exp.managers.term import TermBase
+from wheelleg_exp.sim.ids import ids_where
 
 
 class CommandTerm(TermBase):
@@ -26,26 +30,20 @@ class CommandTerm(TermBase):
     def __init__(
         self,
         env: Env,
-        resampling_time_range: Sequence[float],
+        resampling_time_range: PositiveInterval,
         metric_names: Sequence[str],
         generator: torch.Generator,
     ) -> None:
-        n = env.num_envs
-        if len(resampling_time_range) != 2 or not 0.0 < resampling_time_range[0] <= resampling_time_range[1]:
-            raise ConfigError(
-                f"is {list(resampling_time_range)}",
-                key="resampling_time_range",
-                expected="[shortest, longest] in seconds, above 0",
-            )
+        n, device = env.num_envs, env.device
         self._env = env
         self._generator = generator
         self._time_range = (float(resampling_time_range[0]), float(resampling_time_range[1]))
         self.metric_names = list(metric_names)
-        self.metrics = torch.zeros(len(self.metric_names), n)
-        self.error_sums = torch.zeros(len(self.metric_names), n)
-        self.steps = torch.zeros(n)
-        self.time_left = torch.zeros(n)
-        self.command_counter = torch.zeros(n, dtype=torch.long)
+        self.metrics = torch.zeros(len(self.metric_names), n, device=device)
+        self.error_sums = torch.zeros(len(self.metric_names), n, device=device)
+        self.steps = torch.zeros(n, device=device)
+        self.time_left = torch.zeros(n, device=device)
+        self.command_counter = torch.zeros(n, dtype=torch.long, device=device)
 
     @property
     def command(self) -> torch.Tensor:
@@ -66,14 +64,20 @@ class CommandTerm(TermBase):
     def compute(self, dt: float) -> None:
         """Sample the metrics, resample where the time is up, post-process."""
         errors = self.errors()
+        if getattr(errors, "shape", None) != self.error_sums.shape:
+            raise ConfigError(
+                f"errors() returns {described(errors)}",
+                expected=f"a tensor of shape {tuple(self.error_sums.shape)}, a row for each of "
+                + ", ".join(self.metric_names),
+            )
         self.error_sums += errors
         # As in Isaac Lab, divided by the longest time between two draws, not by the episode.
         self.metrics += errors * (dt / self._time_range[1])
         self.steps += 1
         self.time_left -= dt
-        expired = self.time_left <= 0.0
-        if expired.any():
-            self._resample(expired.nonzero().squeeze(1))
+        expired = ids_where(self.time_left <= 0.0)
+        if len(expired):
+            self._resample(expired)
         self.post_process()
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -91,7 +95,7 @@ class CommandTerm(TermBase):
 
     def _resample(self, env_ids: torch.Tensor) -> None:
         low, high = self._time_range
-        draw = torch.rand(len(env_ids), generator=self._generator)
+        draw = torch.rand(len(env_ids), generator=self._generator, device=self.time_left.device)
         self.time_left[env_ids] = low + (high - low) * draw
         self.draw(env_ids)
         self.command_counter[env_ids] += 1
@@ -109,10 +113,17 @@ class CommandManager(ManagerBase):
             if not isinstance(term.func, CommandTerm):
                 raise ConfigError(f"'{term.target}' is no command term", key=term.path, expected="a command term")
             self._command_terms[name] = term.func
+            term.form = row_form(self._num_envs, env.device)
 
     def get_command(self, name: str) -> torch.Tensor:
         """Return the present command of a term, (N, k)."""
-        return self.get_command_term(name).command
+        found = self.get_command_term(name)
+        term = self._terms[name]
+        with term.blamed():
+            command = found.command
+        assert term.form is not None
+        require_form(term.form, command, f"the command of '{term.target}'", term.path, term.func)
+        return command
 
     def get_command_term(self, name: str) -> CommandTerm:
         """Return a command term by name."""
@@ -122,14 +133,17 @@ class CommandManager(ManagerBase):
 
     def compute(self, dt: float) -> None:
         """Advance every term by one control step."""
-        for term in self._command_terms.values():
-            term.compute(dt)
+        for name, term in self._command_terms.items():
+            with self._terms[name].blamed():
+                term.compute(dt)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands and return the metrics of the episodes that ended."""
         log = {}
         for name, term in self._command_terms.items():
-            for metric, value in term.finish_episode(env_ids).items():
+            with self._terms[name].blamed():
+                means = term.finish_episode(env_ids)
+            for metric, value in means.items():
                 group = "Episode_Metrics" if metric.endswith("_per_step") else "Metrics"
                 log[f"{group}/{name}/{metric}"] = value
         return log

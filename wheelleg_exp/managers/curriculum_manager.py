@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.returned import FiguresForm
 
 
 class CurriculumManager(ManagerBase):
@@ -20,6 +21,8 @@ class CurriculumManager(ManagerBase):
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
         self._state: dict[str, Any] = {name: None for name in self._terms}
+        for term in self._terms.values():
+            term.form = FiguresForm()
 
     def compute(self, env_ids: torch.Tensor) -> None:
         """Run every term on the episodes that end now, before anything is reset."""
@@ -57,7 +60,7 @@ def _plain(state: Any) -> Any:
     if isinstance(state, Mapping):
         return {str(key): _plain(value) for key, value in state.items()}
     if isinstance(state, (np.ndarray, np.generic)):
-        return torch.from_numpy(np.array(state))
+        return torch.as_tensor(np.array(state), device="cpu")
     return state.clone() if isinstance(state, torch.Tensor) else state
 
 

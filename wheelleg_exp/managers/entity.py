@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import torch
 
+from wheelleg_exp.constraints import Interval, Names
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim.scene import Scene
+from wheelleg_exp.terms.values import require_fit
 
 Ids = torch.Tensor | slice
 
@@ -25,11 +28,11 @@ class SceneEntityCfg:
     """
 
     name: str
-    joint_names: str | Sequence[str] | None = None
-    body_names: str | Sequence[str] | None = None
+    joint_names: Names | None = None
+    body_names: Names | None = None
     preserve_order: bool = False
-    joint_ids: Ids = field(default_factory=lambda: slice(None), init=False)
-    body_ids: Ids = field(default_factory=lambda: slice(None), init=False)
+    joint_ids: Ids = field(default_factory=lambda: slice(None), init=False, repr=False)
+    body_ids: Ids = field(default_factory=lambda: slice(None), init=False, repr=False)
 
     def resolve(self, scene: Scene, path: str) -> None:
         """Find the indices in the scene.
@@ -55,13 +58,26 @@ class SceneEntityCfg:
             found = entity.find_joints(
                 _listed(self.joint_names), key=f"{path}.joint_names", preserve_order=self.preserve_order
             )
-            self.joint_ids = torch.tensor(found[0])
+            self.joint_ids = torch.tensor(found[0], device=scene.device)
         if self.body_names is not None:
             found = entity.find_bodies(
                 _listed(self.body_names), key=f"{path}.body_names", preserve_order=self.preserve_order
             )
-            self.body_ids = torch.tensor(found[0])
+            self.body_ids = torch.tensor(found[0], device=scene.device)
 
 
 def _listed(names: str | Sequence[str]) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
+
+
+def bounds(
+    ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return lows and highs (k,) of named ranges on a device; an axis that is not named is (0, 0).
+
+    Raises:
+        ConfigError: an axis is unknown or a range is not two numbers in order.
+    """
+    require_fit(key, ranges, Mapping[Literal[tuple(axes)], Interval])  # type: ignore[misc]
+    pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32, device=device)
+    return pairs[:, 0], pairs[:, 1]

@@ -7,11 +7,12 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.managers.finite import require_finite_writes
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.ranges import interval
+from wheelleg_exp.managers.returned import NoForm
 from wheelleg_exp.managers.term import Term, instantiate_term
+from wheelleg_exp.sim.ids import ids_where
 
 
 class EventManager(ManagerBase):
@@ -29,27 +30,23 @@ class EventManager(ManagerBase):
         self._last_step: dict[str, torch.Tensor] = {}
         self._fired_once: dict[str, torch.Tensor] = {}
         self.fired: dict[str, torch.Tensor] = {}
+        self._asked: dict[str, set[str]] = {name: set() for name in self._terms}
         for name, term in self._terms.items():
-            mode = term.fields.get("mode")
-            if not isinstance(mode, str):
-                raise ConfigError(
-                    "an event needs a mode",
-                    key=f"{term.path}.mode",
-                    expected="prestartup, startup, reset, interval, or a name of your own",
-                )
+            mode = term.fields["mode"]
+            term.form = NoForm()
             self._modes.setdefault(mode, {})[name] = term
             if mode == "prestartup":
                 instantiate_term(term, env)
-            _require_own_fields(term, mode)
             if mode == "interval":
                 self._start_timer(name, term)
             elif mode == "reset":
-                self._start_counter(name, term)
+                self._start_counter(name)
 
     def play(self) -> None:
         """Make the term objects, now that the simulations run."""
-        for term in self._terms.values():
+        for name, term in self._terms.items():
             instantiate_term(term, self._env)
+            self._note_asked(name)
 
     @property
     def available_modes(self) -> list[str]:
@@ -66,6 +63,7 @@ class EventManager(ManagerBase):
 
         Raises:
             ValueError: ``interval`` (see ``apply_interval``), or ``reset`` without a step count.
+            SimulationFailure: a term wrote numbers that are not finite.
         """
         if mode == "interval":
             raise ValueError("interval events are applied by apply_interval(dt)")
@@ -77,7 +75,10 @@ class EventManager(ManagerBase):
                 ids = self._due(name, term, self._all_ids(env_ids), global_env_step_count)
                 if not len(ids):
                     continue
-            term(self._env, ids)
+            if mode == "prestartup":  # there is no simulation yet
+                term(self._env, ids)
+            else:
+                self._run(name, term, ids)
 
     def apply_interval(self, dt: float) -> None:
         """Advance the timers by ``dt`` seconds and run the terms whose time is up."""
@@ -86,15 +87,27 @@ class EventManager(ManagerBase):
             time_left -= dt
             due = time_left < 1e-6
             self.fired[name] = due
-            if not due.any():
+            ids = ids_where(due)
+            if not len(ids):
                 continue
             if term.fields.get("is_global_time", False):
-                self._draw_timer(name, term, torch.zeros(1, dtype=torch.long))
-                term(self._env, None)
+                self._draw_timer(name, term, torch.zeros(1, dtype=torch.long, device=self._env.device))
+                self._run(name, term, None)
             else:
-                ids = due.nonzero().squeeze(1)
                 self._draw_timer(name, term, ids)
-                term(self._env, ids)
+                self._run(name, term, ids)
+
+    def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
+        """Run a term; what it writes must be numbers."""
+        term(self._env, ids)
+        self._note_asked(name)
+        require_finite_writes(self._env, term.path, self._asked[name], ids)
+
+    def _note_asked(self, name: str) -> None:
+        """Note what a term has asked for to write: it may have kept it."""
+        asked = self._env.scene.sim.asked
+        self._asked[name] |= asked
+        asked.clear()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Redraw the per-environment timers of ``env_ids``."""
@@ -127,30 +140,21 @@ class EventManager(ManagerBase):
         self.fired = {name: value.clone() for name, value in saved["fired"].items()}
 
     def _all_ids(self, env_ids: torch.Tensor | None) -> torch.Tensor:
-        return torch.arange(self._num_envs) if env_ids is None else env_ids
+        return torch.arange(self._num_envs, device=self._env.device) if env_ids is None else env_ids
 
     def _start_timer(self, name: str, term: Term) -> None:
-        key = f"{term.path}.interval_range_s"
-        if interval(term.fields.get("interval_range_s", ()), key)[0] < 0:
-            raise ConfigError("must not be negative", key=key, expected="[shortest, longest] in seconds")
         count = 1 if term.fields.get("is_global_time", False) else self._num_envs
-        self._time_left[name] = torch.zeros(count)
-        self._draw_timer(name, term, torch.arange(count))
+        self._time_left[name] = torch.zeros(count, device=self._env.device)
+        self._draw_timer(name, term, torch.arange(count, device=self._env.device))
 
     def _draw_timer(self, name: str, term: Term, ids: torch.Tensor) -> None:
         low, high = term.fields["interval_range_s"]
         generator = self._env.streams.get(f"{term.path}.interval")
-        self._time_left[name][ids] = low + (high - low) * torch.rand(len(ids), generator=generator)
+        self._time_left[name][ids] = low + (high - low) * torch.rand(len(ids), generator=generator, device=ids.device)
 
-    def _start_counter(self, name: str, term: Term) -> None:
-        if term.fields.get("min_step_count_between_reset", 0) < 0:
-            raise ConfigError(
-                "must not be negative",
-                key=f"{term.path}.min_step_count_between_reset",
-                expected="control steps >= 0",
-            )
-        self._last_step[name] = torch.zeros(self._num_envs, dtype=torch.long)
-        self._fired_once[name] = torch.zeros(self._num_envs, dtype=torch.bool)
+    def _start_counter(self, name: str) -> None:
+        self._last_step[name] = torch.zeros(self._num_envs, dtype=torch.long, device=self._env.device)
+        self._fired_once[name] = torch.zeros(self._num_envs, dtype=torch.bool, device=self._env.device)
 
     def _due(self, name: str, term: Term, ids: torch.Tensor, step: int) -> torch.Tensor:
         """Return those of ``ids`` for which enough steps have passed since the term last ran."""
@@ -170,15 +174,3 @@ class EventManager(ManagerBase):
             for name, term in terms.items()
         ]
         return table(f"Events: {len(rows)}", ("mode", "name", "interval (s)", "term"), rows)
-
-
-def _require_own_fields(term: Term, mode: str) -> None:
-    """Refuse settings that the event's mode does not read."""
-    others = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
-    for name, owner in others.items():
-        if name in term.fields and mode != owner:
-            raise ConfigError(
-                f"only events of mode '{owner}' read it, and this one has mode '{mode}'",
-                key=f"{term.path}.{name}",
-                expected=f"mode {owner}, or no {name}",
-            )

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.term import Term, bind_terms
-from wheelleg_exp.sim.state import Kept
+from wheelleg_exp.state import Kept
 
 
 class ManagerBase(Kept):
@@ -38,6 +38,11 @@ class ManagerBase(Kept):
         """Names of the terms, in declaration order."""
         return list(self._terms)
 
+    @property
+    def bound_terms(self) -> list[Term]:
+        """The bound terms, in declaration order."""
+        return list(self._terms.values())
+
     def get_term(self, name: str) -> Term:
         """Return the bound term; ConfigError when there is none of that name."""
         if name not in self._terms:
@@ -60,7 +65,8 @@ class ManagerBase(Kept):
     def _reset_terms(self, env_ids: torch.Tensor) -> None:
         for term in self._terms.values():
             if term.stateful is not None:
-                term.stateful.reset(env_ids)
+                with term.blamed():
+                    term.stateful.reset(env_ids)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -70,7 +76,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
         grid.add_column(column)
     for row in rows:
         grid.add_row(*(str(cell) for cell in row))
-    console = Console(file=io.StringIO(), width=120, color_system=None)
+    console = Console(file=io.StringIO(), width=100, color_system=None)
     console.print(grid)
     stream = console.file
     assert isinstance(stream, io.StringIO)

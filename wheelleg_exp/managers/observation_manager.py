@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
 import torch
 
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.buffers import HistoryBuffer
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.managers.failures import failure, require_form
 from wheelleg_exp.managers.manager_base import table
-from wheelleg_exp.managers.ranges import interval
+from wheelleg_exp.managers.returned import row_form
 from wheelleg_exp.managers.term import Term, bind_terms
-from wheelleg_exp.sim.state import Kept, cloned, made, stateful
-
-_GROUP_KEYS = ("terms", "concatenate_terms", "enable_corruption", "history_length", "flatten_history_dim")
+from wheelleg_exp.memory import require_memory
+from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.state import Kept, cloned, made, stateful
+from wheelleg_exp.terms.sections import ObservationGroup as GroupOptions
+from wheelleg_exp.terms.sections import read_section
 
 Group = torch.Tensor | dict[str, torch.Tensor]
 
@@ -34,28 +38,34 @@ class ObservationTerm(Kept):
     def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:
         self.term = term
         self._env = env
-        self._modifiers: list[Any] = list(term.fields.get("modifiers") or [])
+        modifiers = term.fields.get("modifiers") or []
+        if not isinstance(modifiers, list):
+            raise ConfigError("is no list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
+        self._modifiers: list[Any] = list(modifiers)
         self._noise: Any = term.fields.get("noise") if corrupt else None
         self._generator = env.streams.get(f"{term.path}.noise")
         clip = term.fields.get("clip")
-        self._clip = None if clip is None else interval(clip, f"{term.path}.clip")
+        self._clip = None if clip is None else (float(clip[0]), float(clip[1]))
         self._require_callables()
         self._flatten = flatten
+        term.form = row_form(env.num_envs, env.device)
         sample = term(env)
-        if sample.ndim != 2 or sample.shape[0] != env.num_envs:
-            raise ConfigError(
-                f"'{term.target}' returned shape {tuple(sample.shape)}",
-                key=term.path,
-                expected=f"({env.num_envs}, width)",
-            )
         self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[1])
         for number, modifier in enumerate(self._modifiers):
             modifier.start(sample)
             made(modifier, f"{term.path}.modifiers[{number}]")
         self._noise_state = stateful(self._noise, f"{term.path}.noise")
-        self.history = HistoryBuffer(env.num_envs, history_length, sample.shape[1:]) if history_length > 0 else None
+        what = f"histories of {history_length} steps of {env.num_envs} environments"
+        require_memory(4 * sample.numel() * history_length, term.path, what)
+        self.history = (
+            HistoryBuffer(env.num_envs, history_length, sample.shape[1:], env.device) if history_length > 0 else None
+        )
         self.history_length = history_length
         self.width = int(sample.shape[1])
+        self._part_forms = {
+            name: dataclasses.replace(term.form, width=self.width)
+            for name in ("noise", *(f"modifiers[{number}]" for number in range(len(self._modifiers))))
+        }
         self.shape = (
             (self.width,)
             if not self.history
@@ -89,6 +99,11 @@ class ObservationTerm(Kept):
         samples = self.history.appended(value, first)
         return samples.flatten(1) if self._flatten else samples
 
+    def parts(self) -> dict[str, Any]:
+        """Return the modifiers and the noise by their keys."""
+        found = {f"modifiers[{number}]": modifier for number, modifier in enumerate(self._modifiers)}
+        return found | ({} if self._noise is None else {"noise": self._noise})
+
     def reset(self, env_ids: torch.Tensor) -> None:
         """Reset the term object, modifiers and noise of ``env_ids``; histories refill with the next sample."""
         if self.term.stateful is not None:
@@ -120,22 +135,34 @@ class ObservationTerm(Kept):
 
     def _sample(self, *, draw: bool) -> torch.Tensor:
         value = self.term(self._env)
-        for modifier in self._modifiers:
-            value = modifier(value)
+        for number, modifier in enumerate(self._modifiers):
+            value = self._part(f"modifiers[{number}]", modifier, value)
         if draw and self._noise is not None:
-            value = self._noise(value, self._generator)
+            value = self._part("noise", self._noise, value, self._generator)
         if self._clip is not None:
             value = value.clip(self._clip[0], self._clip[1])
         return value if self._scale is None else value * self._scale
+
+    def _part(self, name: str, part: Any, *args: Any) -> torch.Tensor:
+        """Call a modifier or the noise; what is wrong with it is told under its own key."""
+        path, target = f"{self.term.path}.{name}", f"{type(part).__module__}.{type(part).__qualname__}"
+        try:
+            value = part(*args)
+        except BaseException as error:
+            raise failure(error, path, target, part, has_worked=self._part_forms[name].is_known) from error
+        require_form(self._part_forms[name], value, f"'{target}'", path, part)
+        return value
 
     def _require_callables(self) -> None:
         for name, parts, method in (("modifiers", self._modifiers, "start"), ("noise", [self._noise], "__call__")):
             for part in parts:
                 if part is not None and not hasattr(part, method):
+                    kind = type(part)
+                    what = repr(part) if kind.__module__ == "builtins" else f"'{kind.__module__}.{kind.__qualname__}'"
                     raise ConfigError(
-                        f"{part!r} is none",
+                        f"{what} has no {method}()",
                         key=f"{self.term.path}.{name}",
-                        expected=f"a _target_ of wheelleg_exp.mdp.{name}",
+                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a class of yours that is like one",
                     )
 
     def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
@@ -147,7 +174,7 @@ class ObservationTerm(Kept):
                 key=f"{self.term.path}.scale",
                 expected=f"one number or {width}",
             )
-        return torch.tensor(scale, dtype=torch.float32)
+        return torch.tensor(scale, dtype=torch.float32, device=self._env.device)
 
 
 class ObservationManager(Kept):
@@ -165,14 +192,19 @@ class ObservationManager(Kept):
             if node is not None:
                 self._add_group(group, node, env)
         self.obs_buf: dict[str, Group] = {}
-        self._is_first = torch.zeros(env.num_envs, dtype=torch.bool)
+        self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
-        self.reset(torch.arange(env.num_envs))
+        self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
     def active_terms(self) -> dict[str, list[str]]:
         """Names of the terms of each group, in order."""
         return {group: list(terms) for group, terms in self._groups.items()}
+
+    @property
+    def bound_terms(self) -> list[Term]:
+        """The bound terms of all groups, in order."""
+        return [term.term for terms in self._groups.values() for term in terms.values()]
 
     def terms(self, group: str) -> dict[str, ObservationTerm]:
         """Return the terms of a group by name, in order."""
@@ -205,6 +237,12 @@ class ObservationManager(Kept):
             start += term.shape[-1]
         return slices
 
+    def split(self, group: str, value: Group) -> dict[str, torch.Tensor]:
+        """Return a group's observation term by term."""
+        if not isinstance(value, torch.Tensor):
+            return value
+        return {name: value[..., part] for name, part in self.term_slices(group).items()}
+
     def compute(self) -> dict[str, Group]:
         """Return every group's observation; advances noise, modifiers and histories."""
         first = self._first_ids()
@@ -226,7 +264,7 @@ class ObservationManager(Kept):
         }
 
     def _first_ids(self) -> torch.Tensor | None:
-        return self._is_first.nonzero().squeeze(1) if self._any_first else None
+        return ids_where(self._is_first) if self._any_first else None
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Reset every term of ``env_ids``."""
@@ -253,28 +291,18 @@ class ObservationManager(Kept):
 
     def _add_group(self, group: str, node: Mapping[str, Any], env: Env) -> None:
         path = f"env.observations.{group}"
-        for key in node:
-            if key not in _GROUP_KEYS:
-                raise ConfigError(
-                    "unknown key",
-                    key=f"{path}.{key}",
-                    expected=", ".join(_GROUP_KEYS),
-                    nearest=nearest_name(key, _GROUP_KEYS),
-                )
-        terms = bind_terms("observations", f"{path}.terms", node.get("terms"), env)
+        options = read_section(GroupOptions, node, path)
+        terms = bind_terms("observations", f"{path}.terms", options.terms, env)
         if not terms:
             raise ConfigError("the group has no terms", key=f"{path}.terms", expected="at least one term")
-        corrupt = bool(node.get("enable_corruption", False))
-        self._concatenate[group] = bool(node.get("concatenate_terms", True))
+        self._concatenate[group] = options.concatenate_terms
         self._groups[group] = {}
         for name, term in terms.items():
-            length, flatten = node.get("history_length"), node.get("flatten_history_dim", True)
+            length, flatten = options.history_length, options.flatten_history_dim
             if length is None:  # a group's own history setting overrides its terms'
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
-            if int(length) < 0:
-                raise ConfigError(f"is {length}", key=f"{path}.history_length", expected="control steps >= 0")
-            self._groups[group][name] = ObservationTerm(term, env, corrupt, int(length), bool(flatten))
+            self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
         shapes = {t.shape[:-1] for t in self._groups[group].values()}
         if self._concatenate[group] and len(shapes) > 1:
             raise ConfigError(

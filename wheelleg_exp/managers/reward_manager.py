@@ -7,10 +7,10 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.term import Term
+from wheelleg_exp.managers.returned import TensorForm
+from wheelleg_exp.sim.ids import ids_where
 
 
 class RewardManager(ManagerBase):
@@ -20,13 +20,17 @@ class RewardManager(ManagerBase):
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
+        self.step_reward = torch.zeros(len(self._terms), self._num_envs, device=env.device)
         for term in self._terms.values():
-            weight = term.fields.get("weight")
-            if isinstance(weight, bool) or not isinstance(weight, (int, float)):
-                raise ConfigError("a reward needs a weight", key=f"{term.path}.weight", expected="a number")
-        self.step_reward = torch.zeros(len(self._terms), self._num_envs)
+            term.form = TensorForm(self._num_envs, env.device)
         self._episode_sums = torch.zeros_like(self.step_reward)
         self.non_finite: dict[int, list[str]] = {}
+        self._raw_values = self.step_reward
+
+    @property
+    def raw_values(self) -> torch.Tensor:
+        """Weighted values per second of this step, those that are not finite included, (terms, N)."""
+        return self._raw_values if self.non_finite else self.step_reward
 
     def compute(self, dt: float) -> torch.Tensor:
         """Return this step's reward (N,); ``step_reward`` keeps each term's weighted value per second.
@@ -39,30 +43,21 @@ class RewardManager(ManagerBase):
             if weight == 0.0:
                 row.zero_()
             else:
-                torch.mul(self._value(term), weight, out=row)
+                torch.mul(term(self._env), weight, out=row)
         reward = self.step_reward.sum(dim=0).mul_(dt)
         self.non_finite.clear()
-        if not torch.isfinite(reward).all():
-            self._exclude(reward)
+        bad = ids_where(~reward.isfinite())
+        if len(bad):
+            self._exclude(reward, bad)
         self._episode_sums.add_(self.step_reward, alpha=dt)
         return reward
 
-    def _value(self, term: Term) -> torch.Tensor:
-        value = term(self._env)
-        if value.shape != (self._num_envs,):
-            raise ConfigError(
-                f"'{term.target}' returned shape {tuple(value.shape)}",
-                key=term.path,
-                expected=f"({self._num_envs},)",
-            )
-        return value
-
-    def _exclude(self, reward: torch.Tensor) -> None:
+    def _exclude(self, reward: torch.Tensor, ids: torch.Tensor) -> None:
         """Take the environments whose reward is not finite out of this step, and name the terms."""
-        ids = (~torch.isfinite(reward)).nonzero().squeeze(1)
         for env_id in ids.tolist():
             bad = (~self.step_reward[:, env_id].isfinite()).tolist()
             self.non_finite[env_id] = [name for name, flag in zip(self._terms, bad, strict=True) if flag]
+        self._raw_values = self.step_reward.clone()
         self.step_reward[:, ids] = 0.0
         reward[ids] = 0.0
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.sim.state import Kept, NamedStream
+from wheelleg_exp.state import Kept, NamedStream
 
 
 def stream_seed(seed: int, path: str) -> int:
@@ -22,16 +22,18 @@ class Streams(Kept):
 
     Args:
         seed: the run's seed.
+        device: where the draws are made.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, device: torch.device | str = "cpu") -> None:
         self._seed = seed
+        self._device = device
         self._generators: dict[str, NamedStream] = {}
 
     def get(self, path: str) -> torch.Generator:
         """Return the generator of the stream named by a term's config path."""
         if path not in self._generators:
-            self._generators[path] = NamedStream()
+            self._generators[path] = NamedStream(self._device)
             self._generators[path].manual_seed(stream_seed(self._seed, path))
         return self._generators[path]
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-import hydra.utils
 import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.entity import SceneEntityCfg
-from wheelleg_exp.managers.face import Env
-from wheelleg_exp.sim.state import Kept, Settings, Stateful, made, note_class
-from wheelleg_exp.terms import (
-    TermNode,
-    check_parameters,
-    resolve_target,
-    split_node,
-    walk_targets,
-)
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.managers.failures import failure, placed, require_form
+from wheelleg_exp.managers.returned import Form
+from wheelleg_exp.state import Kept, Settings, Stateful, made
+from wheelleg_exp.terms.binding import TARGET, TermNode, resolve_target, split_node, target_arguments, walk_nodes
+from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
+from wheelleg_exp.user_code import ending_as, in_words
 
 _STATEFUL_FIELDS = ("modifiers", "noise")  # their state is saved with the observation's
 
@@ -28,7 +27,7 @@ _STATEFUL_FIELDS = ("modifiers", "noise")  # their state is saved with the obser
 class TermBase(Stateful):
     """A term with state of its own. Subclasses take ``env``, their parameters and, to draw, ``generator``.
 
-    Its attributes are saved and restored without its help (``sim.state``): tensors always, unless ``settings`` names
+    Its attributes are saved and restored without its help (``state``): tensors always, unless ``settings`` names
     them, everything else once it has changed.
     """
 
@@ -48,6 +47,7 @@ class Term(Kept):
         params: the keyword arguments of every call; empty for term objects.
         fields: the manager's own settings.
         generator: the term's random stream, where it draws.
+        form: what it has to return, where the manager needs something.
     """
 
     name: str
@@ -58,16 +58,36 @@ class Term(Kept):
     fields: dict[str, Any] = field(default_factory=dict)
     generator: torch.Generator | None = None
     settings: Settings | None = field(default=None, init=False)
+    form: Form | None = field(default=None, init=False)
+    _has_worked: bool = field(default=False, init=False)
 
     def __call__(self, *args: Any) -> Any:
-        """Call the term with the environment (and ids); its mistakes are told under its config key."""
+        """Call the term with the environment (and ids), and hold what it returns against ``form``.
+
+        Raises:
+            ConfigError: it raises an error in its first call, or returns something else.
+            SimulationFailure: it raises an error later.
+        """
         try:
-            return self.func(*args, **self.params)
-        except ConfigError as error:
-            raise _placed(error, self.path) from error
-        except Exception as error:
-            error.add_note(f"in the term {self.path} ({self.target})")
-            raise
+            value = self.func(*args, **self.params)
+        except BaseException as error:
+            raise self.failure(error) from error
+        if self.form is not None:
+            require_form(self.form, value, f"'{self.target}'", self.path, self.func)
+        self._has_worked = True
+        return value
+
+    def failure(self, error: BaseException) -> BaseException:
+        """Return an error of the term's code with its key and its place in the code."""
+        return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Tell an error of a part of the term that is not called by ``__call__``."""
+        try:
+            yield
+        except BaseException as error:
+            raise self.failure(error) from error
 
     def state_dict(self) -> dict[str, Any]:
         """Return the settings that have changed, and the term object's state."""
@@ -122,7 +142,8 @@ def bind_terms(
 def bind_term(kind: str, node: TermNode, env: Env) -> Term:
     """Bind one node: import its target, hold its parameters against the signature, resolve what they name."""
     target = resolve_target(node.target, node.path)
-    check_parameters(kind, node, target)
+    for error in (*field_errors(kind, node), *parameter_errors(kind, node, target)):
+        raise error
     params = {name: build(value, f"{node.path}.{name}") for name, value in node.params.items()}
     for name, value in params.items():
         if isinstance(value, SceneEntityCfg):
@@ -147,46 +168,45 @@ def instantiate_term(term: Term, env: Env) -> None:
             key=term.path,
             expected="a subclass of TermBase or a function",
         )
-    try:
-        note_again = note_class(kind, term.path)
+    with term.blamed():
         term_object: Any = cast(Any, kind)(env=env, **term.params)
-    except ConfigError as error:
-        raise _placed(error, term.path) from error
-    except (TypeError, ValueError, KeyError, IndexError) as error:
-        raise ConfigError(
-            f"'{term.target}' refuses its parameters: {type(error).__name__}: {error}",
-            key=term.path,
-            expected="the parameters that its documentation names",
-        ) from error
-    note_again()
     made(term_object, term.path)
     term.func, term.params = term_object, {}
     term.bound()
 
 
-def _placed(error: ConfigError, path: str) -> ConfigError:
-    """Return the error with its key below the term's, unless it names a place of its own."""
-    key = error.key
-    if key is None or not key.startswith("env."):
-        key = f"{path}.{key}" if key else path
-    return ConfigError(error.message, key=key, where=error.where, expected=error.expected, nearest=error.nearest)
-
-
 def build(value: Any, path: str) -> Any:
-    """Instantiate the ``_target_`` nodes inside a parameter, after holding them against the allow-list.
+    """Return a parameter with the ``_target_`` nodes in it called, the innermost first.
+
+    The tree is taken as it stands: what it holds was composed before, and no text in it is resolved again.
 
     Raises:
-        ConfigError: a target is not allowed, or it refuses its arguments.
+        ConfigError: a target is not allowed, or its arguments are not what they may be.
     """
-    targets = list(walk_targets(value, path))
-    if not targets:
-        return value
-    for where, target in targets:
-        resolve_target(target, where)
+    for where, node in walk_nodes(value, path):
+        if TARGET in node:
+            for error in nested_errors(where, node, resolve_target(str(node[TARGET]), where)):
+                raise error
+    return _built(value, path)
+
+
+def _built(value: Any, path: str) -> Any:
+    """Return a copy, so that what a curriculum changes in it is not the config, with its nodes called."""
+    if isinstance(value, (list, tuple)):
+        return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
+    if not isinstance(value, Mapping):
+        return copy.deepcopy(value)
+    if TARGET not in value:
+        return {key: _built(item, f"{path}.{key}") for key, item in value.items()}
+    arguments = {key: _built(item, f"{path}.{key}") for key, item in target_arguments(value, path).items()}
     try:
-        return hydra.utils.instantiate(value, _convert_="all")
+        with ending_as(ConfigError):
+            return resolve_target(str(value[TARGET]), path)(**arguments)
+    except ConfigError as error:
+        raise placed(error, path) from error
     except Exception as error:
-        cause = error.__cause__ or error
-        if isinstance(cause, ConfigError):
-            raise _placed(cause, path) from error
-        raise ConfigError(str(cause).splitlines()[0], key=path, expected="arguments that the target takes") from error
+        raise ConfigError(
+            f"'{value[TARGET]}' refuses its arguments: {in_words(error).splitlines()[0]}",
+            key=path,
+            expected="arguments that the target takes",
+        ) from error

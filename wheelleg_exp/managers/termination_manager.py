@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 
-from wheelleg_exp.managers.face import Env
+from wheelleg_exp.definitions.definition import NOT_FINITE, ending
+from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.managers.returned import TensorForm
 
 
 class TerminationManager(ManagerBase):
@@ -19,11 +22,13 @@ class TerminationManager(ManagerBase):
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
         is_time_out = [bool(term.fields.get("time_out", False)) for term in self._terms.values()]
-        self._time_out_rows = torch.tensor(is_time_out, dtype=torch.bool).unsqueeze(1)
-        self._fired = torch.zeros(len(self._terms), self._num_envs, dtype=torch.bool)
+        self._time_out_rows = torch.tensor(is_time_out, dtype=torch.bool, device=env.device).unsqueeze(1)
+        self._fired = torch.zeros(len(self._terms), self._num_envs, dtype=torch.bool, device=env.device)
+        for term in self._terms.values():
+            term.form = TensorForm(self._num_envs, env.device, torch.bool, what="true or false")
         self._last_episode = torch.zeros_like(self._fired)
-        self.terminated = torch.zeros(self._num_envs, dtype=torch.bool)
-        self.time_outs = torch.zeros(self._num_envs, dtype=torch.bool)
+        self.terminated = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
+        self.time_outs = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
 
     @property
     def dones(self) -> torch.Tensor:
@@ -35,6 +40,14 @@ class TerminationManager(ManagerBase):
         self.get_term(name)
         return self._fired[self.active_terms.index(name)]
 
+    def endings(self, env_ids: torch.Tensor) -> Counter[str]:
+        """Return how many of some environments each termination ends in this step, each environment once.
+
+        Args:
+            env_ids: indices, or a mask (N,).
+        """
+        return _endings(self.active_terms, self._fired[:, env_ids])
+
     def compute(self) -> torch.Tensor:
         """Evaluate every term and return which environments are done, (N,) bool."""
         for row, term in zip(self._fired, self._terms.values(), strict=True):
@@ -42,8 +55,7 @@ class TerminationManager(ManagerBase):
         self.time_outs.copy_((self._fired & self._time_out_rows).any(dim=0))
         self.terminated.copy_((self._fired & ~self._time_out_rows).any(dim=0))
         done = self.dones
-        if done.any():
-            torch.where(done, self._fired, self._last_episode, out=self._last_episode)
+        torch.where(done, self._fired, self._last_episode, out=self._last_episode)
         return done
 
     def force(self, env_ids: torch.Tensor) -> torch.Tensor:
@@ -57,6 +69,14 @@ class TerminationManager(ManagerBase):
         shares = self._last_episode.float().mean(dim=1)
         self._reset_terms(env_ids)
         return {f"Episode_Termination/{n}": v for n, v in zip(self._terms, shares.unbind(), strict=True)}
+
+    def last_endings(self) -> Counter[str]:
+        """Return how many environments' last episode each termination ended, each environment once.
+
+        Those whose last episode no termination ended, or that have none yet, count as ``none``.
+        """
+        found = _endings(self.active_terms, self._last_episode)
+        return Counter({"none" if name == NOT_FINITE else name: count for name, count in found.items()})
 
     def state_dict(self) -> dict[str, Any]:
         """Return what ended each environment's last episode, this step's outcome, and the terms' states."""
@@ -82,3 +102,9 @@ class TerminationManager(ManagerBase):
             for i, (name, term) in enumerate(self._terms.items())
         ]
         return table(f"Terminations: {len(rows)}", ("index", "name", "time-out", "term"), rows)
+
+
+def _endings(names: Sequence[str], fired: torch.Tensor) -> Counter[str]:
+    """Count environments by the terms that fired (T, n): each once, under the names of all that fired together."""
+    columns = fired.T.tolist()
+    return Counter(ending(name for name, flag in zip(names, column, strict=True) if flag) for column in columns)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import torch
 
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.constraints import Bounds, Names
 from wheelleg_exp.managers import ActionTerm, Env
 from wheelleg_exp.sim.names import match_names, values_by_name
 
@@ -28,10 +28,10 @@ class JointAction(ActionTerm):
     def __init__(
         self,
         env: Env,
-        joint_names: str | Sequence[str],
+        joint_names: Names,
         scale: float | Mapping[str, float] = 1.0,
         offset: float | Mapping[str, float] = 0.0,
-        clip: Mapping[str, Sequence[float]] | None = None,
+        clip: Mapping[str, Bounds] | None = None,
         preserve_order: bool = False,
     ) -> None:
         self._robot = env.scene.robot
@@ -40,11 +40,11 @@ class JointAction(ActionTerm):
             names, self._robot.joint_names, key="joint_names", what="joint", preserve_order=preserve_order
         )
         self.action_dim = len(indices)
-        self._ids = torch.tensor(indices)
+        self._ids = torch.tensor(indices, device=env.device)
         self._scale = self._spread(scale, 1.0, "scale")
         self._offset = self._spread(offset, 0.0, "offset").expand(env.num_envs, -1).clone()
         self._low, self._high = self._bounds(clip)
-        self.raw_actions = torch.zeros(env.num_envs, self.action_dim)
+        self.raw_actions = torch.zeros(env.num_envs, self.action_dim, device=env.device)
         self.processed_actions = torch.zeros_like(self.raw_actions)
 
     def process_actions(self, actions: torch.Tensor) -> None:
@@ -60,16 +60,14 @@ class JointAction(ActionTerm):
 
     def _spread(self, values: float | Mapping[str, float], default: float, name: str) -> torch.Tensor:
         spread = values_by_name(values, self.joint_names, default, key=name, what="joint")
-        return torch.tensor(spread, dtype=torch.float32)
+        return torch.tensor(spread, dtype=torch.float32, device=self._ids.device)
 
-    def _bounds(self, clip: Mapping[str, Sequence[float]] | None) -> tuple[torch.Tensor | None, torch.Tensor | None]:
+    def _bounds(self, clip: Mapping[str, Bounds] | None) -> tuple[torch.Tensor | None, torch.Tensor | None]:
         if clip is None:
             return None, None
-        if not isinstance(clip, Mapping):
-            raise ConfigError("must name joints", key="clip", expected="a mapping, {expression: [low, high]}")
         none = (-torch.inf, torch.inf)
         spread = values_by_name(clip, self.joint_names, none, key="clip", what="joint")
-        bounds = torch.tensor(spread, dtype=torch.float32)
+        bounds = torch.tensor(spread, dtype=torch.float32, device=self._ids.device)
         return bounds[:, 0], bounds[:, 1]
 
 
@@ -79,10 +77,10 @@ class _DefaultOffsetAction(JointAction):
     def __init__(
         self,
         env: Env,
-        joint_names: str | Sequence[str],
+        joint_names: Names,
         scale: float | Mapping[str, float] = 1.0,
         offset: float | Mapping[str, float] = 0.0,
-        clip: Mapping[str, Sequence[float]] | None = None,
+        clip: Mapping[str, Bounds] | None = None,
         preserve_order: bool = False,
         use_default_offset: bool = True,
     ) -> None:
@@ -108,6 +106,8 @@ class JointPositionAction(_DefaultOffsetAction):
         use_default_offset: take the default joint positions as the offset.
     """
 
+    drives = "position"
+
     def default(self) -> torch.Tensor:
         """Return the default joint positions, (N, J)."""
         return self._robot.data.default_joint_pos
@@ -130,13 +130,15 @@ class RelativeJointPositionAction(JointAction):
         use_zero_offset: take no offset.
     """
 
+    drives = "position"
+
     def __init__(
         self,
         env: Env,
-        joint_names: str | Sequence[str],
+        joint_names: Names,
         scale: float | Mapping[str, float] = 1.0,
         offset: float | Mapping[str, float] = 0.0,
-        clip: Mapping[str, Sequence[float]] | None = None,
+        clip: Mapping[str, Bounds] | None = None,
         preserve_order: bool = False,
         use_zero_offset: bool = True,
     ) -> None:
@@ -162,6 +164,8 @@ class JointVelocityAction(_DefaultOffsetAction):
         use_default_offset: take the default joint velocities as the offset.
     """
 
+    drives = "velocity"
+
     def default(self) -> torch.Tensor:
         """Return the default joint velocities, (N, J)."""
         return self._robot.data.default_joint_vel
@@ -173,6 +177,8 @@ class JointVelocityAction(_DefaultOffsetAction):
 
 class JointEffortAction(JointAction):
     """Feed-forward efforts, N·m."""
+
+    drives = "effort"
 
     def apply_actions(self) -> None:
         """Set the effort targets."""

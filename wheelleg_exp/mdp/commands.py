@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, get_args
 
 import torch
 
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.constraints import Broken, Interval, NonNegative, PositiveInterval, Share, relation
 from wheelleg_exp.managers import CommandTerm, Env, bounds
 from wheelleg_exp.sim.rotation import wrap_to_pi
 
-_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+_Axis = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"]
 
 
+def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
+    if given["heading_command"] and given["ranges"].get("heading") is None:
+        yield Broken("ranges.heading", "heading_command needs a heading range", "[low, high] in radians")
+
+
+@relation(_heading_has_a_range)
 class UniformVelocityCommand(CommandTerm):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
@@ -35,36 +42,29 @@ class UniformVelocityCommand(CommandTerm):
     def __init__(
         self,
         env: Env,
-        ranges: Mapping[str, Sequence[float] | None],
-        resampling_time_range: Sequence[float],
+        ranges: Mapping[_Axis, Interval | None],
+        resampling_time_range: PositiveInterval,
         generator: torch.Generator,
-        rel_standing_envs: float = 0.0,
-        rel_heading_envs: float = 1.0,
+        rel_standing_envs: Share = 0.0,
+        rel_heading_envs: Share = 1.0,
         heading_command: bool = False,
-        heading_control_stiffness: float = 1.0,
+        heading_control_stiffness: NonNegative = 1.0,
     ) -> None:
         super().__init__(env, resampling_time_range, ("error_vel_xy", "error_vel_yaw"), generator)
-        heading = ranges.get("heading")
-        if heading_command and heading is None:
-            raise ConfigError(
-                "heading_command needs a heading range",
-                key="ranges.heading",
-                expected="[low, high] in radians",
-            )
-        if heading is not None and not heading_command:
+        if ranges.get("heading") is not None and not heading_command:
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
         named = {axis: pair for axis, pair in ranges.items() if pair is not None}
-        low, high = bounds(named, (*_AXES, "heading"), "ranges")
+        low, high = bounds(named, get_args(_Axis), "ranges", env.device)
         # A tuple: tensors among the attributes are state.
         self._ranges = (low, high)
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
         self._stiffness = heading_control_stiffness
-        n = env.num_envs
-        self._command = torch.zeros(n, 3)
-        self.heading_target = torch.zeros(n)
-        self.is_heading_env = torch.zeros(n, dtype=torch.bool)
-        self.is_standing_env = torch.zeros(n, dtype=torch.bool)
+        n, device = env.num_envs, env.device
+        self._command = torch.zeros(n, 3, device=device)
+        self.heading_target = torch.zeros(n, device=device)
+        self.is_heading_env = torch.zeros(n, dtype=torch.bool, device=device)
+        self.is_standing_env = torch.zeros(n, dtype=torch.bool, device=device)
 
     @property
     def command(self) -> torch.Tensor:
@@ -80,7 +80,7 @@ class UniformVelocityCommand(CommandTerm):
 
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw velocities, headings and who stands."""
-        u = torch.rand(len(env_ids), 6, generator=self._generator)
+        u = torch.rand(len(env_ids), 6, generator=self._generator, device=self._command.device)
         low, high = self._ranges
         drawn = low + (high - low) * u[:, :4]
         self._command[env_ids] = drawn[:, :3]

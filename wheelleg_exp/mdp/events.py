@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal, get_args
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal, get_args
 
 import torch
 
-from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds, interval
-from wheelleg_exp.managers.ranges import Range
+from wheelleg_exp.constraints import (
+    Broken,
+    Count,
+    Interval,
+    Length,
+    NonNegativeInterval,
+    Ordered,
+    Positive,
+    Share,
+    relation,
+)
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.names import require_numbers
 
 Operation = Literal["add", "scale", "abs"]
 Distribution = Literal["uniform", "log_uniform", "gaussian"]
 
-POSE = ("x", "y", "z", "roll", "pitch", "yaw")
+Pose = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+PoseRange = Mapping[Pose, Interval]
+POSE = get_args(Pose)
 _ROBOT = SceneEntityCfg("robot")
 
 
@@ -24,10 +34,9 @@ def draw(
     low: float, high: float, shape: tuple[int, ...], distribution: Distribution, generator: torch.Generator
 ) -> torch.Tensor:
     """Return draws of ``shape``: uniform or log-uniform on [low, high], or Gaussian with mean low and std high."""
-    _require_one_of(distribution, Distribution, "distribution")
     if distribution == "gaussian":
-        return low + high * torch.randn(shape, generator=generator)
-    u = torch.rand(shape, generator=generator)
+        return low + high * torch.randn(shape, generator=generator, device=generator.device)
+    u = torch.rand(shape, generator=generator, device=generator.device)
     if distribution == "log_uniform":
         return low * (high / low) ** u
     return low + (high - low) * u
@@ -35,23 +44,14 @@ def draw(
 
 def operate(default: torch.Tensor, drawn: torch.Tensor, operation: Operation) -> torch.Tensor:
     """Return default + drawn (add), default * drawn (scale) or drawn (abs)."""
-    _require_one_of(operation, Operation, "operation")
     if operation == "add":
         return default + drawn
     return default * drawn if operation == "scale" else drawn
 
 
-def _require_one_of(value: str, allowed: Any, key: str) -> None:
-    names = get_args(allowed)
-    if value not in names:
-        raise ConfigError(
-            f"unknown {key} '{value}'", key=key, expected=", ".join(names), nearest=nearest_name(value, names)
-        )
-
-
 def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
     """Return ``env_ids``, or all environments for None."""
-    return torch.arange(env.num_envs) if env_ids is None else env_ids
+    return torch.arange(env.num_envs, device=env.device) if env_ids is None else env_ids
 
 
 class randomize_rigid_body_material(TermBase):
@@ -76,22 +76,16 @@ class randomize_rigid_body_material(TermBase):
     def __init__(
         self,
         env: Env,
-        static_friction_range: Sequence[float],
-        dynamic_friction_range: Sequence[float],
-        restitution_range: Sequence[float],
-        num_buckets: int,
+        static_friction_range: NonNegativeInterval,
+        dynamic_friction_range: NonNegativeInterval,
+        restitution_range: Annotated[Sequence[Share], Ordered()],
+        num_buckets: Count,
         generator: torch.Generator,
         make_consistent: bool = False,
         asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
-        if num_buckets < 1:
-            raise ConfigError(f"is {num_buckets}", key="num_buckets", expected="at least 1")
-        pairs = (
-            interval(static_friction_range, "static_friction_range"),
-            interval(dynamic_friction_range, "dynamic_friction_range"),
-            interval(restitution_range, "restitution_range"),
-        )
-        ranges = torch.tensor(pairs)
+        pairs = (static_friction_range, dynamic_friction_range, restitution_range)
+        ranges = torch.tensor(pairs, dtype=torch.float32, device=env.device)
         self._generator = generator
         self.buckets = rotation.uniform(ranges[:, 0], ranges[:, 1], num_buckets, generator)
         if make_consistent:
@@ -100,46 +94,57 @@ class randomize_rigid_body_material(TermBase):
         self._geom_ids = robot.shape_ids(asset_cfg.body_ids)
         source = robot.options.friction_source
         self._column = 0 if source == "static" else 1
-        self._ground = getattr(env.scene.options.ground, f"{source}_friction")
-        self.materials = torch.zeros(env.num_envs, len(self._geom_ids), 3)
+        self._ground = env.scene.terrain.friction(source)
+        self.materials = torch.zeros(env.num_envs, len(self._geom_ids), 3, device=env.device)
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         """Draw a bucket per environment and shape, and write the effective friction."""
         ids = all_ids(env, env_ids)
-        chosen = torch.randint(len(self.buckets), (len(ids), len(self._geom_ids)), generator=self._generator)
+        chosen = torch.randint(
+            len(self.buckets), (len(ids), len(self._geom_ids)), generator=self._generator, device=ids.device
+        )
         self.materials[ids] = self.buckets[chosen]
         effective = (self.materials[ids, :, self._column] + self._ground) / 2
-        env.scene.sim.expand("geom_friction")[ids.unsqueeze(1), self._geom_ids, 0] = effective.double()
+        env.scene.sim.expand("geom_friction")[ids.unsqueeze(1), self._geom_ids, 0] = effective.to(env.scene.sim.dtype)
 
 
+def _masses_are_masses(given: Mapping[str, Any]) -> Iterator[Broken]:
+    """Hold the range against what it is drawn by; what is drawn below ``min_mass`` is cut to it."""
+    name = "mass_distribution_params"
+    first, second = given[name]
+    gaussian = given["distribution"] == "gaussian"
+    positive = given["operation"] != "add" or given["distribution"] == "log_uniform"
+    expected = "[mean, standard deviation]" if gaussian else "[low, high]"
+    wrong = second < 0 if gaussian else first > second
+    if wrong or (positive and first <= 0):
+        of = {"add": "", "scale": ", factors above 0", "abs": ", masses above 0"}[given["operation"]]
+        yield Broken(name, f"{given[name]!r} is out of range", expected + (of or ", above 0" * positive))
+
+
+@relation(_masses_are_masses)
 def randomize_rigid_body_mass(
     env: Env,
     env_ids: torch.Tensor | None,
-    mass_distribution_params: Sequence[float],
+    mass_distribution_params: Annotated[Sequence[float], Length(2)],
     operation: Operation,
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
     distribution: Distribution = "uniform",
     recompute_inertia: bool = True,
-    min_mass: float = 1e-6,
+    min_mass: Positive = 1e-6,
 ) -> None:
     """Change masses (kg) from their defaults; inertias follow in proportion, centres of mass stay."""
-    key = "mass_distribution_params"
-    if distribution == "gaussian":
-        require_numbers(mass_distribution_params, 2, key)  # mean and standard deviation
-    elif interval(mass_distribution_params, key)[0] <= 0 and operation == "scale":
-        raise ConfigError(f"is {list(mass_distribution_params)}", key=key, expected="factors above 0")
     robot = env.scene[asset_cfg.name]
     chosen = all_ids(env, env_ids)
     ids, bodies, sim = chosen.unsqueeze(1), robot.body_ids[asset_cfg.body_ids], env.scene.sim
-    default = torch.from_numpy(sim.model.body_mass.copy())[bodies]
+    default = sim.constant("body_mass")[bodies]
     drawn = draw(
         mass_distribution_params[0], mass_distribution_params[1], (len(ids), len(bodies)), distribution, generator
-    ).double()
+    ).to(env.scene.sim.dtype)
     mass = operate(default, drawn, operation).clamp(min=min_mass)
     sim.expand("body_mass")[ids, bodies] = mass
     if recompute_inertia:
-        inertia = torch.from_numpy(sim.model.body_inertia.copy())[bodies]
+        inertia = sim.constant("body_inertia")[bodies]
         sim.expand("body_inertia")[ids, bodies] = inertia * (mass / default).unsqueeze(2)
     sim.set_const()
     robot.mark_written(chosen)
@@ -148,7 +153,7 @@ def randomize_rigid_body_mass(
 def randomize_rigid_body_com_cumulative(
     env: Env,
     env_ids: torch.Tensor | None,
-    com_range: Range,
+    com_range: Mapping[Literal["x", "y", "z"], Interval],
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
@@ -156,8 +161,8 @@ def randomize_rigid_body_com_cumulative(
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
     bodies = robot.body_ids[asset_cfg.body_ids]
-    low, high = bounds(com_range, ("x", "y", "z"), "com_range")
-    offset = rotation.uniform(low, high, len(ids), generator).double()
+    low, high = bounds(com_range, ("x", "y", "z"), "com_range", env.device)
+    offset = rotation.uniform(low, high, len(ids), generator).to(env.scene.sim.dtype)
     ipos = env.scene.sim.expand("body_ipos")
     ipos[ids.unsqueeze(1), bodies] += offset.unsqueeze(1)
     env.scene.sim.set_const()
@@ -171,8 +176,8 @@ randomize_rigid_body_com = randomize_rigid_body_com_cumulative
 def set_permanent_body_wrench(
     env: Env,
     env_ids: torch.Tensor | None,
-    force_range: Sequence[float],
-    torque_range: Sequence[float],
+    force_range: Interval,
+    torque_range: Interval,
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
@@ -182,9 +187,9 @@ def set_permanent_body_wrench(
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
-    bodies = torch.arange(len(robot.body_names))[asset_cfg.body_ids].tolist()
-    force, torque = interval(force_range, "force_range"), interval(torque_range, "torque_range")
-    limits = torch.tensor([force] * 3 + [torque] * 3)
+    bodies = torch.arange(len(robot.body_names), device=env.device)[asset_cfg.body_ids].tolist()
+    pairs = [list(force_range)] * 3 + [list(torque_range)] * 3
+    limits = torch.tensor(pairs, dtype=torch.float32, device=env.device)
     drawn = rotation.uniform(limits[:, 0], limits[:, 1], len(ids) * len(bodies), generator)
     robot.set_permanent_wrench(ids, bodies, drawn.view(len(ids), len(bodies), 6))
 
@@ -206,9 +211,9 @@ class push_by_adding_velocity(TermBase):
     settings = ("_low", "_high")
 
     def __init__(
-        self, env: Env, velocity_range: Range, generator: torch.Generator, asset_cfg: SceneEntityCfg = _ROBOT
+        self, env: Env, velocity_range: PoseRange, generator: torch.Generator, asset_cfg: SceneEntityCfg = _ROBOT
     ) -> None:
-        self._low, self._high = bounds(velocity_range, POSE, "velocity_range")
+        self._low, self._high = bounds(velocity_range, POSE, "velocity_range", env.device)
         self._generator = generator
         self._robot = env.scene[asset_cfg.name]
 
@@ -249,13 +254,13 @@ class reset_root_state_uniform(TermBase):
     def __init__(
         self,
         env: Env,
-        pose_range: Range,
-        velocity_range: Range,
+        pose_range: PoseRange,
+        velocity_range: PoseRange,
         generator: torch.Generator,
         asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
-        low, high = bounds(pose_range, POSE, "pose_range")
-        low_v, high_v = bounds(velocity_range, POSE, "velocity_range")
+        low, high = bounds(pose_range, POSE, "pose_range", env.device)
+        low_v, high_v = bounds(velocity_range, POSE, "velocity_range", env.device)
         self._low, self._high = torch.cat((low, low_v)), torch.cat((high, high_v))
         self._generator = generator
         self._robot = env.scene[asset_cfg.name]
@@ -286,8 +291,8 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
 def reset_joints_by_scale(
     env: Env,
     env_ids: torch.Tensor | None,
-    position_range: Sequence[float],
-    velocity_range: Sequence[float],
+    position_range: Interval,
+    velocity_range: Interval,
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
@@ -298,8 +303,8 @@ def reset_joints_by_scale(
 def reset_joints_by_offset(
     env: Env,
     env_ids: torch.Tensor | None,
-    position_range: Sequence[float],
-    velocity_range: Sequence[float],
+    position_range: Interval,
+    velocity_range: Interval,
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
@@ -310,8 +315,8 @@ def reset_joints_by_offset(
 def _reset_joints(
     env: Env,
     env_ids: torch.Tensor | None,
-    position_range: Sequence[float],
-    velocity_range: Sequence[float],
+    position_range: Interval,
+    velocity_range: Interval,
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg,
     *,
@@ -321,10 +326,10 @@ def _reset_joints(
     robot = env.scene[asset_cfg.name]
     data, joints = robot.data, asset_cfg.joint_ids
     pos, vel = data.default_joint_pos[ids][:, joints], data.default_joint_vel[ids][:, joints]
-    u = torch.rand(2, *pos.shape, generator=generator)
-    low, high = interval(position_range, "position_range")
+    u = torch.rand(2, *pos.shape, generator=generator, device=pos.device)
+    low, high = position_range
     drawn_pos = low + (high - low) * u[0]
-    low, high = interval(velocity_range, "velocity_range")
+    low, high = velocity_range
     drawn_vel = low + (high - low) * u[1]
     pos, vel = (pos * drawn_pos, vel * drawn_vel) if scale else (pos + drawn_pos, vel + drawn_vel)
     lowest, highest = data.soft_joint_pos_limits[joints].unbind(dim=1)
@@ -339,7 +344,8 @@ def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_t
     data = robot.data
     position = robot.default_root_pos + env.scene.env_origins[ids]
     robot.write_root_pose(ids, position, robot.default_root_quat.expand(len(ids), 4))
-    robot.write_root_com_velocity(ids, torch.zeros(len(ids), 3), torch.zeros(len(ids), 3))
+    still = torch.zeros(len(ids), 3, device=env.device)
+    robot.write_root_com_velocity(ids, still, still)
     robot.write_joint_state(ids, data.default_joint_pos[ids], data.default_joint_vel[ids])
     if reset_joint_targets:
         data.joint_pos_target[ids] = data.default_joint_pos[ids]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import torch
 
-from wheelleg_exp.sim.state import Stateful
+from wheelleg_exp.constraints import Bounds, NotEmpty, Positive
+from wheelleg_exp.state import Stateful
 
 
 class Modifier(Stateful):
@@ -48,7 +50,7 @@ class Bias(Modifier):
 class Clip(Modifier):
     """Clip to ``bounds``."""
 
-    def __init__(self, bounds: Sequence[float]) -> None:
+    def __init__(self, bounds: Bounds) -> None:
         self._bounds = (float(bounds[0]), float(bounds[1]))
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
@@ -64,15 +66,16 @@ class DigitalFilter(Modifier):
         B: feed-forward coefficients B_0, B_1, ...
     """
 
-    def __init__(self, A: Sequence[float], B: Sequence[float]) -> None:
-        # A tuple: tensors among the attributes are memory.
-        self._coefficients = (torch.tensor(A, dtype=torch.float32), torch.tensor(B, dtype=torch.float32))
+    def __init__(self, A: Sequence[float], B: Annotated[Sequence[float], NotEmpty()]) -> None:
+        self._given = (list(A), list(B))
 
     def start(self, sample: torch.Tensor) -> None:
         """Allocate past inputs and outputs, newest first."""
-        feedback, forward = self._coefficients
-        self._inputs = torch.zeros(*sample.shape, len(forward))
-        self._outputs = torch.zeros(*sample.shape, len(feedback))
+        device = sample.device
+        feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
+        self._coefficients = (feedback, forward)  # a tuple: tensors among the attributes are memory
+        self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
+        self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
         """Return the filtered observation."""
@@ -98,7 +101,7 @@ class Integrator(Modifier):
         dt: time between two observations, s.
     """
 
-    def __init__(self, dt: float) -> None:
+    def __init__(self, dt: Positive) -> None:
         self._dt = dt
 
     def start(self, sample: torch.Tensor) -> None:

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.constraints import Broken, NonNegative, relation
 
 Operation = Literal["add", "scale", "abs"]
-
-
-def _require(operation: str) -> None:
-    if operation not in get_args(Operation):
-        raise ConfigError(
-            f"unknown operation '{operation}'",
-            key="operation",
-            expected=", ".join(get_args(Operation)),
-            nearest=nearest_name(operation, get_args(Operation)),
-        )
 
 
 def _apply(value: torch.Tensor, drawn: torch.Tensor | float, operation: Operation) -> torch.Tensor:
@@ -37,15 +28,18 @@ class ConstantNoise:
     bias: float = 0.0
     operation: Operation = "add"
 
-    def __post_init__(self) -> None:
-        _require(self.operation)
-
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Return the value with the noise."""
         del generator
         return _apply(value, self.bias, self.operation)
 
 
+def _ordered(given: Mapping[str, Any]) -> Iterator[Broken]:
+    if given["n_min"] > given["n_max"]:
+        yield Broken("n_max", f"{given['n_max']!r} is below n_min", f"at least {given['n_min']!r}")
+
+
+@relation(_ordered)
 @dataclass
 class UniformNoise:
     """U(n_min, n_max) per component."""
@@ -54,12 +48,11 @@ class UniformNoise:
     n_max: float = 1.0
     operation: Operation = "add"
 
-    def __post_init__(self) -> None:
-        _require(self.operation)
-
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Return the value with the noise."""
-        drawn = self.n_min + (self.n_max - self.n_min) * torch.rand(value.shape, generator=generator)
+        drawn = self.n_min + (self.n_max - self.n_min) * torch.rand(
+            value.shape, generator=generator, device=value.device
+        )
         return _apply(value, drawn, self.operation)
 
 
@@ -68,21 +61,26 @@ class GaussianNoise:
     """N(mean, std^2) per component."""
 
     mean: float = 0.0
-    std: float = 1.0
+    std: NonNegative = 1.0
     operation: Operation = "add"
-
-    def __post_init__(self) -> None:
-        _require(self.operation)
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Return the value with the noise."""
-        drawn = self.mean + self.std * torch.randn(value.shape, generator=generator)
+        drawn = self.mean + self.std * torch.randn(value.shape, generator=generator, device=value.device)
         return _apply(value, drawn, self.operation)
 
 
 Noise = ConstantNoise | UniformNoise | GaussianNoise
 
 
+def _bias_does_not_add_up(given: Mapping[str, Any]) -> Iterator[Broken]:
+    operation = given["bias_noise_cfg"].get("operation", "add")
+    if operation != "abs":
+        message = f"the bias noise has operation '{operation}'"
+        yield Broken("bias_noise_cfg.operation", message, "abs, or the bias would add up over resets")
+
+
+@relation(_bias_does_not_add_up)
 class NoiseModelWithAdditiveBias:
     """Noise plus a bias per component that is drawn anew at each reset.
 
@@ -93,12 +91,6 @@ class NoiseModelWithAdditiveBias:
     """
 
     def __init__(self, noise_cfg: Noise, bias_noise_cfg: Noise) -> None:
-        if bias_noise_cfg.operation != "abs":
-            raise ConfigError(
-                f"the bias noise has operation '{bias_noise_cfg.operation}'",
-                key="noise.bias_noise_cfg.operation",
-                expected="abs, or the bias would add up over resets",
-            )
         self._noise, self._bias_noise = noise_cfg, bias_noise_cfg
         self._bias: torch.Tensor | None = None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers import Env, SceneEntityCfg
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -67,17 +67,30 @@ def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     return data.joint_pos[:, asset_cfg.joint_ids] - data.default_joint_pos[:, asset_cfg.joint_ids]
 
 
-def joint_pos_limit_normalized(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Joint positions on [-1, 1] between their soft limits: 2 (q - middle) / (high - low)."""
-    data = env.scene[asset_cfg.name].data
-    low, high = data.soft_joint_pos_limits[asset_cfg.joint_ids].unbind(dim=1)
-    if not (high - low).isfinite().all():
-        raise ConfigError(
-            "a joint without limits cannot be normalised",
-            key="asset_cfg.joint_names",
-            expected="limited joints",
-        )
-    return 2.0 * (data.joint_pos[:, asset_cfg.joint_ids] - (low + high) / 2) / (high - low)
+class joint_pos_limit_normalized(TermBase):
+    """Joint positions on [-1, 1] between their soft limits: 2 (q - middle) / (high - low).
+
+    Args:
+        env: the environment.
+        asset_cfg: the robot and its joints, each of them limited.
+    """
+
+    settings = ("_ids",)
+
+    def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
+        self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
+        if not self._data.soft_joint_pos_limits[asset_cfg.joint_ids].isfinite().all():
+            raise ConfigError(
+                "a joint without limits cannot be normalised",
+                key="asset_cfg.joint_names",
+                expected="limited joints",
+            )
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        """Normalise."""
+        del env
+        low, high = self._data.soft_joint_pos_limits[self._ids].unbind(dim=1)
+        return 2.0 * (self._data.joint_pos[:, self._ids] - (low + high) / 2) / (high - low)
 
 
 def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 
+from wheelleg_exp.constraints import Names, NonNegative, Positive
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.sim.names import match_names
@@ -31,7 +30,7 @@ class is_terminated_term(TermBase):
         term_keys: expressions of termination names; by default all.
     """
 
-    def __init__(self, env: Env, term_keys: str | Sequence[str] = ".*") -> None:
+    def __init__(self, env: Env, term_keys: Names = ".*") -> None:
         names = env.termination_manager.active_terms
         self._names = match_names(term_keys, names, key="term_keys", what="termination")[1]
 
@@ -119,7 +118,7 @@ def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
     return ((low - q).clamp(min=0.0) + (q - high).clamp(min=0.0)).sum(dim=1)
 
 
-def joint_vel_limits(env: Env, soft_ratio: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+def joint_vel_limits(env: Env, soft_ratio: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of clip(|qd| - limit * ratio, 0, 1), rad/s."""
     data = env.scene[asset_cfg.name].data
     limit = data.soft_joint_vel_limits[asset_cfg.joint_ids] * soft_ratio
@@ -143,13 +142,13 @@ def action_l2(env: Env) -> torch.Tensor:
     return env.action_manager.action.square().sum(dim=1)
 
 
-def undesired_contacts(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Number of bodies whose contact force exceeded ``threshold`` (N) within the sensor's history."""
     force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (force > threshold).sum(dim=1).float()
 
 
-def no_contact_count(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Number of bodies whose contact force stayed at or below ``threshold`` (N) within the sensor's history.
 
     Not in Isaac Lab: the number of wheels in the air.
@@ -158,7 +157,7 @@ def no_contact_count(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> 
     return (force <= threshold).sum(dim=1).float()
 
 
-def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: float = 1.0) -> torch.Tensor:
+def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
     """1 where none of the bodies exceeded ``threshold`` (N) within the sensor's history.
 
     Isaac Lab calls it ``desired_contacts``, which names the opposite.
@@ -170,20 +169,22 @@ def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: float = 
 desired_contacts = no_desired_contact
 
 
-def contact_forces(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Sum of the contact forces beyond ``threshold``, N."""
     force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (force - threshold).clamp(min=0.0).sum(dim=1)
 
 
-def track_lin_vel_xy_exp(env: Env, std: float, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+def track_lin_vel_xy_exp(
+    env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
     """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in link axes."""
     command = env.command_manager.get_command(command_name)[:, :2]
     error = (command - env.scene[asset_cfg.name].data.root_lin_vel_b[:, :2]).square().sum(dim=1)
     return torch.exp(-error / std**2)
 
 
-def track_ang_vel_z_exp(env: Env, std: float, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+def track_ang_vel_z_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(w_z command - w_z)^2 / std^2), angular velocity in link axes."""
     command = env.command_manager.get_command(command_name)[:, 2]
     error = (command - env.scene[asset_cfg.name].data.root_ang_vel_b[:, 2]).square()

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from typing import Annotated
+
 import torch
 
+from wheelleg_exp.constraints import Above, AtMost, Bounds, Count, NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg
 
+Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
 
 
@@ -14,13 +19,13 @@ def time_out(env: Env) -> torch.Tensor:
     return env.episode_length_buf >= env.max_episode_length
 
 
-def command_resample(env: Env, command_name: str, num_resamples: int = 1) -> torch.Tensor:
+def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> torch.Tensor:
     """The command is about to be resampled after ``num_resamples`` draws."""
     command = env.command_manager.get_command_term(command_name)
     return (command.time_left <= env.step_dt) & (command.command_counter == num_resamples)
 
 
-def bad_orientation(env: Env, limit_angle: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """The root is tilted by more than ``limit_angle`` (rad) from upright.
 
     Unlike Isaac Lab's, the argument of acos is clamped, so that upside down always terminates.
@@ -42,9 +47,7 @@ def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
     return ((q < low) | (q > high)).any(dim=1)
 
 
-def joint_pos_out_of_manual_limit(
-    env: Env, bounds: tuple[float, float], asset_cfg: SceneEntityCfg = _ROBOT
-) -> torch.Tensor:
+def joint_pos_out_of_manual_limit(env: Env, bounds: Bounds, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Some joint is outside ``bounds``, rad."""
     q = env.scene[asset_cfg.name].data.joint_pos[:, asset_cfg.joint_ids]
     return ((q < bounds[0]) | (q > bounds[1])).any(dim=1)
@@ -57,7 +60,7 @@ def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
     return (speed > data.soft_joint_vel_limits[asset_cfg.joint_ids]).any(dim=1)
 
 
-def joint_vel_out_of_manual_limit(env: Env, max_velocity: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Some joint is faster than ``max_velocity``, rad/s."""
     return (env.scene[asset_cfg.name].data.joint_vel[:, asset_cfg.joint_ids].abs() > max_velocity).any(dim=1)
 
@@ -69,7 +72,7 @@ def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> t
     return (computed > data.joint_effort_limits[asset_cfg.joint_ids]).any(dim=1)
 
 
-def illegal_contact(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Some listed body's contact force exceeded ``threshold`` (N) within the sensor's history."""
     force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
     return (force > threshold).any(dim=1)
@@ -77,4 +80,4 @@ def illegal_contact(env: Env, threshold: float, sensor_cfg: SceneEntityCfg) -> t
 
 def non_finite_state(env: Env) -> torch.Tensor:
     """The engine found NaN or huge values in this simulation and has reset it."""
-    return env.scene.sim.unstable()
+    return env.scene.unstable()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from wheelleg_exp.project.drives import Gains, leg_gains, wheel_gains
+from wheelleg_exp.project.gains import Gains, leg_gains, wheel_gains
 from wheelleg_exp.project.survey import Survey
-from wheelleg_exp.project.text import by_joint, mapping, names, number, word
+from wheelleg_exp.project.yaml_text import by_joint, mapping, names, number, word
 
 _STEP = 1e-4  # m to which the height is rounded, upwards: nothing begins inside the ground
 

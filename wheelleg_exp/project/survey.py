@@ -15,10 +15,10 @@ import numpy as np
 from wheelleg_exp.asset import Conversion, RobotDescription, convert
 from wheelleg_exp.asset.description import Dof
 from wheelleg_exp.errors import AssetError
+from wheelleg_exp.lint.collider_depth import lowest_point
+from wheelleg_exp.lint.robot_facts import RobotFacts, measure
 from wheelleg_exp.managers import SceneManager
-from wheelleg_exp.physics.facts import RobotFacts, measure
-from wheelleg_exp.physics.shapes import lowest_point
-from wheelleg_exp.project.text import expression
+from wheelleg_exp.project.yaml_text import expression
 from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
 

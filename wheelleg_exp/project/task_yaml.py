@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from wheelleg_exp.project.drives import leg_gains, wheel_gains
+from wheelleg_exp.project.gains import leg_gains, wheel_gains
 from wheelleg_exp.project.survey import Survey
-from wheelleg_exp.project.text import names, number
+from wheelleg_exp.project.yaml_text import names, number
 
 _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
 _CONTACT = 0.02  # of the weight: more than this is a contact

@@ -1,4 +1,13 @@
-"""Writing to rerun, reading recordings back, blueprints and digests."""
+"""Recordings for rerun: what one holds, how it grows while the environment steps, and how it is read back.
+
+| module | offers |
+|---|---|
+| ``layout`` | where things stand in a recording |
+| ``blueprint`` | what the viewer shows |
+| ``options``, ``sample`` | its config ``recording.``, and which episodes of a training are kept |
+| ``programs`` | where rerun's own program is |
+| ``writing``, ``reading`` | from the environment into a file, and back |
+"""
 
 import os
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
+from wheelleg_exp.definitions.training import EPISODE_REWARD, title
 from wheelleg_exp.recording.layout import (
     DOCUMENTS,
     GROUND,
@@ -28,17 +29,12 @@ Purpose = Literal["training", "play", "evaluation"]
 FIGURES = "figures"  # the text that holds what was measured
 _BACKGROUND = (30, 33, 38)
 
-# rsl_rl's and Isaac Lab's names; a key that a training does not have is left out.
-_HEADLINES = {
-    "Train/mean_reward": "Return",
-    "Train/mean_episode_length": "Episode length (steps)",
-    "Policy/mean_std": "Action noise",
-    "Loss/learning_rate": "Learning rate",
-}
-_SHARES = {
-    "Episode_Reward": "Reward terms (1/s)",
-    "Episode_Termination": "Ends of episodes (share)",
-    "Episode_Metrics": "Tracking errors (mean of a step)",
+# A key that a training does not have is left out.
+_HEADLINES = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std", "Loss/learning_rate")
+_GROUPS = {
+    "Episode_Reward": f"Reward by term: {EPISODE_REWARD}",
+    "Episode_Termination": "Last episode ended by, share of all environments",
+    "Episode_Metrics": "Mean tracking errors",
     "Loss": "Losses",
 }
 
@@ -223,12 +219,12 @@ def _training(keys: Sequence[str]) -> Any:
 
 def _overview(keys: Sequence[str]) -> Any:
     """The curves that tell how the training goes, as far as there are such."""
-    plots = [_plot(title, join_key(TRAINING, key), legend=False) for key, title in _HEADLINES.items() if key in keys]
-    for group, title in _SHARES.items():
+    plots = [_plot(title(key), join_key(TRAINING, key), legend=False) for key in _HEADLINES if key in keys]
+    for group, words in _GROUPS.items():
         members = [key for key in keys if key.startswith(f"{group}/") and key not in _HEADLINES]
         found = [join_key(TRAINING, key) for key in members]
         if found:
-            plots.append(_plot(title, *found))
+            plots.append(_plot(words, *found))
     return rrb.Grid(*plots, grid_columns=_columns(len(plots)), name="Overview")
 
 

@@ -6,6 +6,7 @@ branch (``env_3/base/height``, ``world/env_3/<body>``).
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 GROUND = "ground"
@@ -13,8 +14,12 @@ WORLD = "world"
 OVERLAY = "overlay"
 DOCUMENTS = "documents"
 TRAINING = "training"
-JOURNAL = "__journal"  # rerun hides what begins with two underscores
+LOG = "log"
+HIDDEN = "__"  # what begins so is hidden by rerun: properties and the journal
+JOURNAL = f"__journal/{TRAINING}"
 PROPERTIES = "__properties"
+OWN = "wheelleg"  # this program's properties
+BRANCH = re.compile(r"^env_([0-9]{1,9})/")
 
 FORMAT_VERSION = 2  # 1 had no properties, and one vector for each observation group
 

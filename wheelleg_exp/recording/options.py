@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+from wheelleg_exp.constraints import Count, Natural, NonNegative
 
 
 @dataclass(frozen=True)
@@ -12,15 +14,15 @@ class RecordingOptions:
     Attributes:
         enabled: whether a recording is written at all.
         env_ids: environments whose motion is recorded.
-        interval: iterations between the starts of two recorded segments.
-        steps: control steps of one recorded segment.
+        interval: iterations after which the next sample of whole episodes is due.
+        steps: control steps with which a sample has enough; it ends with that episode.
         max_mb: size that recorded motion may reach, MB; scalars are written beyond it.
         live: whether a viewer is opened that shows the run as it goes.
     """
 
     enabled: bool
-    env_ids: list[int]
-    interval: int = field(metadata={"minimum": 1})
-    steps: int = field(metadata={"minimum": 1})
-    max_mb: float = field(metadata={"minimum": 0.0})
+    env_ids: list[Natural]
+    interval: Count
+    steps: Count
+    max_mb: NonNegative
     live: bool

@@ -1,4 +1,15 @@
-"""One HTML file about a run, for people."""
+"""One HTML file about a run, for people; a section is a module, named by the question that it answers.
+
+| module | offers |
+|---|---|
+| ``subject`` | the files of a run, read as far as they can be read |
+| ``compile`` | the sections one after the other |
+| ``does_it_stand``, ``how_it_stood``, ``how_it_looked``, ``how_it_learned`` | the robot, and the training |
+| ``what_was_measured``, ``what_was_set``, ``what_it_optimises``, ``what_it_ran_on`` | recording, config, machine |
+| ``can_it_be_repeated`` | the run against its own manifest, replays and equal runs |
+| ``blocks``, ``drawings``, ``svg``, ``words`` | what a page is made of |
+| ``write`` | the text of the page, and where it goes |
+"""
 
 from __future__ import annotations
 
@@ -44,12 +55,11 @@ def make_report(
     Raises:
         WheellegError: there is no such run, or the file cannot be written or is something else.
     """
-    from wheelleg_exp.report import trust
+    from wheelleg_exp.report import can_it_be_repeated as trust
     from wheelleg_exp.report.compile import compile_page
-    from wheelleg_exp.report.look import Look
-    from wheelleg_exp.report.page import render
+    from wheelleg_exp.report.how_it_looked import Look
     from wheelleg_exp.report.subject import open_subject
-    from wheelleg_exp.report.write import place, write
+    from wheelleg_exp.report.write import place, render, write
 
     subject = open_subject(run, root)
     path = place(subject, output)

@@ -7,11 +7,18 @@ from typing import TypeVar
 
 from wheelleg_exp import __version__
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.report import headline, learning, objective, settings, standing, surroundings, trust
+from wheelleg_exp.report import can_it_be_repeated as trust
+from wheelleg_exp.report import does_it_stand as headline
+from wheelleg_exp.report import how_it_learned as learning
+from wheelleg_exp.report import how_it_stood as standing
+from wheelleg_exp.report import what_it_optimises as objective
+from wheelleg_exp.report import what_it_ran_on as surroundings
+from wheelleg_exp.report import what_was_set as settings
 from wheelleg_exp.report.blocks import Block, Note, Page, Section
-from wheelleg_exp.report.look import Look
+from wheelleg_exp.report.how_it_looked import Look
 from wheelleg_exp.report.subject import AGENT, Subject
 from wheelleg_exp.report.words import whole_units
+from wheelleg_exp.run.listing import non_finite_note
 
 T = TypeVar("T")
 Builder = Callable[[], Sequence[Block]]
@@ -51,10 +58,17 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
         facts=_or(lambda: headline.facts(subject), []),
         command=_or(lambda: headline.command(subject), ""),
         hero=_or(look.hero, None),
-        notes=[Note(problem) for problem in dict.fromkeys(subject.problems)],
+        notes=[Note(problem) for problem in dict.fromkeys([*_not_finite(subject), *subject.problems])],
         sections=sections,
         version=__version__,
     )
+
+
+def _not_finite(subject: Subject) -> list[str]:
+    """Return what there is to say of numbers that were not finite, in the training and in its last play."""
+    trained = _or(lambda: non_finite_note(subject.manifest.get("results") or {}), None)
+    played = _or(lambda: non_finite_note(headline.played(subject)), None)
+    return [f"{what}: {note}" for what, note in (("The training", trained), ("The last rollout", played)) if note]
 
 
 _SETTINGS = "What differs from the task as it is by itself, and who set it."

@@ -13,7 +13,7 @@ from wheelleg_exp.report.svg import clean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from wheelleg_exp.inspection.figures_style import Panel
+    from wheelleg_exp.inspection.plots.style import Panel
 
 # in; a phone's column is about 345 px, on which letters of 8.5 pt are then as large as they should be.
 _WIDTH, _HEIGHT = 3.9, 2.15
@@ -33,7 +33,7 @@ def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plot
 
 
 def _plot(panel: Panel, prefix: str) -> Plot:
-    from wheelleg_exp.inspection.figures_style import figure_svg, styled, tile
+    from wheelleg_exp.inspection.plots.style import figure_svg, styled, tile
 
     height = max(_HEIGHT, min(0.85 * panel.height, 4.0))
     figure = tile([replace(panel, title="")], size=(_WIDTH, height))

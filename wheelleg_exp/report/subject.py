@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -10,11 +9,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
+from wheelleg_exp.files import read_json, read_lines, read_yaml
+from wheelleg_exp.packages import own_folders
+from wheelleg_exp.reading import json_value
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.files import for_people, read_json, read_yaml
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.listing import effective_status
 from wheelleg_exp.run.params import PARTS
+from wheelleg_exp.run.recorded import OVERRIDES
 
 AGENT = "agent"
 KIND = "report"  # of the manifest's entry for a report
@@ -119,7 +121,7 @@ def open_subject(name: str | Path, root: Path) -> Subject:
     folder = Path(name)
     if (folder / _FIGURES).is_file() and (folder / _SETTINGS).is_file() and not (folder / MANIFEST_NAME).exists():
         return _agent(folder.resolve())
-    return _training(RunDirectory.open(name, root))
+    return _training(RunDirectory.open(name, root, odd=True))
 
 
 def _training(run: RunDirectory) -> Subject:
@@ -157,15 +159,15 @@ def _runtime(subject: Subject) -> dict[str, Any]:
 
 
 def _overrides(subject: Subject) -> list[str] | None:
-    path = subject.file(".hydra/overrides.yaml")
+    path = subject.file(OVERRIDES)
     content = read_yaml(path) if path else None
     return [str(text) for text in content] if isinstance(content, list) else None
 
 
 def _own_folders(sources: Iterable[Mapping[str, Any]]) -> list[Path]:
-    """Return the folders that the user put on Hydra's search path."""
+    """Return the folders on Hydra's search path that are known as the user's own; others are somebody's word."""
     kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
-    return [Path(str(entry["path"])) for entry in kept if entry.get("path")]
+    return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))
 
 
 def _scalars(subject: Subject) -> dict[str, Series]:
@@ -173,18 +175,17 @@ def _scalars(subject: Subject) -> dict[str, Series]:
     if path is None:
         return {}
     rows: dict[int, Mapping[str, Any]] = {}
-    with for_people(path, "read"), path.open(encoding="utf-8", errors="replace") as lines:
-        broken = sum(not _take(line, rows) for line in lines)
+    broken = sum(not _take(line, rows) for line in read_lines(path))
     if broken:
         subject.problems.append(f"{broken} of the lines of iterations.jsonl cannot be read and are left out")
     return _by_name(rows)
 
 
-def _take(line: str, rows: dict[int, Mapping[str, Any]]) -> bool:
+def _take(line: bytes, rows: dict[int, Mapping[str, Any]]) -> bool:
     try:
-        entry = json.loads(line)
+        entry = json_value(line)
         rows[int(entry["iteration"])] = dict(entry["scalars"])
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, OverflowError):
         return False
     return True
 

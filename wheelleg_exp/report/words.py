@@ -115,6 +115,11 @@ def spoken(name: str) -> str:
     return name.replace("_", " ").strip() or name
 
 
+def capital(text: str) -> str:
+    """Return a text with a capital at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
 def whole_units(text: str) -> str:
     """Return a text in which no line ends between a number and its unit."""
     return re.sub(r"(?<=\d) (?=(?:s|mm|%)\b|%)", "\u00a0", text)

@@ -1,17 +1,49 @@
-"""Where a report is written: whole or not at all, over an earlier report of the same run, and over nothing else."""
+"""A report's text, and where it is written: over an earlier report of the same run, and over nothing else."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from markupsafe import escape
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
-from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.report.page import MARK
+from wheelleg_exp.errors import RunDirectoryError, printable
+from wheelleg_exp.files import for_people, sha256, write_text
+from wheelleg_exp.report.blocks import Page
 from wheelleg_exp.report.subject import KIND, Subject
-from wheelleg_exp.run.files import for_people, sha256, write_text
+
+# Tells a later report that a file is one, and of which run.
+MARK = '<meta name="wheelleg-report" content="'
+
+
+def render(page: Page) -> str:
+    """Return the whole HTML file as text.
+
+    Scripts cannot run in it whatever its values hold: templates escape them, and its own policy forbids scripts and
+    everything that would be fetched.
+    """
+    environment = Environment(
+        loader=PackageLoader("wheelleg_exp.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_visible,
+    )
+    environment.filters["drawn"] = Markup  # for SVG that `svg.clean` has passed, and for the style sheet alone
+    style = environment.get_template("report.css").render()
+    return environment.get_template("report.html").render(page=page, style=style, mark=MARK)
+
+
+def _visible(value: Any) -> Any:
+    """Show characters that would hide or turn the text around them, and those that HTML cannot hold."""
+    if not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    return printable(value)
+
 
 NAME = "report.html"
 _HEAD = 4096  # bytes in which the mark stands

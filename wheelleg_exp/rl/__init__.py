@@ -1,1 +1,12 @@
-"""The rsl_rl adapter, training, checkpoints that hold everything, and export."""
+"""The rsl_rl adapter, training, checkpoints that hold everything, and export.
+
+| module | what it offers |
+|---|---|
+| `trainer` | one iteration: a rollout and an update |
+| `vec_env` | the environment as rsl_rl expects it |
+| `options` | what may stand under `agent` |
+| `checkpoint`, `digests` | the whole state in a file, and short digests of it |
+| `policy`, `export` | a policy alone, and for deployment |
+| `episode_log` | what a rollout tells, failures counted |
+| `global_draws`, `one_thread` | guards of what repeats |
+"""

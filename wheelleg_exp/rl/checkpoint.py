@@ -5,17 +5,23 @@ from __future__ import annotations
 import io
 import sys
 import warnings
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
+from rsl_rl.algorithms import PPO
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.reading import require_bounded
+from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2
 _READABLE = (1, FORMAT_VERSION)  # version 1 lacks what a resume needs, but holds the same networks
-_NEEDED = ("format_version", "iter", "actor_state_dict", "critic_state_dict")
+_NEEDED = {"format_version": object, "iter": int, "actor_state_dict": Mapping, "critic_state_dict": Mapping}
+# Of what is loaded: most parts, deepest nesting, and how many times larger than the file the tensors may be.
+_MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
 def serialize(state: Mapping[str, Any]) -> bytes:
@@ -31,26 +37,32 @@ def load(path: Path) -> dict[str, Any]:
     Raises:
         RunDirectoryError: the file is missing, damaged, or no checkpoint of this program.
     """
+    if not path.is_file():
+        raise RunDirectoryError(
+            "there is no such checkpoint", key=str(path), expected="a model_<iteration>.pt of a run"
+        )
     try:
+        with zipfile.ZipFile(path) as archive:
+            require_bounded(archive)
         with warnings.catch_warnings():  # torch has advice for other kinds of files
             warnings.simplefilter("ignore")
             state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise RunDirectoryError("there is no such checkpoint", key=str(path)) from error
+        _require_bounded(state, path.stat().st_size)
     except Exception as error:  # a damaged archive may fail in any way; nothing in it is run
         raise RunDirectoryError(
             "cannot be read as a checkpoint: it is damaged, or holds something else than numbers and names",
             key=str(path),
             expected="a model_<iteration>.pt of a run",
         ) from error
-    missing = [key for key in _NEEDED if not isinstance(state, dict) or key not in state]
+    state = state if isinstance(state, dict) else {}
+    missing = [key for key, kind in _NEEDED.items() if key not in state or not isinstance(state[key], kind)]
     if missing:
         raise RunDirectoryError(
             f"is no checkpoint of this program: it has no '{missing[0]}'",
             key=str(path),
             expected="a model_<iteration>.pt of a run",
         )
-    if state["format_version"] not in _READABLE:
+    if type(state["format_version"]) is not int or state["format_version"] not in _READABLE:
         raise RunDirectoryError(
             f"has format version {state['format_version']}",
             key=str(path),
@@ -68,6 +80,24 @@ def require_resumable(state: Mapping[str, Any]) -> None:
         )
 
 
+def _require_bounded(state: Any, size: int) -> None:
+    """Raise ValueError for a tree that is endless to walk, or tensors that have no bytes of their own."""
+    waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
+    while waiting:
+        value, depth = waiting.pop()
+        parts += 1
+        if isinstance(value, torch.Tensor):
+            if value.layout is not torch.strided or value.device.type != "cpu":
+                raise ValueError("a tensor without its numbers")
+            room -= value.numel() * value.element_size()
+        elif isinstance(value, Mapping):
+            waiting += [(item, depth + 1) for pair in value.items() for item in pair]
+        elif isinstance(value, (list, tuple, set, frozenset)):
+            waiting += [(item, depth + 1) for item in value]
+        if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
+            raise ValueError("it is larger than its file")
+
+
 def _rebuilt(value: Any) -> Any:
     """Rebuild a tree so that no two parts share an object: pickle would write shared ones differently."""
     if isinstance(value, torch.Tensor):
@@ -79,3 +109,32 @@ def _rebuilt(value: Any) -> Any:
     if isinstance(value, str):
         return sys.intern(value)
     return value
+
+
+def unsaved_state(algorithm: PPO) -> dict[str, Any]:
+    """Return the hidden states of recurrent networks, and the counter and the running return of RND's reward."""
+    state: dict[str, Any] = {
+        "learning_rate": float(algorithm.learning_rate),
+        "hidden": {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in ("actor", "critic")},
+    }
+    if algorithm.rnd is not None:
+        state["rnd"] = {"update_counter": algorithm.rnd.update_counter, "average": _average(algorithm.rnd)}
+    return state
+
+
+def load_unsaved_state(algorithm: PPO, saved: dict[str, Any]) -> None:
+    """Restore what ``unsaved_state`` returned."""
+    algorithm.learning_rate = saved["learning_rate"]
+    for role, hidden in saved["hidden"].items():
+        network = getattr(algorithm, role)
+        if network.is_recurrent:
+            network.reset()
+            network.reset(hidden_state=cloned(hidden))
+    if algorithm.rnd is not None:
+        algorithm.rnd.update_counter = saved["rnd"]["update_counter"]
+        if algorithm.rnd.reward_normalization:
+            algorithm.rnd.reward_normalizer.disc_avg.avg = cloned(saved["rnd"]["average"])
+
+
+def _average(rnd: Any) -> torch.Tensor | None:
+    return cloned(rnd.reward_normalizer.disc_avg.avg) if rnd.reward_normalization else None

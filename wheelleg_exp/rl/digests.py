@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from wheelleg_exp.state.values import bytes_of
+
 if TYPE_CHECKING:
     from hashlib import _Hash
 
@@ -48,7 +50,7 @@ def _parts(state: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 def _flattened(state: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     for key, value in state.items():
-        if key == "env":
+        if key == "env" and isinstance(value, Mapping):
             yield from (("streams" if name == "streams" else "env", f"env.{name}", v) for name, v in value.items())
         elif key not in _LABELS:
             yield key, key, value
@@ -81,5 +83,4 @@ def _update(digest: _Hash, path: str, value: Any) -> None:
 
 def tensor_bytes(tensor: torch.Tensor) -> memoryview:
     """Return the bytes of a tensor's elements in their order, without a copy where it lies so in memory."""
-    flat = tensor.detach().cpu().contiguous().reshape(-1)
-    return flat.view(torch.uint8).numpy().data
+    return bytes_of(tensor.cpu()).numpy().data

@@ -3,9 +3,62 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
+from collections.abc import Mapping
 from typing import Any
 
 import torch
+
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.rl.options import Agent
+
+SCALAR = "Diagnostics/non_finite/"  # before the config key, of what is logged
+
+
+class FailureCount:
+    """Counts such episodes: one now and then is an event of its own, many are a mistake.
+
+    Args:
+        num_envs: number of environments, N.
+        agent: the ``agent`` section; its ``max_non_finite`` times N episodes may end so, and one in any case.
+    """
+
+    def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
+        self._num_envs = num_envs
+        self._allowed = max(1, int(float(agent.get("max_non_finite", Agent.max_non_finite)) * num_envs))
+        self._evidence: Mapping[str, Any] = {}
+        self.episodes = 0
+        self.by_key: Counter[str] = Counter()
+
+    def take(self, extras: Mapping[str, Any]) -> None:
+        """Take up what a step reports."""
+        found = extras.get("non_finite")
+        if found is not None:
+            self.episodes += len(found["keys"])
+            for keys in found["keys"].values():
+                self.by_key.update(keys)
+            self._evidence = self._evidence or found["evidence"]
+
+    def require_few(self, when: str) -> None:
+        """Raise SimulationFailure, with the key that failed most, when there were more than may be.
+
+        Args:
+            when: by when, for the message.
+        """
+        if self.episodes > self._allowed:
+            key, count = self.by_key.most_common(1)[0]
+            others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
+            raise SimulationFailure(
+                f"its numbers were not finite and ended {count} episodes{others} {when}",
+                key=key,
+                expected=f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)",
+                evidence=self._evidence,
+            )
+
+
+def logged(scalars: Mapping[str, float]) -> dict[str, int]:
+    """Return the episodes by config key that an iteration's scalars tell of."""
+    return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
+
 
 _EPISODES = 100  # finished episodes that the running means cover, as in rsl_rl
 
@@ -30,8 +83,8 @@ class EpisodeLog:
         """Take up one step's rewards (N,), dones (N,) and extras."""
         self._return += rewards
         self._length += 1
-        for terms in (found["terms"] for found in extras.get("non_finite", {}).values()):
-            self._non_finite.update(terms)
+        for keys in extras.get("non_finite", {"keys": {}})["keys"].values():
+            self._non_finite.update(keys)
         if extras.get("log_is_fresh"):
             self._pending.append(extras["log"])
             ids = dones.nonzero().squeeze(1)
@@ -51,7 +104,7 @@ class EpisodeLog:
         self._take_pending()
         scalars = {key: sum(values) / len(values) for key, values in self._values.items()}
         self._values.clear()
-        scalars |= {f"Diagnostics/non_finite_reward/{term}": float(n) for term, n in self._non_finite.items()}
+        scalars |= {f"{SCALAR}{key}": float(n) for key, n in self._non_finite.items()}
         self._non_finite.clear()
         if self._returns:
             scalars["Train/mean_reward"] = sum(self._returns) / len(self._returns)

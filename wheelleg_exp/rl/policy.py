@@ -29,7 +29,7 @@ def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPMo
     policy = build_algorithm(env, {**agent, "device": "cpu"}).get_policy()
     try:
         policy.load_state_dict(state["actor_state_dict"])
-    except RuntimeError as error:
+    except (RuntimeError, TypeError, AttributeError) as error:
         raise RunDirectoryError(
             "does not fit this environment's observations and actions",
             key=str(path),

@@ -4,31 +4,36 @@ from __future__ import annotations
 
 import copy
 import io
+import itertools
 import math
+import re
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.utils import resolve_callable
-from tensordict import TensorDict
 
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError, nearest_name
+from wheelleg_exp.managers.finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
-from wheelleg_exp.projects import make_classes_importable
+from wheelleg_exp.memory import require_memory
+from wheelleg_exp.packages import make_classes_importable
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.algorithm_state import load_unsaved_state, unsaved_state
-from wheelleg_exp.rl.checkpoint import FORMAT_VERSION
-from wheelleg_exp.rl.episode_log import EpisodeLog
+from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
+from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
 from wheelleg_exp.rl.one_thread import one_thread
+from wheelleg_exp.rl.options import require_agent
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.state import cloned
+from wheelleg_exp.user_code import ending_as, in_words, place
 
 # Keys of the agent section that are this program's, not rsl_rl's.
-OWN_KEYS = ("device", "torch_threads", "max_iterations", "save_interval", "clip_actions", "logger")
+OWN_KEYS = ("device", "torch_threads", "max_iterations", "save_interval", "clip_actions", "logger", "max_non_finite")
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,7 @@ class Trainer:
         self.device = str(agent["device"])
         self.num_steps = int(agent["num_steps_per_env"])
         self.iteration = 0
+        self._agent = dict(agent)
         torch.manual_seed(stream_seed(seed, "agent"))
         self.algorithm = build_algorithm(env, agent)
         self.log = EpisodeLog(env.num_envs)
@@ -74,15 +80,17 @@ class Trainer:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.
 
         Raises:
-            SimulationFailure: an observation, a reward or a loss is not finite.
+            SimulationFailure: numbers were not finite: observations, actions, what an event wrote, a loss, a parameter,
+                or physics and rewards in more environments than may be (``agent.max_non_finite``).
         """
         self.algorithm.train_mode()
         while self.iteration < until:
             start = time.perf_counter()
-            with no_global_draws("numpy", "python"):
+            with self._told(), no_global_draws("numpy", "python"):
                 self._collect()
             collected = time.perf_counter()
-            losses = self.algorithm.update()
+            with self._told():
+                losses = self.algorithm.update()
             self._require_sane(losses)
             learned = time.perf_counter()
             scalars = self.log.collect()
@@ -101,33 +109,59 @@ class Trainer:
     def _collect(self) -> None:
         """Roll the policy out and compute returns."""
         observations = self.env.get_observations().to(self.device)
+        failed = FailureCount(self.env.num_envs, self._agent)
         for _ in range(self.num_steps):
-            actions = self.algorithm.act(observations)
+            actions = self.algorithm.act(observations).to("cpu")
+            require_finite_actions(self.env.env, actions)
             with no_global_draws("torch"):
-                observations, rewards, dones, extras = self.env.step(actions.to("cpu"))
-            self._require_finite(observations, rewards)
+                observations, rewards, dones, extras = self.env.step(actions)
+            failed.take(extras)
+            failed.require_few(f"by control step {self.env.env.common_step_counter}")
             self.log.step(rewards, dones, extras)
             observations, rewards, dones = (x.to(self.device) for x in (observations, rewards, dones))
             self.algorithm.process_env_step(observations, rewards, dones, extras)
         with one_thread():
             self.algorithm.compute_returns(observations)
 
-    def _require_finite(self, observations: TensorDict, rewards: torch.Tensor) -> None:
-        bad = [f"observation group '{g}'" for g, value in observations.items() if not value.isfinite().all()]
-        if not rewards.isfinite().all():
-            bad.append("rewards")
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Tell of an error in rsl_rl or in a network: numbers that have grown too large end in many ways."""
+        try:
+            yield
+        except SimulationFailure as error:
+            error.message += f", in iteration {self.iteration}"
+            raise
+        except (WheellegError, ImportError):
+            raise
+        except Exception as error:
+            self._require_sane({}, error)
+            raise SimulationFailure(
+                f"learning fails in iteration {self.iteration}: {in_words(error).splitlines()[0]}",
+                key="agent",
+                where=place(error),
+                expected="networks that work, and a learning_rate at which numbers do not grow without bound",
+                evidence=self._learning({}),
+            ) from error
+
+    def _require_sane(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
+        """Refuse losses and parameters that are not finite."""
+        bad = [f"the {name} loss is {value}" for name, value in losses.items() if not math.isfinite(value)]
+        for role, network in (("actor", self.algorithm.actor), ("critic", self.algorithm.critic)):
+            wrong = (name for name, values in network.named_parameters() if not values.isfinite().all())
+            bad += [f"the {role}'s {name} is not finite" for name in wrong]
         if bad:
-            self._fail(f"{' and '.join(bad)} went to NaN or infinity")
+            more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
+            raise SimulationFailure(
+                f"{bad[0]}{more}, in the update of iteration {self.iteration}",
+                key="agent.algorithm",
+                expected="finite numbers; a lower learning_rate or max_grad_norm may help",
+                evidence=self._learning(losses),
+            ) from cause
 
-    def _require_sane(self, losses: Mapping[str, float]) -> None:
-        parameters = [*self.algorithm.actor.parameters(), *self.algorithm.critic.parameters()]
-        if not all(math.isfinite(value) for value in losses.values()):
-            self._fail("a loss went to NaN or infinity")
-        if not all(bool(parameter.isfinite().all()) for parameter in parameters):
-            self._fail("the networks' parameters went to NaN or infinity")
-
-    def _fail(self, message: str) -> NoReturn:
-        raise SimulationFailure(f"{message} in iteration {self.iteration}", expected="finite numbers")
+    def _learning(self, losses: Mapping[str, float]) -> dict[str, torch.Tensor]:
+        """Return what there is to keep of an update that failed."""
+        rate = {"learning_rate": torch.tensor(float(self.algorithm.learning_rate))}
+        return rate | {f"loss.{name}": torch.tensor(float(value)) for name, value in losses.items()}
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that the coming iterations depend on; ``iter`` is the last finished iteration."""
@@ -135,7 +169,7 @@ class Trainer:
             "format_version": FORMAT_VERSION,
             "iter": self.iteration - 1,
             "infos": None,
-            **self.algorithm.save(),
+            **cloned(self.algorithm.save()),  # else it would go on with the networks
             "unsaved": unsaved_state(self.algorithm),
             "env": self.env.env.state_dict(),
             "log": self.log.state_dict(),
@@ -154,16 +188,16 @@ class Trainer:
             load_unsaved_state(self.algorithm, saved["unsaved"])
             self.env.env.load_state_dict(saved["env"])
             self.log.load_state_dict(saved["log"])
-        except (RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
+            torch.set_rng_state(saved["rng"]["torch"])
+            if "device" in saved["rng"]:
+                torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
+        except (RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise RunDirectoryError(
                 f"the saved state does not fit: {reason[:200]}",
                 expected="the state of the same networks, terms, robot and number of environments",
             ) from error
         self.iteration = saved["iter"] + 1
-        torch.set_rng_state(saved["rng"]["torch"])
-        if "device" in saved["rng"]:
-            torch.get_device_module(self.device).set_rng_state(saved["rng"]["device"], self.device)
 
     def set_learning_rate(self, value: float) -> None:
         """Set the learning rate of the coming updates; an adaptive schedule goes on from it."""
@@ -194,44 +228,57 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
                     expected="some of " + ", ".join(observations.keys()),
                     nearest=nearest_name(group, observations.keys()),
                 )
-            if not isinstance(observations[group], torch.Tensor) or observations[group].ndim != 2:
-                raise ConfigError(
-                    "a network takes one flat vector a group",
-                    key=f"env.observations.{group}",
-                    expected="concatenate_terms: true and flatten_history_dim: true",
-                )
+            found = observations[group]
+            if not isinstance(found, torch.Tensor) or found.ndim != 2:
+                name = "flatten_history_dim" if isinstance(found, torch.Tensor) else "concatenate_terms"
+                message, key = "a network takes one flat vector a group", f"env.observations.{group}.{name}"
+                raise ConfigError(message, key=key, expected=f"{name}: true")
     if env.num_actions == 0:
         raise ConfigError("there are no actions to learn", key="env.actions", expected="at least one action term")
     _require_device(str(agent["device"]))
-    samples = env.num_envs * int(agent["num_steps_per_env"])
-    if agent["algorithm"].get("num_mini_batches", 1) > samples:
-        raise ConfigError(
-            "there are fewer samples than minibatches",
-            key="agent.algorithm.num_mini_batches",
-            expected=f"at most {samples}, env.num_envs times agent.num_steps_per_env",
-        )
+    require_agent(agent, env.num_envs)
+    if torch.device(agent["device"]).type == "cpu":
+        _require_memory(env, observations, agent)
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = None
     make_classes_importable(config)
     try:
-        with redirect_stdout(io.StringIO()):
+        with redirect_stdout(io.StringIO()), ending_as(ConfigError):
             kind = resolve_callable(config["algorithm"]["class_name"])
             return kind.construct_algorithm(observations, env, config, str(agent["device"]))
-    except (TypeError, ValueError, LookupError, AttributeError, ImportError) as error:
+    except Exception as error:  # its classes may be a user's own
         raise ConfigError(
-            f"rsl_rl refuses it: {str(error).splitlines()[0]}",
+            f"rsl_rl refuses it: {in_words(error).splitlines()[0]}",
             key="agent",
             expected="rsl_rl's own configuration",
         ) from error
+
+
+def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
+    """Refuse rollouts and networks that do not fit into memory: numbers of four bytes."""
+    steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
+    samples = env.num_envs * steps
+    numbers = sum(widths.values()) + 3 * env.num_actions + 6
+    what = f"rollouts of {env.num_envs} environments times {steps} steps"
+    require_memory(4 * samples * numbers, "agent.num_steps_per_env", what)
+    for role in ("actor", "critic"):
+        hidden = agent[role].get("hidden_dims") or []
+        layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
+        weights = sum(a * b for a, b in itertools.pairwise(layers))
+        # Beside each weight its gradient, and the two means of Adam.
+        require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
 
 
 def _require_device(name: str) -> None:
     try:
         torch.zeros(1, device=name)
     except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        known = re.match(r"Expected one of (.+) device type", reason)
         raise ConfigError(
-            f"torch cannot use '{name}': {str(error).splitlines()[0]}",
+            f"torch cannot use '{name}'" + ("" if known else f": {reason}"),
             key="agent.device",
             expected="cpu, or a device that this torch and this machine have",
+            nearest=nearest_name(name, known.group(1).split(", ")) if known else None,
         ) from error

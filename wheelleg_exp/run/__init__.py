@@ -1,19 +1,17 @@
 """The run directory: one folder that says what produced a policy, and that it is still what it was.
 
-| module | owns |
+| module | offers |
 |---|---|
 | ``options`` | what may stand under ``run.`` in the config |
 | ``directory`` | making, finding and naming run directories, and the paths inside one |
-| ``snapshot`` | what is written before the first step: parameters, config, source, environment, manifest |
-| ``manifest`` | ``manifest.json``: status, versions, hardware, digests, results, later additions |
+| ``begin`` | what is written before the first step: parameters, config, source, environment, manifest |
+| ``manifest``, ``manifest_format``, ``seal`` | ``manifest.json``: status, versions, digests, results |
 | ``params`` | ``params/{env,agent}.yaml``, written and read back |
-| ``source`` | the state of the source tree as a commit, a tree id and a patch |
-| ``worktree``, ``git``, ``secrecy`` | what of a working tree is kept, read without touching it |
-| ``restore`` | the source tree again, from the commit and the patch |
-| ``plain_yaml``, ``timestamps`` | values and times that read back equal |
-| ``environment`` | installed distributions, hardware, and the variables that change numbers |
-| ``inventory`` | sha256 and size of the files of a run, and how they differ from what was recorded |
-| ``files`` | writing a file whole or not at all |
+| ``recorded`` | what a run has kept, read back: config, overrides, robot, source, installed distributions |
+| ``log`` | ``iterations.jsonl`` read back |
+| ``environment`` | installed distributions, hardware, and the variables that change numbers, here and in a replay |
+| ``inventory``, ``kinds`` | sha256 and size of the files of a run; whether a value that was read has its shape |
 | ``lock``, ``process`` | one writer at a time; whether a recorded process still lives |
-| ``listing`` | all the runs there are |
+| ``listing``, ``sweep_index``, ``timestamps`` | all the runs there are, the sweeps among them, and when they began |
+| ``source``, ``source_changes`` | the state of the source tree, kept and restored; which files differ between two |
 """

@@ -10,11 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
-from wheelleg_exp.run.files import for_people
-from wheelleg_exp.run.inventory import MANIFEST_NAME, is_inside
+from wheelleg_exp.files import for_people
+from wheelleg_exp.run.inventory import MANIFEST_NAME, is_inside, odd_entries
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.options import NAME, NAME_WORDS
-from wheelleg_exp.run.secrecy import secret_content
+from wheelleg_exp.run.source.secrecy import secret_content
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 LATEST = "latest"
@@ -23,6 +23,7 @@ SWEEPS = "sweeps"
 REPLAYS = "replays"
 _NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, LATEST)
 
+FAILURE = "failure.npz"  # what a training failed with
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 # What a run directory must hold for its run to be built from it.
 NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
@@ -71,27 +72,28 @@ class RunDirectory(os.PathLike[str]):
         return cls(create_exclusively(base / task, "_".join(parts)))
 
     @classmethod
-    def open(cls, run: str | Path, root: str | Path) -> RunDirectory:
+    def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
         """Return the run directory that ``run`` names.
 
         Args:
             run: a path, an id (``<folder>`` or ``<task>/<folder>``), or ``latest``, the newest by start time.
             root: the folder of all runs.
+            odd: whether it may hold links, pipes and devices, because the caller tells of them and opens none.
 
         Raises:
-            RunDirectoryError: it names none (with the nearest that there is), two, or a damaged one.
+            RunDirectoryError: it names none (with the nearest that there is), two, or a damaged one; or it holds
+                something else than folders and files.
         """
-        if str(run) == LATEST:
-            return cls._opened(_latest(Path(root)))
-        for candidate in (Path(run), Path(root) / run):
-            if (candidate / MANIFEST_NAME).is_file():
-                return cls._opened(candidate)
-        return cls._opened(_by_id(str(run), Path(root)))
-
-    @classmethod
-    def _opened(cls, path: Path) -> RunDirectory:
-        Manifest.load(path)
-        return cls(path.resolve())
+        directory = cls(_found(run, Path(root)).resolve())
+        directory.manifest()
+        if not odd:
+            for name, what in odd_entries(directory.path).items():
+                raise RunDirectoryError(
+                    f"is {what}, which is not followed in a run directory",
+                    key=str(directory.path / name),
+                    expected="nothing but files and folders",
+                )
+        return directory
 
     @property
     def id(self) -> str:
@@ -246,6 +248,15 @@ def task_folders(root: Path) -> list[Path]:
         return []
     with for_people(root, "read"):
         return [p for p in root.iterdir() if p.is_dir() and p.name not in _NOT_TASKS and p.name[0] != "."]
+
+
+def _found(run: str | Path, root: Path) -> Path:
+    if str(run) == LATEST:
+        return _latest(root)
+    for candidate in (Path(run), root / run):
+        if (candidate / MANIFEST_NAME).is_file():
+            return candidate
+    return _by_id(str(run), root)
 
 
 def _latest(root: Path) -> Path:

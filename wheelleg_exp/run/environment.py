@@ -5,20 +5,19 @@ Nothing here imports torch or MuJoCo: versions come from the installed metadata.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import platform
 import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import wheelleg_exp
-from wheelleg_exp.run.secrecy import is_secret_variable, secret_content, without_credentials
+from wheelleg_exp.run.source.secrecy import is_secret_variable, secret_content, without_credentials
 from wheelleg_exp.threads import cpu_quota
 
 # The distributions whose version can change a number or a file of a run.
@@ -38,14 +37,19 @@ _DISTRIBUTIONS = (
     "onnx",
 )
 
-# The variables that change floating-point results, threads, devices, which code is found, or how it runs.
-_PREFIXES = (
+# Variables on which numbers and threads depend; then those that choose devices, which code is found, or how it runs.
+_OF_NUMBERS = (
     *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
-    *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "TRITON", "RSL_RL"),
-    *("CUDA", "CUBLAS", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
+    *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "CUBLAS"),
+)
+_OF_THE_MACHINE = (
+    *("TRITON", "RSL_RL", "CUDA", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
     *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
 )
-_VARIABLES = re.compile(rf"({'|'.join(_PREFIXES)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+")
+_NUMERIC = re.compile(rf"({'|'.join(_OF_NUMBERS)})_\w+|PYTHONHASHSEED")
+_VARIABLES = re.compile(
+    rf"({'|'.join(_OF_NUMBERS + _OF_THE_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
+)
 
 _ASKED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
 
@@ -100,23 +104,32 @@ def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()
     return {k: environ[k] for k in chosen if secret_content(os.fsencode(environ[k])) is None}
 
 
+def replay_environ(
+    recorded: Mapping[str, str], environ: Mapping[str, str] | None = None, also: Collection[str] = ()
+) -> dict[str, str]:
+    """Return the environment of a process that computes as a run did.
+
+    Variables on which numbers depend are those of the run, and are unset where it had none. All others stay: paths,
+    devices, what is preloaded.
+
+    Args:
+        recorded: the variables that the run's manifest names.
+        environ: the present environment, by default this process's own.
+        also: names that are taken from the run as well, such as those that its config asks for.
+    """
+    present = dict(os.environ if environ is None else environ)
+    kept = {name: value for name, value in present.items() if not _is_numeric(name, value)}
+    taken = {name: value for name, value in recorded.items() if _is_numeric(name, value) or name in also}
+    return kept | taken
+
+
+def _is_numeric(name: str, value: str) -> bool:
+    return _NUMERIC.fullmatch(name) is not None and not value.startswith(("/", "~"))
+
+
 def variables_asked_for(texts: Iterable[str]) -> list[str]:
     """Return the names of the environment variables that configs ask for with ``${oc.env:NAME}``, sorted."""
     return sorted({name for text in texts for name in _ASKED.findall(text)})
-
-
-@contextlib.contextmanager
-def as_recorded(wanted: Mapping[str, str]) -> Iterator[None]:
-    """Let environment variables be what they were, while the body runs."""
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
 
 
 def distributions() -> list[str]:
@@ -126,13 +139,20 @@ def distributions() -> list[str]:
     """
     found: dict[str, str] = {}
     for distribution in metadata.distributions():
-        name = distribution.metadata["Name"]
+        name, version = _name_and_version(distribution)
         if not name:
             continue  # remains of a broken installation: a folder without metadata
         key = re.sub(r"[-_.]+", "-", name).lower()
         # The first on the path is the one that is imported.
-        found.setdefault(key, f"{name}=={distribution.version}{_origin(distribution)}")
+        found.setdefault(key, f"{name}=={version}{_origin(distribution)}")
     return [found[key] for key in sorted(found)]
+
+
+def _name_and_version(distribution: metadata.Distribution) -> tuple[str, str]:
+    """Return both from the head of the metadata: reading a hundred descriptions as messages takes a second."""
+    text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
+    head = dict(re.findall(r"^(Name|Version): *(\S+)", text.split("\n\n", 1)[0], re.MULTILINE))
+    return head.get("Name", ""), head.get("Version", "")
 
 
 def environment_text(threads: Mapping[str, Any]) -> str:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TypedDict
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.files import TEMPORARY_SUFFIX, for_people, sha256
+from wheelleg_exp.files import TEMPORARY_SUFFIX, for_people, sha256
 from wheelleg_exp.run.lock import MANIFEST_LOCK, RUN_LOCK
 
 MANIFEST_NAME = "manifest.json"
@@ -64,12 +66,30 @@ def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFi
     found = FileFindings(missing=sorted(set(recorded) - present), unlisted=sorted(present - set(recorded)))
     for name in sorted(present & set(recorded)):
         try:
-            if _record(directory / name) != recorded[name]:
+            if not _is_as_recorded(directory / name, recorded[name]):
                 found.changed.append(name)
         except RunDirectoryError:
             found.unreadable.append(name)
     found.links.extend(name for name in sorted(_links(directory)) if name not in recorded)
     return found
+
+
+def odd_entries(directory: Path) -> dict[str, str]:
+    """Return what below ``directory`` is neither a folder nor an ordinary file, by relative name: what it is instead.
+
+    A link may lead anywhere, and reading from a pipe or a device may never end. A file that goes meanwhile is none.
+    """
+    found: dict[str, str] = {}
+    for folder, folders, names in os.walk(directory):
+        for path in (Path(folder, name) for name in [*folders, *names]):
+            try:
+                mode = path.lstat().st_mode
+            except FileNotFoundError:  # as temporary files of a run that is being written do
+                continue
+            if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+                name = path.relative_to(directory).as_posix()
+                found[name] = "a symbolic link" if stat.S_ISLNK(mode) else "a pipe, a socket or a device"
+    return dict(sorted(found.items()))
 
 
 def relative_name(directory: Path, path: Path) -> str:
@@ -91,7 +111,13 @@ def relative_name(directory: Path, path: Path) -> str:
 def is_inside(name: str) -> bool:
     """Return whether a recorded relative name stays below its directory."""
     path = PurePosixPath(name)
-    return bool(name) and not path.is_absolute() and ".." not in path.parts and "\\" not in name
+    return bool(name) and not path.is_absolute() and ".." not in path.parts and not {"\\", "\0"} & set(name)
+
+
+def _is_as_recorded(path: Path, record: FileRecord) -> bool:
+    with for_people(path, "read"):
+        size = path.stat().st_size
+    return size == record["size"] and sha256(path) == record["sha256"]
 
 
 def _record(path: Path) -> FileRecord:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -12,18 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import open_file, read_text
+from wheelleg_exp.reading import json_value
 from wheelleg_exp.run.directory import CHECKPOINT, NEEDED, SWEEPS, run_folders, start_moment, task_folders
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.process import is_alive
-from wheelleg_exp.run.sweep import SWEEP_NAME, SweepIndex
+from wheelleg_exp.run.sweep_index import SWEEP_NAME, SweepIndex
 from wheelleg_exp.run.timestamps import folder_moment, parse_utc, utc_now
 
 CRASHED = "crashed"
 DAMAGED = "damaged"
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
-_TOTAL = re.compile(r"^max_iterations:\s*(\d+)", re.MULTILINE)
+_TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
 _TAIL_BYTES = 65536  # of which the last whole line is one iteration
 # What is told of a training, by the names of its scalars.
 FIGURES = {
@@ -47,7 +48,8 @@ class RunSummary:
         ended: when it ended, as text; None while it runs, and where nobody wrote it down.
         seeds: its seeds.
         results: the manifest's results.
-        problem: why it failed or is damaged.
+        problem: why it failed or is damaged, or which episodes of it ended because a number was not finite.
+        failure: what it keeps of its failure: file, config key, iteration; None where it keeps nothing.
         name: ``run.name``.
         iterations: how many are done.
         max_iterations: how many it shall have.
@@ -69,6 +71,7 @@ class RunSummary:
     seeds: tuple[int, ...] = ()
     results: dict[str, Any] = field(default_factory=dict)
     problem: str | None = None
+    failure: dict[str, Any] | None = None
     name: str | None = None
     iterations: int | None = None
     max_iterations: int | None = None
@@ -103,10 +106,11 @@ def summarize(folder: Path) -> RunSummary:
         status=status,
         path=folder,
         started=manifest.started,
-        ended=data["ended"],
-        seeds=tuple(data.get("seeds", ())),
+        ended=data.get("ended"),
+        seeds=tuple(data.get("seeds") or ()),
         results=manifest.results,
-        problem=(data.get("error") or {}).get("message"),
+        problem=(data.get("error") or {}).get("message") or non_finite_note(manifest.results),
+        failure=data.get("failure"),
         name=_name(folder.name),
         iterations=done,
         max_iterations=total,
@@ -115,9 +119,16 @@ def summarize(folder: Path) -> RunSummary:
         resumes=len(data["resumes"]),
         figures={name: scalars[key] for name, key in FIGURES.items() if isinstance(scalars.get(key), (int, float))},
         played=_played(data["additions"]),
-        seconds=_seconds(folder, manifest.started, data["ended"], status),
+        seconds=_seconds(folder, manifest.started, data.get("ended"), status),
         bytes=size,
     )
+
+
+def non_finite_note(results: Mapping[str, Any]) -> str | None:
+    """Return a line on the episodes that ended because a number was not finite; None when there were none."""
+    counts = results.get("non_finite") or {}
+    told = ", ".join(f"{key} {count}" for key, count in counts.items())
+    return f"episodes that ended because a number was not finite: {told}" if told else None
 
 
 def effective_status(manifest: Manifest) -> str:
@@ -158,7 +169,7 @@ def _sweep(folder: Path) -> SweepSummary:
         swept = tuple(dict.fromkeys(word.split("=")[0] for job in data["jobs"] for word in job["swept"]))
         status = CRASHED if crashed else data["status"]
         return SweepSummary(folder.name, status, folder, parse_utc(data["started"]), data["ended"], jobs, swept)
-    except (RunDirectoryError, KeyError, TypeError, ValueError) as error:
+    except (RunDirectoryError, LookupError, TypeError, ValueError, AttributeError) as error:
         return SweepSummary(folder.name, DAMAGED, folder, moment, problem=str(error))
 
 
@@ -212,15 +223,15 @@ def _progress(folder: Path, results: Mapping[str, Any]) -> tuple[int | None, Map
 def _last_line(path: Path) -> dict[str, Any] | None:
     """Return the last whole line of ``iterations.jsonl``, without reading what stands before."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             end = file.seek(0, os.SEEK_END)
             file.seek(max(0, end - _TAIL_BYTES))
             lines = file.read().split(b"\n")[:-1]  # what no newline ends was cut off
-    except OSError:
+    except RunDirectoryError:
         return None
     for line in reversed(lines):
         try:
-            value = json.loads(line)
+            value = json_value(line)
         except ValueError:
             continue
         if (
@@ -234,8 +245,8 @@ def _last_line(path: Path) -> dict[str, Any] | None:
 
 def _total(folder: Path) -> int | None:
     try:
-        match = _TOTAL.search((folder / "params" / "agent.yaml").read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError):
+        match = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
+    except RunDirectoryError:
         return None
     return int(match[1]) if match else None
 

@@ -12,7 +12,7 @@ from types import ModuleType, TracebackType
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.files import file_error
+from wheelleg_exp.files import file_error, read_json
 from wheelleg_exp.run.process import is_alive, this_process
 
 fcntl: ModuleType | None
@@ -101,7 +101,8 @@ class RunLock:
 
     def _open_and_flock(self) -> int | None:
         assert fcntl is not None
-        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+        # Never through a link: what it leads to would be emptied.
+        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -121,8 +122,8 @@ class RunLock:
             return None
 
     def _holder(self) -> dict[str, Any]:
-        with contextlib.suppress(OSError, ValueError):
-            holder = json.loads(self.path.read_text())
+        with contextlib.suppress(RunDirectoryError):
+            holder = read_json(self.path)
             if isinstance(holder, dict):
                 return holder
         return {}

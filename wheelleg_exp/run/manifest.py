@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -13,27 +14,27 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import for_people, json_plain, read_json, write_text
 from wheelleg_exp.run import environment
-from wheelleg_exp.run.files import json_plain, read_json, write_json, write_text
 from wheelleg_exp.run.inventory import (
     MANIFEST_NAME,
     FileFindings,
     FileRecord,
     compare_files,
     inventory,
-    is_inside,
     record_files,
 )
 from wheelleg_exp.run.lock import MANIFEST_LOCK, RunLock
-from wheelleg_exp.run.manifest_format import FORMAT, STATUSES, require_manifest
+from wheelleg_exp.run.manifest_format import FORMAT, STATUSES, VALUES_DIGESTED, require_manifest
 from wheelleg_exp.run.process import this_process
-from wheelleg_exp.run.seal import sealed
+from wheelleg_exp.run.seal import bytes_hold, sealed_text, values_hold
 from wheelleg_exp.run.timestamps import parse_utc, utc_now, utc_text
+from wheelleg_exp.user_code import is_interrupt
 
 Ended = Literal["finished", "interrupted", "failed"]
 
 # What is written before the first step and never again; everything else may grow while the run goes on.
-_FIXED = (".hydra/", "params/", "source/", "asset/", "environment.txt")
+SNAPSHOT = (".hydra/", "params/", "source/", "asset/", "environment.txt")
 
 # What a resume replaces, and keeps beside.
 _OF_ONE_PROCESS = (
@@ -106,7 +107,7 @@ class Manifest:
             "additions": [],
             "files": inventory(directory),
         }
-        write_json(path, sealed(manifest.data))
+        write_text(path, sealed_text(manifest.data))
         return manifest
 
     @classmethod
@@ -142,6 +143,17 @@ class Manifest:
     def results(self) -> dict[str, Any]:
         """The run's results."""
         return self.data["results"]
+
+    def seal_holds(self) -> bool | None:
+        """Return whether the file is what was written; None when it has no digest of itself, as format 1 may.
+
+        Raises:
+            RunDirectoryError: the file cannot be read.
+        """
+        if self.data["format"] == VALUES_DIGESTED:
+            return values_hold(self.data)
+        with for_people(self.path, "read"):
+            return bytes_hold(self.path.read_bytes())
 
     def snapshot_taken(self, source: Mapping[str, Any]) -> None:
         """Record that all that decides the run is written: the source, and the files there are now."""
@@ -208,13 +220,14 @@ class Manifest:
 
         def change(data: dict[str, Any]) -> None:
             before = {key: data.get(key) for key in _OF_ONE_PROCESS}
+            before |= {"failure": data.pop("failure")} if "failure" in data else {}
             entry = {"when": utc_text(now or utc_now()), "command": list(command), **json_plain(facts)}
             entry |= {"before": before, **({_PENDING: texts} if texts else {})}
             data["resumes"].append(entry)
             data.update(status="running", error=None, ended=None, process=this_process(), threads=dict(threads))
             data.update(versions=environment.versions(), hardware=environment.hardware())
             data["environment_variables"] = environment.variables()
-            data["files"] = {k: v for k, v in data["files"].items() if k.startswith(_FIXED)}
+            data["files"] = {k: v for k, v in data["files"].items() if k.startswith(SNAPSHOT)}
             data["files"] |= {name: _text_record(text) for name, text in texts.items()}
 
         self._update(change)
@@ -225,8 +238,7 @@ class Manifest:
         entry = self.data["resumes"][-1] if self.data["resumes"] else {}
         if _PENDING in entry:
             for name, text in entry[_PENDING].items():
-                if is_inside(name):
-                    write_text(self.directory / name, text)
+                write_text(self.directory / name, text)
             self._update(lambda data: data["resumes"][-1].pop(_PENDING, None))
 
     def amend_resume(self, **facts: Any) -> None:
@@ -271,7 +283,7 @@ class Manifest:
     def recorded_files(self) -> dict[str, FileRecord]:
         """Return the newest record of every file, those of additions included."""
         additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
-        ended = parse_utc(self.data["ended"]) if self.data["ended"] else self.started
+        ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
         records: dict[str, FileRecord] = {}
         for entry in additions:
             if parse_utc(entry["when"]) <= ended:
@@ -304,7 +316,7 @@ class Manifest:
         try:
             yield
         except BaseException as error:
-            status: Ended = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+            status: Ended = "interrupted" if is_interrupt(error) else "failed"
             try:
                 self.finish(status, results, error)
             except Exception as second:
@@ -313,11 +325,14 @@ class Manifest:
 
     def _update(self, change: Callable[[dict[str, Any]], None]) -> None:
         with RunLock(self.directory, name=MANIFEST_LOCK, timeout_s=_LOCK_TIMEOUT_S):
-            data = Manifest.load(self.directory).data
+            before = Manifest.load(self.directory)
+            was_changed = before.seal_holds() is False  # and stays so: a new digest would hide it
+            data = before.data
             change(data)
-            data = sealed(data)
-            write_json(self.path, data)
-            self.data = data
+            data["format"] = FORMAT
+            text = sealed_text(data, broken=was_changed)
+            write_text(self.path, text)
+            self.data = json.loads(text)
 
 
 def _text_record(text: str) -> FileRecord:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Annotated
+
+from wheelleg_exp.constraints import NonNegative, Pattern
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # what may be part of a folder's name
 NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', beginning with a letter or digit"
@@ -19,5 +22,5 @@ class RunOptions:
     """
 
     root: str = "runs"
-    name: str | None = field(default=None, metadata={"pattern": NAME, "words": NAME_WORDS})
-    max_patch_mb: float = 50.0
+    name: Annotated[str, Pattern(NAME, NAME_WORDS)] | None = None
+    max_patch_mb: NonNegative = 50.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 
+_FIRST_YEAR, _LAST_YEAR = 1970, 9998
 _FOLDER = "%Y-%m-%d_%H-%M-%S"
 _FOLDER_PATTERN = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d")
 
@@ -24,6 +25,8 @@ def parse_utc(text: str) -> datetime:
     moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError(f"'{text}' has no time zone")
+    if not _FIRST_YEAR <= moment.year <= _LAST_YEAR:  # beyond these no time zone can be changed
+        raise ValueError(f"'{text}' is in no year of a computer")
     return moment
 
 

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import mujoco
 import torch
 
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.sim.names import match_names, values_by_name
-from wheelleg_exp.sim.state import Stateful
+from wheelleg_exp.constraints import Above, MayBeInfinite, Names, NonNegative
+from wheelleg_exp.sim.layout import JointTargets
+from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
+from wheelleg_exp.state import Stateful
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.data import RobotData
 
-PerJoint = float | Mapping[str, float]
+PerJoint = NonNegative | Mapping[str, NonNegative]
+NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")  # of every joint of a group
+ONE_GROUP = "each joint in one actuator group"
+Limit = Annotated[float, Above(0), MayBeInfinite()]
+LimitPerJoint = Limit | Mapping[str, Limit]
+Stream = Callable[[], torch.Generator]
 
 
 class ActuatorBase(Stateful):
-    """A group of joints driven by one model. What a model remembers are its attributes (``sim.state``).
+    """A group of joints driven by one model. What a model remembers are its attributes (``state``).
 
     Each number is a scalar or a mapping of joint expressions to values.
 
@@ -37,14 +43,14 @@ class ActuatorBase(Stateful):
 
     def __init__(
         self,
-        joint_names_expr: Sequence[str],
+        joint_names_expr: Names,
         stiffness: PerJoint,
         damping: PerJoint,
-        effort_limit: PerJoint,
-        velocity_limit: PerJoint,
+        effort_limit: LimitPerJoint,
+        velocity_limit: LimitPerJoint,
         armature: PerJoint | None = None,
     ) -> None:
-        self.joint_names_expr = list(joint_names_expr)
+        self.joint_names_expr = [joint_names_expr] if isinstance(joint_names_expr, str) else list(joint_names_expr)
         self._config: dict[str, Any] = {
             "stiffness": stiffness,
             "damping": damping,
@@ -53,27 +59,24 @@ class ActuatorBase(Stateful):
             "armature": armature,
         }
 
-    def resolve(self, joint_names: Sequence[str], key: str) -> None:
-        """Find the group's joints among ``joint_names`` and spread each number over them.
+    def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
+        """Find the group's joints among ``joint_names`` and spread each number over them, as tensors on ``device``.
 
         Raises:
-            ConfigError: an expression matches nothing, or a gain is negative.
+            ConfigError: an expression matches nothing, or a joint has no value.
         """
         indices, self.joint_names = match_names(
             self.joint_names_expr, joint_names, key=f"{key}.joint_names_expr", what="joint"
         )
-        self.joint_ids = torch.tensor(indices)
+        self.joint_ids = torch.tensor(indices, device=device)
         per_joint: dict[str, list[Any]] = {}
         for name, values in self._config.items():
             spread = values_by_name(values, self.joint_names, None, key=f"{key}.{name}", what="joint")
-            missing = [j for j, v in zip(self.joint_names, spread, strict=True) if v is None]
-            if missing and name != "armature":
-                raise ConfigError(f"no value for joint '{missing[0]}'", key=f"{key}.{name}", expected="a value a joint")
-            if any(v is not None and v < 0 for v in spread):
-                raise ConfigError("must not be negative", key=f"{key}.{name}", expected="a number >= 0")
+            for error in valueless_errors(values, self.joint_names, f"{key}.{name}") if name in NEEDED else ():
+                raise error
             per_joint[name] = spread
         self.stiffness, self.damping, self.effort_limit, self.velocity_limit = (
-            torch.tensor(per_joint[name], dtype=torch.float32)
+            torch.tensor(per_joint[name], dtype=torch.float32, device=device)
             for name in ("stiffness", "damping", "effort_limit", "velocity_limit")
         )
         self._per_joint = per_joint
@@ -90,17 +93,38 @@ class ActuatorBase(Stateful):
     def _shape(self, actuator: Any, index: int) -> None:
         raise NotImplementedError
 
-    def control(self, data: RobotData) -> torch.Tensor:
-        """Return the MuJoCo controls (N, joints of the group) for the present targets and state."""
+    def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
+        """Allocate what the model remembers; called once, before the first step.
+
+        Args:
+            num_envs: number of environments, N.
+            dt: physics step, s.
+            stream: returns the group's random stream; a group that draws nothing does not ask for it.
+        """
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget what the model remembers of ``env_ids``."""
+
+    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the MuJoCo controls (N, joints of the group), before each physics step.
+
+        Args:
+            targets: the targets of all joints.
+            data: the robot's state from which the step will start.
+        """
         raise NotImplementedError
 
-    def computed_torque(self, data: RobotData, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
-        """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, unclipped, for a given state (N, joints)."""
+    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the unclipped torque (N, joints of the group) that acted at the start of the last step, N·m."""
+        raise NotImplementedError
+
+    def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
+        """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, for joints (N, J) of the robot."""
         ids = self.joint_ids
         return (
-            self.stiffness * (data.joint_pos_target[:, ids] - joint_pos)
-            + self.damping * (data.joint_vel_target[:, ids] - joint_vel)
-            + data.joint_effort_target[:, ids]
+            self.stiffness * (targets.pos[:, ids] - joint_pos[:, ids])
+            + self.damping * (targets.vel[:, ids] - joint_vel[:, ids])
+            + targets.effort[:, ids]
         )
 
 
@@ -120,12 +144,17 @@ class ImplicitActuator(ActuatorBase):
         actuator.forcelimited = True
         actuator.forcerange = (-limit, limit)
 
-    def control(self, data: RobotData) -> torch.Tensor:
+    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return kp q* + kd qd* + tau_ff; the drive subtracts kp q + kd qd itself."""
+        del data
         ids = self.joint_ids
-        control = self.stiffness * data.joint_pos_target[:, ids]
-        control += self.damping * data.joint_vel_target[:, ids]
-        return control.add_(data.joint_effort_target[:, ids])
+        control = self.stiffness * targets.pos[:, ids]
+        control += self.damping * targets.vel[:, ids]
+        return control.add_(targets.effort[:, ids])
+
+    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the drive's torque, which follows from the targets and the state before the step."""
+        return self._drive(targets, data.joint_pos_before, data.joint_vel_before)
 
 
 class IdealPDActuator(ActuatorBase):
@@ -137,8 +166,17 @@ class IdealPDActuator(ActuatorBase):
         actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
         actuator.gainprm[0] = 1.0
 
-    def control(self, data: RobotData) -> torch.Tensor:
+    def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
+        """Allocate the computed torque."""
+        super().connect(num_envs, dt, stream)
+        self._computed = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
+
+    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return clip(kp (q* - q) + kd (qd* - qd) + tau_ff, ±effort_limit)."""
-        ids = self.joint_ids
-        torque = self.computed_torque(data, data.joint_pos[:, ids], data.joint_vel[:, ids])
-        return torch.clamp(torque, -self.effort_limit, self.effort_limit)
+        self._computed = self._drive(targets, data.joint_pos, data.joint_vel)
+        return torch.clamp(self._computed, -self.effort_limit, self.effort_limit)
+
+    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the torque as it was computed before the step."""
+        del targets, data
+        return self._computed

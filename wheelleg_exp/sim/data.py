@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import torch
 
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.simulation import Simulation
-from wheelleg_exp.sim.state import Kept
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.layout import JointTargets, RobotLayout
+from wheelleg_exp.state import Kept
 
-if TYPE_CHECKING:
-    from wheelleg_exp.sim.robot import Robot
+# Tensors that come from the config and the model, and that an event may change.
+_SETTINGS = (
+    "default_joint_pos",
+    "default_joint_vel",
+    "joint_pos_limits",
+    "soft_joint_pos_limits",
+    "soft_joint_vel_limits",
+    "joint_effort_limits",
+    "com_b",
+)
 
 
 def _derived(compute: Callable[[RobotData], torch.Tensor]) -> property:
@@ -33,39 +41,47 @@ class RobotData(Kept):
 
     ``_w`` is world axes, ``_b`` axes of the root link. Root linear velocities are of the root body's centre of
     mass unless the name says ``link``; poses are of link frames.
+
+    Args:
+        sim: the running simulations.
+        layout: the robot's names, ids, defaults and limits.
+        targets: the joint targets.
+        computed_torque: returns the unclipped torques (N, J) that the actuators asked for in the last physics step.
     """
 
-    def __init__(self, robot: Robot, sim: Simulation) -> None:
-        model, n, joints = sim.model, sim.num_envs, len(robot.joint_names)
+    def __init__(
+        self,
+        sim: Engine,
+        layout: RobotLayout,
+        targets: JointTargets,
+        computed_torque: Callable[[RobotData], torch.Tensor],
+    ) -> None:
+        n, joints, device = sim.num_envs, len(layout.joint_names), sim.device
         self._sim = sim
+        self._targets = targets
+        self._compute_torque = computed_torque
         self._cache: dict[str, torch.Tensor] = {}
-        root = model.body(robot.body_names[0])
-        self._root_id = int(root.id)
-        self._floating = robot.floating
-        self._nq = model.nq
-        # Positions and velocities stand side by side in a state row.
-        start = sim.column("qpos")
-        self._motion = sim.state[:, start : start + model.nq + model.nv]
-        self._qpos_ids, self._dof_ids = robot.qpos_ids, robot.dof_ids
-        self._before = torch.zeros_like(self._motion)
-        self._body_ids = torch.tensor([int(model.body(b).id) for b in robot.body_names])
-        self._actuators = robot.actuators
-        self._actuated = robot.actuator_ids
-        self._dt = float(model.opt.timestep)
-        self.com_b = torch.from_numpy(root.ipos.copy()).float().expand(n, 3).clone()
-        self.default_joint_pos = robot.default_joint_pos.expand(n, joints).clone()
-        self.default_joint_vel = robot.default_joint_vel.expand(n, joints).clone()
-        self.joint_pos_limits = robot.joint_pos_limits
-        self.soft_joint_pos_limits = robot.soft_joint_pos_limits
-        self.soft_joint_vel_limits = robot.velocity_limits
-        self.joint_effort_limits = robot.effort_limits
-        gravity = torch.from_numpy(model.opt.gravity.copy()).float()
+        self._root_id = int(layout.body_ids[0])
+        self._floating = layout.floating
+        self._qpos, self._qvel = sim.view("qpos"), sim.view("qvel")
+        self._qpos_ids, self._dof_ids = layout.qpos_ids, layout.dof_ids
+        self._qpos_before, self._qvel_before = torch.zeros_like(self._qpos), torch.zeros_like(self._qvel)
+        self.motion_at_start = torch.cat((self._qpos, self._qvel), dim=1)
+        self._body_ids = layout.body_ids
+        self._actuated = layout.actuated_ids
+        self._dt = float(sim.model.opt.timestep)
+        self.com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
+        self.default_joint_pos = layout.default_joint_pos.expand(n, joints).clone()
+        self.default_joint_vel = layout.default_joint_vel.expand(n, joints).clone()
+        self.joint_pos_limits = layout.joint_pos_limits
+        self.soft_joint_pos_limits = layout.soft_joint_pos_limits
+        self.soft_joint_vel_limits = layout.velocity_limits
+        self.joint_effort_limits = layout.effort_limits
+        gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
         self._gravity_dir = torch.nn.functional.normalize(gravity, dim=0)
-        self.joint_pos_target = self.default_joint_pos.clone()
-        self.joint_vel_target = torch.zeros(n, joints)
-        self.joint_effort_target = torch.zeros(n, joints)
-        self._torque_valid = torch.zeros(n, 1)
-        self._applied_torque = torch.zeros(n, joints)
+        self._torque_valid = torch.zeros(n, 1, device=device)
+        self._applied_torque = torch.zeros(n, joints, device=device)
+        sim.view("actuator_force")  # bound before the first step, it is zero until then
 
     def invalidate(self) -> None:
         """Forget derived quantities; called whenever the state has changed."""
@@ -73,11 +89,12 @@ class RobotData(Kept):
 
     def before_step(self) -> None:
         """Keep the motion state that the coming physics step starts from."""
-        self._before.copy_(self._motion)
+        self._qpos_before.copy_(self._qpos)
+        self._qvel_before.copy_(self._qvel)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
         """Let the accelerations (n, k) of written joint velocities count from them."""
-        self._before[ids.unsqueeze(1), self._nq + self._dof_ids[joint_ids]] = vel.double()
+        self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
 
     def mark_stepped(self) -> None:
         """Note that the last solve belongs to every environment's present episode."""
@@ -91,21 +108,66 @@ class RobotData(Kept):
         self._applied_torque[ids] = 0.0
         self._cache.clear()
 
+    def settings(self) -> dict[str, torch.Tensor]:
+        """Return the tensors that come from the config and the model, and that an event may change."""
+        return {name: getattr(self, name) for name in _SETTINGS}
+
+    def begin_control_step(self) -> None:
+        """Keep the motion state that the coming control step starts from, for what may fail in it."""
+        torch.cat((self._qpos, self._qvel), dim=1, out=self.motion_at_start)
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return what is kept of the last physics step."""
+        return {
+            "motion_before": torch.cat((self._qpos_before, self._qvel_before), dim=1),
+            "torque_valid": self._torque_valid.clone(),
+            "applied_torque": self._applied_torque.clone(),
+        }
+
+    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        nq = self._qpos_before.shape[1]
+        self._qpos_before.copy_(saved["motion_before"][:, :nq])
+        self._qvel_before.copy_(saved["motion_before"][:, nq:])
+        self._torque_valid.copy_(saved["torque_valid"])
+        self._applied_torque.copy_(saved["applied_torque"])
+        self._cache.clear()
+
+    @property
+    def joint_pos_target(self) -> torch.Tensor:
+        """Position targets, rad, (N, J)."""
+        return self._targets.pos
+
+    @property
+    def joint_vel_target(self) -> torch.Tensor:
+        """Velocity targets, rad/s, (N, J)."""
+        return self._targets.vel
+
+    @property
+    def joint_effort_target(self) -> torch.Tensor:
+        """Feed-forward efforts, N·m, (N, J)."""
+        return self._targets.effort
+
     @_derived
-    def _state(self) -> torch.Tensor:
-        """Return positions and velocities in MuJoCo's order, float32, (N, nq + nv)."""
-        return self._motion.float()
+    def _positions(self) -> torch.Tensor:
+        """Return positions in MuJoCo's order, float32, (N, nq)."""
+        return self._qpos.float()
+
+    @_derived
+    def _velocities(self) -> torch.Tensor:
+        """Return velocities in MuJoCo's order, float32, (N, nv)."""
+        return self._qvel.float()
 
     @_derived
     def root_pos_w(self) -> torch.Tensor:
         """Position of the root link, m, (N, 3)."""
-        return self._state[:, 0:3] if self._floating else self.body_pos_w[:, 0]
+        return self._positions[:, 0:3] if self._floating else self.body_pos_w[:, 0]
 
     @_derived
     def root_quat_w(self) -> torch.Tensor:
         """Orientation of the root link (w, x, y, z), (N, 4)."""
         # MuJoCo keeps it a unit quaternion.
-        return self._state[:, 3:7] if self._floating else self.body_quat_w[:, 0]
+        return self._positions[:, 3:7] if self._floating else self.body_quat_w[:, 0]
 
     @_derived
     def root_rot_w(self) -> torch.Tensor:
@@ -116,15 +178,15 @@ class RobotData(Kept):
     def root_link_lin_vel_w(self) -> torch.Tensor:
         """Velocity of the root link's origin, m/s, (N, 3)."""
         if not self._floating:
-            return torch.zeros(self._sim.num_envs, 3)
-        return self._state[:, self._nq : self._nq + 3]
+            return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
+        return self._velocities[:, 0:3]
 
     @_derived
     def root_ang_vel_b(self) -> torch.Tensor:
         """Angular velocity of the root link in its own axes, rad/s, (N, 3)."""
         if not self._floating:
-            return torch.zeros(self._sim.num_envs, 3)
-        return self._state[:, self._nq + 3 : self._nq + 6]
+            return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
+        return self._velocities[:, 3:6]
 
     @_derived
     def root_ang_vel_w(self) -> torch.Tensor:
@@ -159,18 +221,27 @@ class RobotData(Kept):
     @_derived
     def joint_pos(self) -> torch.Tensor:
         """Joint positions, rad, (N, J)."""
-        return self._state.index_select(1, self._qpos_ids)
+        return self._positions.index_select(1, self._qpos_ids)
 
     @_derived
     def joint_vel(self) -> torch.Tensor:
         """Joint velocities, rad/s, (N, J)."""
-        return self._state.index_select(1, self._nq + self._dof_ids)
+        return self._velocities.index_select(1, self._dof_ids)
 
     @_derived
     def joint_acc(self) -> torch.Tensor:
         """Joint accelerations, rad/s^2, (N, J): finite difference over the last physics step."""
-        before = self._before.index_select(1, self._nq + self._dof_ids).float()
-        return (self.joint_vel - before) / self._dt * self._torque_valid
+        return (self.joint_vel - self.joint_vel_before) / self._dt * self._torque_valid
+
+    @_derived
+    def joint_pos_before(self) -> torch.Tensor:
+        """Joint positions from which the last physics step started, rad, (N, J)."""
+        return self._qpos_before.index_select(1, self._qpos_ids).float()
+
+    @_derived
+    def joint_vel_before(self) -> torch.Tensor:
+        """Joint velocities from which the last physics step started, rad/s, (N, J)."""
+        return self._qvel_before.index_select(1, self._dof_ids).float()
 
     @property
     def applied_torque(self) -> torch.Tensor:
@@ -180,14 +251,7 @@ class RobotData(Kept):
     @_derived
     def computed_torque(self) -> torch.Tensor:
         """Unclipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
-        before = self._before.float()
-        before_pos = before.index_select(1, self._qpos_ids)
-        before_vel = before.index_select(1, self._nq + self._dof_ids)
-        torque = torch.zeros_like(before_pos)
-        for actuator in self._actuators.values():
-            ids = actuator.joint_ids
-            torque[:, ids] = actuator.computed_torque(self, before_pos[:, ids], before_vel[:, ids])
-        return torque * self._torque_valid
+        return self._compute_torque(self) * self._torque_valid
 
     @_derived
     def body_pos_w(self) -> torch.Tensor:

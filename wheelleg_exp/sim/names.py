@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -35,12 +35,9 @@ def match_names(
     for pattern in patterns:
         matched = [name for name in names if _compiled(pattern, key).fullmatch(name)]
         if not matched:
-            raise ConfigError(
-                f"the {what} expression '{pattern}' matches nothing",
-                key=key,
-                expected=f"an expression that matches some of: {', '.join(names)}",
-                nearest=nearest_name(pattern, names),
-            )
+            listed = f"an expression that matches some of: {', '.join(names)}" if names else f"no {what}: there is none"
+            message, nearest = f"the {what} expression '{pattern}' matches nothing", nearest_name(pattern, names)
+            raise ConfigError(message, key=key, expected=listed, nearest=nearest)
         for name in matched:
             if name in owner:
                 raise ConfigError(
@@ -75,10 +72,30 @@ def values_by_name(
     return spread
 
 
-def require_numbers(values: Sequence[float], count: int, key: str) -> None:
-    """Raise ConfigError unless there are ``count`` numbers."""
-    if len(values) != count:
-        raise ConfigError(f"has {len(values)} numbers", key=key, expected=f"{count} numbers")
+def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[ConfigError]:
+    """Return the mistake of a mapping by joint expression that leaves joints without a value."""
+    if not isinstance(values, Mapping):
+        return []
+    missing = [name for name in names if not any(_compiled(str(pattern), key).fullmatch(name) for pattern in values)]
+    message = f"no value for joint {', '.join(missing)}"
+    return [ConfigError(message, key=key, expected="a value a joint")] if missing else []
+
+
+def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
+    """Return the mistakes of joints that two drive.
+
+    Args:
+        claims: who drives what: a name, the config key of its expressions, and the joints.
+        expected: what is expected instead.
+    """
+    owner: dict[str, str] = {}
+    errors = []
+    for name, key, joints in claims:
+        for joint in joints:
+            if owner.setdefault(joint, name) != name:
+                message = f"joint '{joint}' is driven by both '{owner[joint]}' and '{name}'"
+                errors.append(ConfigError(message, key=key, expected=expected))
+    return errors
 
 
 def _compiled(pattern: str, key: str) -> re.Pattern[str]:

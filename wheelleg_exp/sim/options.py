@@ -2,8 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from wheelleg_exp.constraints import (
+    Above,
+    AtMost,
+    Count,
+    Length,
+    Natural,
+    Node,
+    NonNegative,
+    NotAllZero,
+    Positive,
+)
 
 
 @dataclass(frozen=True)
@@ -11,6 +24,8 @@ class SimOptions:
     """The solver (``env.sim``), in MuJoCo's terms.
 
     Attributes:
+        engine: what simulates: ``mujoco`` is MuJoCo's batch on the CPU, which repeats to the bit.
+        device: where the engine's tensors are.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.
         integrator: MuJoCo integrator.
@@ -23,25 +38,18 @@ class SimOptions:
         nthread: physics threads; 0 takes one for each core that the process may use. It never changes a result.
     """
 
-    dt: float = field(metadata={"above": 0.0})
-    gravity: list[float] = field(metadata={"length": 3})
+    engine: Literal["mujoco"]
+    device: Literal["cpu"]
+    dt: Positive
+    gravity: Annotated[Sequence[float], Length(3)]
     integrator: Literal["euler", "rk4", "implicit", "implicitfast"]
     solver: Literal["pgs", "cg", "newton"]
     cone: Literal["pyramidal", "elliptic"]
-    iterations: int = field(metadata={"minimum": 1})
-    ls_iterations: int = field(metadata={"minimum": 1})
-    tolerance: float = field(metadata={"minimum": 0.0})
-    impratio: float = field(metadata={"above": 0.0})
-    nthread: int = field(metadata={"minimum": 0})
-
-
-@dataclass(frozen=True)
-class Ground:
-    """The ground plane's material (``env.scene.ground``); restitution has no counterpart in MuJoCo."""
-
-    static_friction: float = field(metadata={"minimum": 0.0})
-    dynamic_friction: float = field(metadata={"minimum": 0.0})
-    restitution: float = field(metadata={"minimum": 0.0})
+    iterations: Count
+    ls_iterations: Count
+    tolerance: NonNegative
+    impratio: Positive
+    nthread: Natural
 
 
 @dataclass(frozen=True)
@@ -50,13 +58,13 @@ class SceneOptions:
 
     Attributes:
         env_spacing: distance between the origins of neighbouring environments, m.
-        ground: the ground plane's material.
+        terrain: the node of the ground.
         sensors: one node a sensor, by name.
     """
 
-    env_spacing: float = field(metadata={"minimum": 0.0})
-    ground: Ground
-    sensors: dict[str, Any]
+    env_spacing: NonNegative
+    terrain: Node
+    sensors: dict[str, Node | None]
 
 
 @dataclass(frozen=True)
@@ -70,8 +78,8 @@ class InitState:
         joint_vel: rad/s, by joint expression; others are 0.
     """
 
-    pos: list[float] = field(metadata={"length": 3})
-    rot: list[float] = field(metadata={"length": 4, "nonzero": 1})
+    pos: Annotated[Sequence[float], Length(3)]
+    rot: Annotated[Sequence[float], Length(4), NotAllZero()]
     joint_pos: dict[str, float]
     joint_vel: dict[str, float]
 
@@ -97,7 +105,7 @@ class RobotOptions:
     base: Literal["auto", "floating", "fixed"]
     init_state: InitState
     joint_order: list[str] | None
-    soft_joint_pos_limit_factor: float = field(metadata={"above": 0.0, "maximum": 1.0})
+    soft_joint_pos_limit_factor: Annotated[float, Above(0), AtMost(1)]
     friction_source: Literal["static", "dynamic"]
-    actuators: dict[str, Any]
+    actuators: dict[str, Node | None]
     self_collisions: bool | None = None

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 
 # R_ij as a linear map of the 16 products q_a q_b, (16, 9); rows are a*4+b (unit quaternions).
-_PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3)
+_PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3, device="cpu")
 for _i in range(3):
     for _j in range(3):
         if _i == _j:
@@ -17,11 +19,9 @@ for _i in range(3):
             _third = 3 - _i - _j
             _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
 _PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
-_BY_DTYPE = {dtype: _PRODUCTS_TO_MATRIX.to(dtype) for dtype in (torch.float32, torch.float64)}
-
 
 # Component of the Hamilton product that a_i b_j adds to, and its sign.
-_PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4)
+_PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4, device="cpu")
 for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
     for _j, _to in enumerate(_row):
         _negative = _to < 0 or (_to == 0 and _i > 0)
@@ -29,7 +29,7 @@ for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, 
 _PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
 
 # The quaternion of three half angles; an index is 1 for the sine of roll, pitch and yaw in turn.
-_HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4)
+_HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
 for _indices, _to, _weight in (
     ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),
     ((1, 0, 0), 1, 1.0), ((0, 1, 1), 1, -1.0),
@@ -40,10 +40,25 @@ for _indices, _to, _weight in (
 _HALF_ANGLES_TO_QUAT = _HALF_ANGLES_TO_QUAT.reshape(8, 4)
 
 
+@cache
+def _matrix_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    return _PRODUCTS_TO_MATRIX.to(device, dtype)
+
+
+@cache
+def _quat_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    return _PRODUCTS_TO_QUAT.to(device, dtype)
+
+
+@cache
+def _half_angles_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    return _HALF_ANGLES_TO_QUAT.to(device, dtype)
+
+
 def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
     products = (q.unsqueeze(2) * q.unsqueeze(1)).view(-1, 16)
-    return (products @ _BY_DTYPE[q.dtype]).view(-1, 3, 3)
+    return (products @ _matrix_table(q.dtype, q.device)).view(-1, 3, 3)
 
 
 def rotate(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
@@ -59,7 +74,7 @@ def rotate_inverse(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
 def quat_mul(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Return the Hamilton product of quaternions (n, 4)."""
     products = (a.unsqueeze(2) * b.unsqueeze(1)).flatten(1)
-    return products @ _PRODUCTS_TO_QUAT.to(products.dtype)
+    return products @ _quat_table(products.dtype, products.device)
 
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
@@ -67,12 +82,12 @@ def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tens
     half = torch.stack((roll, pitch, yaw), dim=1) / 2
     roll, pitch, yaw = torch.stack((half.cos(), half.sin()), dim=2).unbind(dim=1)
     products = (roll.unsqueeze(2) * pitch.unsqueeze(1)).unsqueeze(3) * yaw.view(-1, 1, 1, 2)
-    return products.flatten(1) @ _HALF_ANGLES_TO_QUAT.to(products.dtype)
+    return products.flatten(1) @ _half_angles_table(products.dtype, products.device)
 
 
 def random_quat(count: int, generator: torch.Generator) -> torch.Tensor:
     """Return quaternions (count, 4) uniform on SO(3): normalised 4-d Gaussians (Marsaglia 1972)."""
-    return torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1)
+    return torch.nn.functional.normalize(torch.randn(count, 4, generator=generator, device=generator.device), dim=-1)
 
 
 def wrap_to_pi(angles: torch.Tensor) -> torch.Tensor:
@@ -83,4 +98,4 @@ def wrap_to_pi(angles: torch.Tensor) -> torch.Tensor:
 
 def uniform(low: torch.Tensor, high: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
     """Return U(low, high), (count, k), for bounds (k,)."""
-    return low + (high - low) * torch.rand(count, low.shape[0], generator=generator)
+    return low + (high - low) * torch.rand(count, low.shape[0], generator=generator, device=low.device)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +14,21 @@ import torch
 
 from wheelleg_exp.errors import AssetError, ConfigError, nearest_name
 from wheelleg_exp.sim.actuators import ActuatorBase
-from wheelleg_exp.sim.contact import ContactSensor
-from wheelleg_exp.sim.names import require_numbers
+from wheelleg_exp.sim.batch import BatchEngine
+from wheelleg_exp.sim.engine import WRENCHES, Engine
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import Robot
-from wheelleg_exp.sim.simulation import Simulation
-from wheelleg_exp.sim.state import Kept
+from wheelleg_exp.sim.sensors import ContactSensor, SensorBase
+from wheelleg_exp.sim.terrain import TerrainBase, is_ground
+from wheelleg_exp.state import Kept
 
-GROUND = "ground"
+_ENGINES = {"mujoco": BatchEngine}
 _ROBOT_PRIORITY = 1
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
 
 
 class Scene(Kept):
-    """Ground plane, robot and sensors of N environments.
+    """Ground, robot and sensors of N environments.
 
     Members are found by name, as in Isaac Lab: ``scene["robot"]``, ``scene["contact_forces"]``. Until ``play``
     the model is a spec that may still be edited.
@@ -36,7 +37,8 @@ class Scene(Kept):
         mjcf: the robot's MJCF file.
         num_envs: number of environments, N.
         sim: the solver.
-        scene: ground and spacing.
+        scene: the spacing of the environments.
+        terrain: the ground.
         robot: the robot's options.
         actuators: the robot's actuator groups by name.
         sensors: sensors by name.
@@ -48,33 +50,41 @@ class Scene(Kept):
         num_envs: int,
         sim: SimOptions,
         scene: SceneOptions,
+        terrain: TerrainBase,
         robot: RobotOptions,
         actuators: Mapping[str, ActuatorBase],
-        sensors: Mapping[str, ContactSensor],
+        sensors: Mapping[str, SensorBase],
     ) -> None:
         self.num_envs = num_envs
         self.options = scene
+        self.terrain = terrain
+        self.device = torch.device(sim.device)
         spec = _robot_spec(mjcf)
         root_name = _root_body(spec, mjcf)
         _set_options(spec, sim)
         _set_self_collisions(spec, robot.self_collisions)
-        self._add_ground(spec)
+        terrain.add_to(spec)
         self._effective_friction(spec, robot.friction_source)
-        self.robot = Robot(robot, actuators, spec, root_name)
+        self.robot = Robot(robot, actuators, spec, root_name, self.device)
         self.sensors = dict(sensors)
         for name, sensor in self.sensors.items():
-            sensor.add_to(spec, name, self.robot.body_names)
+            sensor.add_to(spec, name, self.robot)
         self.spec = spec
-        self._nthread = sim.nthread
-        self.env_origins = grid_origins(num_envs, scene.env_spacing)
+        self._sim_options = sim
+        self.env_origins = terrain.origins(num_envs, scene.env_spacing, self.device)
 
-    def play(self) -> None:
-        """Compile the spec, start the simulations and stand the robot at its default state."""
+    def play(self, stream: Callable[[str], torch.Generator]) -> None:
+        """Compile the spec, start the simulations and stand the robot at its default state.
+
+        Args:
+            stream: returns the random stream of a config path.
+        """
         self.model = self.spec.compile()
-        self.sim = Simulation(self.model, self.num_envs, self._nthread)
-        self.robot.connect(self.sim)
+        self.sim = make_engine(self._sim_options, self.model, self.num_envs)
+        self._unstable: torch.Tensor | None = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        self.robot.connect(self.sim, stream)
         for sensor in self.sensors.values():
-            sensor.connect(self.sim)
+            sensor.connect(self.sim, partial(stream, sensor.key))
         self._place_at_defaults()
 
     def __getitem__(self, name: str) -> Any:
@@ -105,8 +115,25 @@ class Scene(Kept):
         """Run the actuators and write controls and wrenches, before each physics step."""
         self.robot.write_data_to_sim()
 
+    def unstable(self) -> torch.Tensor:
+        """Return which simulations (N,) bool have gone to NaN or huge values by the last physics step."""
+        if self._unstable is None:
+            self._unstable = self.sim.unstable()
+        return self._unstable
+
+    def motion(self) -> dict[str, torch.Tensor]:
+        """Return positions and velocities by what they are, (N, ...)."""
+        return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
+
+    def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
+        """Return what was asked for to be written (see ``Engine.asked``), by what it is, (N, ...)."""
+        wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}
+        fields = sorted({*asked} - {WRENCHES})
+        return wrenches | {f"the model's {name}": self.sim.expanded[name] for name in fields}
+
     def update(self) -> None:
         """Take up the results of the physics step that has just run."""
+        self._unstable = None
         self.robot.data.mark_stepped()
         for sensor in self.sensors.values():
             sensor.update()
@@ -114,6 +141,7 @@ class Scene(Kept):
     def reset(self, ids: torch.Tensor) -> None:
         """Reset simulations, then assets, then sensors; the state itself is the reset events' job."""
         self.sim.reset(ids)
+        self._unstable = self.unstable().index_fill(0, ids, False)
         self.robot.reset(ids)
         for sensor in self.sensors.values():
             sensor.reset(ids)
@@ -122,21 +150,23 @@ class Scene(Kept):
         """Return what the log says of limits that MuJoCo or a sensor could not keep, over episodes that end now.
 
         ``joint_over_speed``: share of ``ids`` with a joint beyond its velocity limit in its last step, which PhysX
-        would have clamped. ``<sensor>_overflow``: share with more contacts on one body than the sensor sums.
+        would have clamped. ``<sensor>_...``: what each sensor says of itself.
         """
         data = self.robot.data
         fast = (data.joint_vel[ids].abs() > data.soft_joint_vel_limits).any(dim=1)
         log = {"Diagnostics/joint_over_speed": fast.float().mean()}
         for name, sensor in self.sensors.items():
-            log[f"Diagnostics/{name}_overflow"] = sensor.overflowed(ids).float().mean()
+            log |= {f"Diagnostics/{name}_{word}": value for word, value in sensor.diagnostics(ids).items()}
         return log
 
     def refresh(self) -> None:
         """Make derived quantities describe the new state of the environments whose state was written."""
-        stale = self.robot.stale
-        if stale.any():
-            self.sim.forward(stale.nonzero().squeeze(1))
-            stale.fill_(False)
+        if self.robot.is_stale:
+            ids = self.robot.take_stale()
+            self.sim.forward(ids)
+            self.robot.data.invalidate()
+            for sensor in self.sensors.values():
+                sensor.refresh(ids)
         self.robot.data.invalidate()
 
     def state_dict(self) -> dict[str, Any]:
@@ -146,36 +176,29 @@ class Scene(Kept):
             "robot": self.robot.state_dict(),
             "sensors": {name: sensor.state_dict() for name, sensor in self.sensors.items()},
             "env_origins": self.env_origins.clone(),
+            **({"terrain": terrain} if (terrain := self.terrain.state_dict()) else {}),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         self.sim.load_state_dict(saved["sim"])
+        self._unstable = self.sim.unstable()
         self.robot.load_state_dict(saved["robot"])
         for name, sensor in self.sensors.items():
             sensor.load_state_dict(saved["sensors"][name])
         self.env_origins.copy_(saved["env_origins"])
-
-    def _add_ground(self, spec: mujoco.MjSpec) -> None:
-        ground = self.options.ground
-        spec.worldbody.add_geom(
-            name=GROUND,
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=[0, 0, 0.05],
-            friction=[ground.dynamic_friction, 0.005, 0.0001],
-            rgba=[0.35, 0.38, 0.42, 1],
-        )
+        self.terrain.load_state_dict(saved.get("terrain", {}))
 
     def _effective_friction(self, spec: mujoco.MjSpec, source: str) -> None:
         """Give robot geoms PhysX's average with the ground, which the higher priority makes MuJoCo use."""
-        ground = self.options.ground.static_friction if source == "static" else self.options.ground.dynamic_friction
+        ground = self.terrain.friction(source)
         for geom in spec.geoms:
-            if geom.name != GROUND and (geom.contype or geom.conaffinity):
+            if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
                 geom.priority = _ROBOT_PRIORITY
                 geom.friction[0] = (geom.friction[0] + ground) / 2
 
     def _place_at_defaults(self) -> None:
-        robot, ids = self.robot, torch.arange(self.num_envs)
+        robot, ids = self.robot, torch.arange(self.num_envs, device=self.device)
         if robot.floating:
             pos = robot.default_root_pos + self.env_origins
             robot.write_root_pose(ids, pos, robot.default_root_quat.expand(self.num_envs, 4))
@@ -183,19 +206,12 @@ class Scene(Kept):
         self.refresh()
 
 
-def grid_origins(num_envs: int, spacing: float) -> torch.Tensor:
-    """Return the origins (N, 3) of environments on a square grid around the world's origin, row by row.
-
-    Layout as in Isaac Lab: ``rows = ceil(N / floor(sqrt(N)))``, x falls with the row, y grows with the column
-    mirrored about the centre.
-    """
-    rows = math.ceil(num_envs / math.floor(math.sqrt(num_envs)))
-    cols = math.ceil(num_envs / rows)
-    i, j = torch.meshgrid(torch.arange(rows), torch.arange(cols), indexing="ij")
-    origins = torch.zeros(num_envs, 3)
-    origins[:, 0] = (-(i.flatten()[:num_envs] - (rows - 1) / 2)) * spacing
-    origins[:, 1] = (j.flatten()[:num_envs] - (cols - 1) / 2) * spacing
-    return origins
+def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> Engine:
+    """Return the engine that ``env.sim.engine`` names, with N simulations of the model."""
+    if options.engine not in _ENGINES:
+        expected = "one of " + ", ".join(_ENGINES)
+        raise ConfigError(f"there is no engine '{options.engine}'", key="env.sim.engine", expected=expected)
+    return _ENGINES[options.engine](model, num_envs, options.nthread)
 
 
 def model_digest(model: mujoco.MjModel) -> str:
@@ -242,7 +258,6 @@ def _set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
 
 
 def _set_options(spec: mujoco.MjSpec, sim: SimOptions) -> None:
-    require_numbers(sim.gravity, 3, "env.sim.gravity")
     option = spec.option
     option.timestep = sim.dt
     option.gravity = sim.gravity

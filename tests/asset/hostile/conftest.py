@@ -1,0 +1,18 @@
+"""Gives tests a folder for hostile files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .scratch import Scratch
+
+
+@pytest.fixture
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scratch:
+    """A folder for hostile files, in which the test stands."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "out" / "cache"))
+    return Scratch(tmp_path)

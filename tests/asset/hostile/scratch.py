@@ -1,0 +1,104 @@
+"""Gives hostile files to ``wheelleg``, and sees that nothing comes of them but an answer."""
+
+from __future__ import annotations
+
+import hashlib
+import resource
+import signal
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from jobs.small import Words, wheelleg
+from pxr import Sdf
+
+from wheelleg_exp.errors import EXIT_INPUT, EXIT_OK
+
+CANARY = "only its owner reads this"
+SECONDS = 120  # against hanging alone
+GROWTH = 2**30  # bytes
+
+Maker = Callable[[Path], Path]
+"""Writes files into a folder and returns the robot's."""
+
+
+class Scratch:
+    """A folder with a robot in ``robot/``, beside what no robot may touch."""
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.robot, self.out = root, root / "robot", root / "out"
+        self.robot.mkdir()
+        for name in ("canary", "canary.usda", "canary.png", "robot/id_rsa"):
+            (root / name).write_text(CANARY)
+
+    def convert(self, make: Maker, *words: str) -> Words:
+        """Convert what ``make`` writes into ``out/``."""
+        return self.run("convert", make(self.robot), "-o", self.out / "bot.xml", *words)
+
+    def run(self, *words: str | Path) -> Words:
+        """Run a command: it ends with 0 or 2, in bounded time and memory, and writes below ``out`` alone."""
+        before = _listing(self.root)
+        with _bounded():
+            said = wheelleg(*words)
+        after = _listing(self.root)
+        assert said.status in (EXIT_OK, EXIT_INPUT), said.err
+        assert "Traceback" not in said.out + said.err
+        assert "\x1b" not in said.out + said.err
+        assert {name: after.get(name) for name in before} == before
+        new = sorted(after.keys() - before.keys())
+        assert all(Path(name).parts[0] == "out" for name in new), new
+        assert said.status == EXIT_OK or not [name for name in new if (self.root / name).is_file()]
+        assert not [name for name in new if CANARY in _text(self.root / name)]
+        return said
+
+
+def _text(path: Path) -> str:
+    return path.read_text(errors="replace") if path.is_file() else ""
+
+
+def _listing(root: Path) -> dict[str, tuple[int, int, str]]:
+    """What stands in a folder: kind, size and content of each file, but for the large ones' content."""
+    found = {}
+    for path in root.rglob("*"):
+        info = path.lstat()
+        small = stat.S_ISREG(info.st_mode) and info.st_size < 2**20
+        content = hashlib.sha256(path.read_bytes()).hexdigest() if small else ""
+        found[str(path.relative_to(root))] = (info.st_mode, 0 if path.is_dir() else info.st_size, content)
+    return found
+
+
+@contextmanager
+def _bounded() -> Iterator[None]:
+    def stop(_: int, __: FrameType | None) -> None:
+        raise AssertionError(f"no answer after {SECONDS} s")
+
+    before, used = signal.signal(signal.SIGALRM, stop), _most_memory()
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    assert _most_memory() - used < GROWTH
+
+
+def _most_memory() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def sparse(path: Path, size: int, head: bytes = b"") -> Path:
+    """Write a file that claims ``size`` bytes and takes none."""
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(size)
+    return path
+
+
+def crate(text_layer: Path) -> Path:
+    """Write a text layer as a crate."""
+    path = text_layer.with_suffix(".usdc")
+    assert Sdf.Layer.FindOrOpen(str(text_layer)).Export(str(path))
+    text_layer.unlink()
+    return path

@@ -1,0 +1,122 @@
+"""Files that refer to themselves: each circle is cut, and the robot in it is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .. import small_urdf, small_usd
+from ..small_usd import SI, applied, link
+from .scratch import Maker, Scratch
+
+BALL = f'def Sphere "ball" {applied("PhysicsCollisionAPI MaterialBindingAPI")}\n{{\n%s\n}}\n'
+
+
+def usd(inside: str, *, outside: str = "", header: str = SI) -> Maker:
+    return lambda folder: small_usd.write(folder, link("a", inside=BALL % "") + inside, outside=outside, header=header)
+
+
+def prim(name: str, metadata: str, inside: str = "", kind: str = "Xform") -> str:
+    return f'def {kind} "{name}" ({metadata})\n{{\n{inside}\n}}\n'
+
+
+def instancer(name: str, prototypes: str, inside: str = "") -> str:
+    return f"""def PointInstancer "{name}"
+{{
+    rel prototypes = {prototypes}
+    int[] protoIndices = [0]
+    point3f[] positions = [(0, 0, 0)]
+    {inside}
+}}
+"""
+
+
+def joint(body0: str, body1: str) -> str:
+    return f'def PhysicsRevoluteJoint "j"\n{{\nrel physics:body0 = {body0}\nrel physics:body1 = {body1}\n}}\n'
+
+
+def mutual(folder: Path) -> Path:
+    """Two files that refer to each other."""
+    other = prim("other", "references = @./bot.usda@")
+    (folder / "other.usda").write_text(f'#usda 1.0\n(\n    defaultPrim = "other"\n)\n{other}')
+    return usd(prim("x", "references = @./other.usda@"))(folder)
+
+
+def package_of_itself(folder: Path) -> Path:
+    path = usd(prim("x", "references = @./bot.usdz@"))(folder)
+    (folder / "bot.usdz").symlink_to("bot.usdz")
+    return path
+
+
+VARIANTS = """def Xform "v" (
+    variants = { string s = "a" }
+    prepend variantSets = "s"
+)
+{
+    variantSet "s" = {
+        "a" (
+            variants = { string s = "b" }
+        ) {
+            def "x" (references = </bot/v>)
+            {
+            }
+        }
+        "b" (
+            variants = { string s = "a" }
+        ) {
+        }
+    }
+}
+"""
+COLLECTION = """def PhysicsCollisionGroup "g" (prepend apiSchemas = ["CollectionAPI:colliders"])
+{
+    rel collection:colliders:includes = [</bot/g.collection:colliders>, </bot/a>]
+    rel physics:filteredGroups = </bot/g>
+}
+"""
+MATERIALS = prim(
+    "m", "references = </bot/n>", "token outputs:surface.connect = </bot/m.outputs:surface>", "Material"
+) + prim("n", "references = </bot/m>", kind="Material")
+
+CIRCLES: dict[str, Maker] = {
+    "a class of itself": usd(prim("x", "inherits = </bot/x>")),
+    "classes of each other": usd(prim("x", "inherits = </bot/y>") + prim("y", "inherits = </bot/x>")),
+    "a class of what holds it": usd(prim("x", "inherits = </bot>")),
+    "prims that specialize each other": usd(prim("x", "specializes = </bot/y>") + prim("y", "specializes = </bot/x>")),
+    "a payload of its own file": usd(prim("x", "payload = @./bot.usda@")),
+    "an instance of what holds it": usd(prim("x", "instanceable = true\nreferences = </bot>")),
+    "files that refer to each other": mutual,
+    "a package that is a link to itself": package_of_itself,
+    "a layer below itself": usd("", header=SI + "\n    subLayers = [@./bot.usda@]"),
+    "variants that choose each other": usd(VARIANTS),
+    "prims that move to each other's place": usd(
+        "", header=SI + "\n    relocates = { </bot/a>: </bot/b>, </bot/b>: </bot/a> }"
+    ),
+    "an instancer of itself": usd(instancer("p", "</bot/p>")),
+    "an instancer of what holds it": usd(instancer("p", "</bot>")),
+    "instancers of each other": usd(instancer("p", "</bot/p/q>", instancer("q", "</bot/p>"))),
+    "materials of each other": usd(MATERIALS),
+    "an attribute of itself": usd('def "x"\n{\nfloat inputs:a.connect = </bot/x.inputs:a>\n}\n'),
+    "a collection of itself": usd(COLLECTION),
+    "a joint whose ends are each other": usd(joint("</bot/j.physics:body1>", "</bot/j.physics:body0>")),
+    "a joint whose end is itself": usd(joint("</bot/j.physics:body0>", "</bot/a>")),
+    "a joint to an attribute": usd(joint("</bot/a.physics:mass>", "</bot/a>")),
+    "a joint to itself": usd(joint("</bot/j>", "</bot/j>")),
+    "joints that follow each other": lambda folder: small_urdf.write(
+        folder,
+        "".join(small_urdf.link(name) for name in "abc")
+        + small_urdf.joint("j", "a", "b", "continuous", '<mimic joint="k"/>')
+        + small_urdf.joint("k", "b", "c", "continuous", '<mimic joint="j"/>'),
+    ),
+    "a joint that follows itself": lambda folder: small_urdf.write(
+        folder, small_urdf.pair("continuous", '<mimic joint="j"/>')
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CIRCLES)
+def test_a_circle_is_cut_and_the_robot_read(scratch: Scratch, name: str) -> None:
+    said = scratch.convert(CIRCLES[name])
+    assert said.status == 0, said.err
+    assert "bodies              " in said.out

@@ -1,0 +1,109 @@
+"""Damaged crates: what they claim is not believed; whatever their bytes say, one sentence or a model comes of it."""
+
+from __future__ import annotations
+
+import random
+import re
+import resource
+import struct
+from pathlib import Path
+
+import pytest
+from pxr import Usd
+
+from wheelleg_exp.asset import allocation, convert
+from wheelleg_exp.asset.usd import audit
+from wheelleg_exp.errors import AssetError
+
+from .. import small_usd
+from ..small_usd import cube_inside, hinge, link
+from .scratch import Maker, Scratch, crate
+
+
+def claiming(claim: int) -> Maker:
+    """A crate of a few hundred bytes whose mesh says that it has ``claim`` corners."""
+
+    def make(folder: Path) -> Path:
+        count = 999
+        corners = ", ".join(str(i % 8) for i in range(count))
+        block = re.sub(r"(faceVertexIndices = )\[.*?\]", rf"\1[{corners}]", cube_inside("convexHull"))
+        block = re.sub(r"(faceVertexCounts = )\[.*?\]", rf"\1[{', '.join(['3'] * (count // 3))}]", block)
+        path = crate(small_usd.write(folder, link("a", inside=block)))
+        data = path.read_bytes()
+        assert data.count(struct.pack("<Q", count)) == 1
+        path.write_bytes(data.replace(struct.pack("<Q", count), struct.pack("<Q", claim)))
+        return path
+
+    return make
+
+
+@pytest.mark.parametrize("claim", [2**30, 2**31 - 1, 2**40, 2**63, 2**64 - 1])
+def test_a_crate_that_claims_more_than_it_holds_takes_no_memory(
+    scratch: Scratch, monkeypatch: pytest.MonkeyPatch, claim: int
+) -> None:
+    monkeypatch.setattr(allocation, "MOST", 2**29)
+    said = scratch.convert(claiming(claim))
+    assert said.status == 2
+    assert "bot.usdc" in said.err
+
+
+def test_a_bound_on_memory_ends_with_the_conversion(scratch: Scratch) -> None:
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    scratch.convert(lambda folder: small_usd.write(folder, link("a")))
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_bounds_on_memory_may_overlap(tmp_path: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    first, second = allocation.bounded_memory(tmp_path), allocation.bounded_memory(tmp_path)
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert resource.getrlimit(resource.RLIMIT_DATA) != before
+    second.__exit__(None, None, None)
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+ROBOT = (
+    link("a", inside=cube_inside("convexHull"))
+    + link("b", "(1, 0, 0)", inside='def Capsule "c" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n')
+    + hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text="float drive:angular:physics:stiffness = 1")
+    + """def PointInstancer "many"
+{
+    rel prototypes = </bot/many/ball>
+    int[] protoIndices = [0, 0]
+    point3f[] positions = [(0, 0, 0), (1, 1, 1)]
+    float3[] scales = [(1, 1, 1), (2, 2, 2)]
+    def Sphere "ball"
+    {
+    }
+}
+"""
+)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_whatever_bytes_are_changed_gives_a_model_or_one_sentence(tmp_path: Path, seed: int) -> None:
+    dice = random.Random(seed)
+    path = crate(small_usd.write(tmp_path, ROBOT))
+    data = bytearray(path.read_bytes())
+    for _ in range(dice.choice([1, 1, 2, 4])):
+        place = dice.randrange(len(data) - 8)
+        if dice.random() < 0.5:
+            data[place] = dice.randrange(256)
+        else:
+            data[place : place + 8] = struct.pack("<Q", dice.choice([0, 1, 2**20, 2**31, 2**32 - 1, 2**63 - 1]))
+    path.write_bytes(data)
+    try:
+        convert(path, tmp_path / "out" / "bot.xml")
+    except AssetError as error:
+        said = error
+    else:
+        return
+    assert said.key or path.name in str(said)
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_a_property_that_is_only_named_is_left_out() -> None:
+    stage = Usd.Stage.CreateInMemory()
+    assert audit._text(stage.DefinePrim("/a").GetProperty("physics:mass")) == "not readable"

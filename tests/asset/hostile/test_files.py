@@ -1,0 +1,341 @@
+"""What robots may name: no pipe is waited for, no device read, nobody else's file looked into, no network asked."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import socket
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from .. import small_urdf, small_usd
+from ..small_usd import SI
+from .scratch import CANARY, Maker, Scratch, sparse
+
+GIGABYTES_64 = 64 * 2**30
+
+
+def usd(inside: str, header: str = SI) -> Maker:
+    """A robot of one body, and more in its default prim."""
+    return lambda folder: small_usd.write(folder, small_usd.link("a") + inside, header=header)
+
+
+def urdf(inside: str, before: str = "") -> Maker:
+    """A robot of one link, with more in it."""
+    return lambda folder: small_urdf.write(folder, before + small_urdf.link("a", inside))
+
+
+def with_files(make: Maker, **files: str | bytes) -> Maker:
+    """Files beside the robot; ``_`` stands for the point before the ending."""
+
+    def both(folder: Path) -> Path:
+        for name, content in files.items():
+            data = content.encode() if isinstance(content, str) else content
+            (folder / name.replace("_", ".")).write_bytes(data)
+        return make(folder)
+
+    return both
+
+
+def beside(make: Maker, name: str, kind: str) -> Maker:
+    """Something odd beside the robot."""
+
+    def both(folder: Path) -> Path:
+        odd(folder / name, kind)
+        return make(folder)
+
+    return both
+
+
+def odd(path: Path, kind: str) -> Path:
+    """Make what is no plain file, or one without end."""
+    path.parent.mkdir(exist_ok=True)
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "huge":
+        sparse(path, GIGABYTES_64, b"#usda 1.0\n")
+    else:
+        path.symlink_to({"zero": "/dev/zero", "memory": "/proc/self/mem", "loop": path.name}[kind])
+    return path
+
+
+def reference(asset: str, kind: str = "references") -> str:
+    return f'def Xform "x" ({kind} = @{asset}@)\n{{\n}}\n'
+
+
+def sublayer(asset: str) -> str:
+    return SI + f"\n    subLayers = [@{asset}@]"
+
+
+def mesh(name: str, kind: str = "collision") -> str:
+    return f'<{kind}><geometry><mesh filename="{name}"/></geometry></{kind}>'
+
+
+VARIANT = """def Xform "v" (
+    variants = { string s = "a" }
+    prepend variantSets = "s"
+)
+{
+    variantSet "s" = {
+        "a" {
+        }
+        "b" (references = @./odd.usda@</x>) {
+        }
+    }
+}
+"""
+SHADER = """def Shader "s"
+{
+    uniform token info:id = "UsdUVTexture"
+    asset inputs:file = @./odd.usda@
+    asset info:mdl:sourceAsset = @../canary@
+}
+"""
+CLIPS = """def Xform "x" (
+    clips = { dictionary default = { asset[] assetPaths = [@./odd.usda@]
+        asset manifestAssetPath = @./odd.usda@ } }
+)
+{
+}
+"""
+ENTITIES = "".join(f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in zip("abcdefghi", "bcdefghij", strict=True))
+
+SOURCES = {
+    "a pipe": ("pipe", "is a pipe or a device"),
+    "a device without end": ("zero", "is a pipe or a device"),
+    "the memory of the process": ("memory", "cannot be read"),
+    "a link to itself": ("loop", "cannot be read"),
+    "a folder": ("folder", "is a folder"),
+    "a file of 64 GB": ("huge", "is larger than"),
+}
+
+REFUSED: dict[str, tuple[Maker, str]] = {
+    "reference to a pipe": (beside(usd(reference("./odd.usda")), "odd.usda", "pipe"), "/bot/x: '.*odd.usda' is a pipe"),
+    "payload that is a pipe": (beside(usd(reference("./odd.usda", "payload")), "odd.usda", "pipe"), "is a pipe"),
+    "sublayer that is a pipe": (beside(usd("", sublayer("odd.usda")), "odd.usda", "pipe"), "is a pipe"),
+    "pipe in a variant not chosen": (beside(usd(VARIANT), "odd.usda", "pipe"), "odd.usda' is a pipe"),
+    "pipe that a layer elsewhere finds beside the robot": (
+        beside(
+            beside(
+                lambda folder: [
+                    (folder / "sub" / "b.usda").write_text(
+                        '#usda 1.0\n(\n defaultPrim = "x"\n)\ndef "x" (references = @odd.usda@</x>)\n{\n}\n'
+                    ),
+                    usd(reference("./sub/b.usda"))(folder),
+                ][1],
+                "odd.usda",
+                "pipe",
+            ),
+            "sub/odd",
+            "folder",
+        ),
+        "odd.usda' is a pipe",
+    ),
+    "reference to a device": (beside(usd(reference("./odd.usda")), "odd.usda", "zero"), "odd.usda' is a pipe or a dev"),
+    "reference to 64 GB": (beside(usd(reference("./odd.usda")), "odd.usda", "huge"), "odd.usda' is larger than"),
+    "name that is computed": (usd("", sublayer("`'odd.usda'`")), "computes the name of a layer"),
+    "mesh of 64 GB": (beside(urdf(mesh("odd.stl")), "odd.stl", "huge"), "odd.stl' is larger than"),
+    "mesh that is the process's memory": (beside(urdf(mesh("odd.stl")), "odd.stl", "memory"), "cannot be read"),
+    "document type": (
+        lambda folder: _text(folder, '<!DOCTYPE r SYSTEM "../canary"><robot name="b"><link name="a"/></robot>'),
+        "document type",
+    ),
+    "file as an entity": (
+        lambda folder: _text(
+            folder, '<!DOCTYPE r [<!ENTITY x SYSTEM "../canary">]><robot name="b"><link name="&x;"/></robot>'
+        ),
+        "document type",
+    ),
+    "entities of entities": (
+        lambda folder: _text(folder, f'<!DOCTYPE r [<!ENTITY a "aaa">{ENTITIES}]><robot name="&j;"/>'),
+        "document type",
+    ),
+    "encoding that needs another program": (
+        lambda folder: _text(folder, '<?xml version="1.0" encoding="zlib"?><robot name="b"/>'),
+        "not valid XML",
+    ),
+    "NUL in a URDF": (lambda folder: _text(folder, '<robot name="b\0"/>'), "not valid XML"),
+    "bytes that are no text": (
+        lambda folder: _usda(folder, b'#usda 1.0\ndef Xform "\xff\xfe" {\n}\n'),
+        "expected UTF-8",
+    ),
+    "substitution of a package": (urdf(mesh("$(find pkg)/part.stl")), "xacro"),
+    "substitution of the environment": (urdf(mesh("${HOME}/canary.stl")), "xacro"),
+}
+
+
+def _text(folder: Path, text: str) -> Path:
+    (folder / "bot.urdf").write_text(text)
+    return folder / "bot.urdf"
+
+
+def _usda(folder: Path, data: bytes) -> Path:
+    (folder / "bot.usda").write_bytes(data)
+    return folder / "bot.usda"
+
+
+PASSED: dict[str, tuple[Maker, str]] = {
+    "reference to a folder": (beside(usd(reference("./odd.usda")), "odd.usda", "folder"), "odd.usda"),
+    "reference to a link to itself": (beside(usd(reference("./odd.usda")), "odd.usda", "loop"), "odd.usda"),
+    "reference to no layer": (usd(reference("../canary")), "canary"),
+    "reference by URL": (usd(reference("file:///etc/passwd")), "passwd"),
+    "reference to a variable": (usd(reference("$HOME/canary.usda")), "HOME"),
+    "reference on another system": (usd(reference("C:\\canary.usda")), "canary.usda"),
+    "reference to a name without end": (usd(reference("a" * 5000 + ".usda")), "not found"),
+    "reference to a script": (with_files(usd(reference("odd.py")), odd_py="raise SystemExit(7)"), "odd.py"),
+    "arguments of a format": (
+        with_files(usd(reference("./odd.py:SDF_FORMAT_ARGS:a=b", "payload")), odd_py="raise SystemExit(7)"),
+        "not found",
+    ),
+    "texture that is a pipe": (beside(usd(SHADER), "odd.usda", "pipe"), ""),
+    "clips that are a pipe": (beside(usd(CLIPS), "odd.usda", "pipe"), ""),
+    "mesh that is a pipe": (beside(urdf(mesh("odd.stl")), "odd.stl", "pipe"), "not found"),
+    "mesh that is a device": (beside(urdf(mesh("odd.stl")), "odd.stl", "zero"), "not found"),
+    "mesh that is a folder": (beside(urdf(mesh("odd.stl")), "odd.stl", "folder"), "not found"),
+    "mesh that is a link to itself": (beside(urdf(mesh("odd.stl")), "odd.stl", "loop"), "not found"),
+    "mesh that is none": (urdf(mesh("../canary")), "no mesh format"),
+    "mesh by URL": (urdf(mesh("file:///etc/passwd")), "no mesh format"),
+    "mesh out of its package": (urdf(mesh("package://../../canary")), "no mesh format"),
+    "mesh in MuJoCo's folder": (
+        urdf(mesh("canary"), '<mujoco><compiler meshdir="../" strippath="false"/></mujoco>'),
+        "no mesh format",
+    ),
+    "mesh in a name without end": (urdf(mesh("a" * 5000 + ".stl")), "not found"),
+    "mesh in a network's folder": (urdf(mesh("\\\\server\\share\\part.stl")), "not found"),
+    "MuJoCo's include and plugins": (
+        urdf(
+            "",
+            '<mujoco><include file="../canary"/><extension><plugin plugin="mujoco.elasticity.cable"/></extension>'
+            '<asset><texture name="t" file="../canary"/><hfield name="h" file="../canary"/></asset></mujoco>',
+        ),
+        "",
+    ),
+    "XML's include": (
+        urdf("", '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="../canary" parse="text"/>'),
+        "",
+    ),
+    "MJCF in a name": (
+        lambda folder: small_urdf.write(folder, small_urdf.link("a&quot;/&gt;&lt;plugin/&gt;&lt;x y=&quot;")),
+        "",
+    ),
+    "end of a comment in a name": (
+        lambda folder: _text(
+            folder, f'<robot name="--&gt; &lt;include file=&quot;x&quot;/&gt;">{small_urdf.link("a")}</robot>'
+        ),
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("ending", ["usda", "usdc", "usdz", "urdf"])
+@pytest.mark.parametrize("name", SOURCES)
+def test_a_source_that_is_no_file_is_told(scratch: Scratch, name: str, ending: str) -> None:
+    kind, words = SOURCES[name]
+    said = scratch.convert(lambda folder: odd(folder / f"bot.{ending}", kind))
+    assert said.status == 2
+    assert words in said.err
+    assert f"bot.{ending}" in said.err
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_would_never_end_is_refused_by_name(scratch: Scratch, name: str) -> None:
+    make, words = REFUSED[name]
+    said = scratch.convert(make)
+    assert said.status == 2
+    assert re.search(words, said.err), said.err
+
+
+@pytest.mark.parametrize("name", PASSED)
+def test_what_is_no_part_of_a_robot_is_passed_over_and_told(scratch: Scratch, name: str) -> None:
+    make, words = PASSED[name]
+    said = scratch.convert(make)
+    assert said.status == 0, said.err
+    assert words in said.out
+    model = (scratch.out / "bot.xml").read_text()
+    assert not re.search(r"<(include|plugin|extension|hfield|texture)\b", re.sub(r"<!--.*?-->", "", model, flags=re.S))
+
+
+@pytest.mark.parametrize("make", [urdf(mesh("../canary")), usd(reference("../canary"))], ids=["urdf", "usd"])
+def test_a_report_holds_nothing_of_what_is_no_part_of_a_robot(scratch: Scratch, make: Maker) -> None:
+    said = scratch.convert(make, "--json")
+    assert hashlib.sha256(CANARY.encode()).hexdigest() not in said.out
+    assert len(json.loads(said.out)["layers"]) == 1
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:{}/a.usda", "http://127.0.0.1:{}/a.stl"])
+def test_nobody_asks_the_network(scratch: Scratch, url: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        name = url.format(server.getsockname()[1])
+        assert scratch.convert(urdf(mesh(name)) if name.endswith("stl") else usd(reference(name))).status == 0
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+@pytest.mark.parametrize("command", ["check", "zero-agent", "train"])
+def test_commands_that_take_a_robot_tell_its_key_once(scratch: Scratch, command: str) -> None:
+    make, words = REFUSED["reference to a pipe"]
+    said = scratch.run(command, "task=stand", f"env.robot.asset={make(scratch.robot)}")
+    assert said.status == 2
+    assert said.err.startswith("wheelleg: error: env.robot.asset: /bot/x: ")
+    assert re.search(words, said.err)
+    assert said.err.count("expected a layer of USD") == 1
+
+
+def test_a_project_is_not_made_of_a_robot_that_never_ends(scratch: Scratch) -> None:
+    said = scratch.run("new", "my_robot", "--robot", REFUSED["reference to a pipe"][0](scratch.robot))
+    assert said.status == 2
+    assert "/bot/x: " in said.err
+
+
+# ---------------------------------------------------------------- packages
+def package(names: list[str], compression: int = zipfile.ZIP_STORED, more: str = "") -> Maker:
+    def make(folder: Path) -> Path:
+        inner = usd(more)(folder)
+        with zipfile.ZipFile(folder / "bot.usdz", "w", compression) as file:
+            for name in names:
+                file.write(inner, name)
+        return folder / "bot.usdz"
+
+    return make
+
+
+def claiming(make: Maker, signature: bytes, offset: int) -> Maker:
+    """A package whose headers claim four gigabytes."""
+
+    def claim(folder: Path) -> Path:
+        path = make(folder)
+        data = bytearray(path.read_bytes())
+        start = data.find(signature) + offset
+        data[start : start + 8] = b"\xf0\xff\xff\xff" * 2
+        path.write_bytes(data)
+        return path
+
+    return claim
+
+
+PLAIN = package(["bot.usda"])
+PACKAGES: dict[str, tuple[Maker, int]] = {
+    "names that climb": (package(["../../bot.usda"]), 0),
+    "absolute names": (package(["/canary.usda"]), 0),
+    "reference out of it": (package(["bot.usda"], more=reference("../../canary")), 0),
+    "pipe beside it": (beside(package(["bot.usda"], more=reference("./odd.usda")), "odd.usda", "pipe"), 0),
+    "compressed": (package(["bot.usda"], zipfile.ZIP_DEFLATED), 2),
+    "nothing in it": (package([]), 2),
+    "no layer in it": (package(["bot.txt"]), 2),
+    "sizes of 4 GB": (claiming(PLAIN, b"PK\3\4", 18), 2),
+    "names of 4 GB": (claiming(PLAIN, b"PK\3\4", 26), 2),
+    "list elsewhere, which nobody reads": (claiming(PLAIN, b"PK\5\6", 12), 0),
+}
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_packages_do_not_reach_out_of_themselves(scratch: Scratch, name: str) -> None:
+    make, status = PACKAGES[name]
+    assert scratch.convert(make).status == status

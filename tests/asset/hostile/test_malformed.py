@@ -1,0 +1,572 @@
+"""Hostile and malformed files: a model that MuJoCo loads, or one sentence that says what is wrong and where."""
+
+from __future__ import annotations
+
+import random
+import re
+import time
+import zipfile
+
+import mujoco
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdUtils
+
+from wheelleg_exp.asset import convert
+from wheelleg_exp.asset.naming import unique_names
+from wheelleg_exp.errors import AssetError
+
+from ..small_usd import SI, applied, converted, cube_inside, hinge, link, two_links, write
+
+COLLIDES = applied("PhysicsCollisionAPI")
+
+
+def told(path, **options) -> AssetError:
+    with pytest.raises(AssetError) as caught:
+        convert(path, path.parent / "out" / "bot.xml", **options)
+    return caught.value
+
+
+def gprim(kind: str, text: str = "", apis: str = "PhysicsCollisionAPI") -> str:
+    return f'def {kind} "shape" {applied(apis)}\n{{\n{text}\n}}\n'
+
+
+# ---------------------------------------------------------------- numbers
+@pytest.mark.parametrize("name", ["metersPerUnit", "kilogramsPerUnit"])
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "1e300"])
+def test_units_that_no_stage_has_are_refused(tmp_path, name, value):
+    header = SI.replace("metersPerUnit = 1\n", "") + f"\n    {name} = {value}"
+    error = told(write(tmp_path, link("a"), header=header))
+    assert name in error.message
+    assert "bot.usda" in error.where
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "float physics:mass = inf",
+        "float3 physics:diagonalInertia = (inf, 1, 1)",
+        "point3f physics:centerOfMass = (nan, 0, 0)",
+        "quatf physics:principalAxes = (nan, 0, 0, 0)",
+        "double[] newton:inertia = [1, 1, 1e300, 0, 0, 0]",
+    ],
+)
+def test_mass_properties_without_end_are_named(tmp_path, text):
+    error = told(write(tmp_path, link("a", mass=text)))
+    assert error.key == "/bot/a"
+    assert text.split()[1] in error.message
+    assert error.where == "bot.usda"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "float drive:angular:physics:stiffness = nan",
+        "float drive:angular:physics:damping = inf",
+        "double drive:angular:physics:stiffness = 1e300",
+        "float drive:angular:physics:targetPosition = inf",
+        "float physics:lowerLimit = nan",
+        "point3f physics:localPos1 = (inf, 0, 0)",
+        "quatf physics:localRot1 = (1, nan, 0, 0)",
+        "float physxJoint:armature = inf",
+        "float state:angular:physics:position = inf",
+    ],
+)
+def test_joints_with_numbers_that_are_none_are_named(tmp_path, text):
+    apis = "PhysicsDriveAPI:angular"
+    body = link("a") + link("b") + hinge("j", "a", "b", apis=apis, text=text)
+    error = told(write(tmp_path, body))
+    assert error.key == "/bot/j"
+    assert text.split()[1] in error.message
+
+
+@pytest.mark.parametrize("value", ["-inf, inf", "-3.4e38, 3.4e38", "-57295776, 57295776", "-1e38, 1e38"])
+def test_limits_without_end_are_no_limits(tmp_path, value):
+    low, high = value.split(", ")
+    model, _ = two_links(tmp_path, f"float physics:lowerLimit = {low}\nfloat physics:upperLimit = {high}")
+    assert not model.jnt_limited[model.joint("j").id]
+
+
+def test_a_negative_mass_means_not_given_and_is_reported(tmp_path):
+    sphere = gprim("Sphere", "double radius = 0.1")
+    model, done = converted(write(tmp_path, link("a", mass="float physics:mass = -3", inside=sphere)))
+    assert model.body("a").mass[0] == pytest.approx(1000 * 4 / 3 * np.pi * 0.1**3, rel=1e-5)
+    assert any(item.name == "physics:mass" and "/bot/a" in item.values for item in done.report.left_out)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("Sphere", "double radius = nan"),
+        ("Sphere", "double radius = inf"),
+        ("Cube", "double size = 1e300"),
+        ("Capsule", "double height = nan"),
+        (
+            "Mesh",
+            "point3f[] points = [(0,0,0),(1,0,0),(0,1,0),(0,0,inf)]\nint[] faceVertexCounts = [3]\n"
+            "int[] faceVertexIndices = [0,1,2]",
+        ),
+        (
+            "Mesh",
+            "point3f[] points = [(0,0,0),(1,0,0),(0,1,0),(0,0,1e30)]\nint[] faceVertexCounts = [3]\n"
+            "int[] faceVertexIndices = [0,1,3]",
+        ),
+    ],
+)
+def test_shapes_without_a_size_that_a_robot_could_have_are_named(tmp_path, kind, text):
+    assert told(write(tmp_path, link("a", inside=gprim(kind, text)))).key == "/bot/a/shape"
+
+
+@pytest.mark.parametrize("value", ["(inf, 0, 0)", "(0, 1e300, 0)", "(1e15, 0, 0)"])
+def test_transforms_out_of_reach_are_named(tmp_path, value):
+    assert told(write(tmp_path, link("a", value))).key == "/bot/a"
+
+
+# ---------------------------------------------------------------- types
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('string physics:mass = "heavy"', "a number"),
+        ("float[] physics:mass = [1, 2]", "a number"),
+        ("token[] physics:mass = []", "a number"),
+        ('string physics:centerOfMass = "there"', "3 numbers"),
+        ("float4 physics:diagonalInertia = (1, 1, 1, 1)", "3 numbers"),
+        ("float3 physics:diagonalInertia = (1, 1, 1)\nfloat3 physics:principalAxes = (1, 0, 0)", "4 numbers"),
+        ('token physics:kinematicEnabled = "yes"', "true or false"),
+    ],
+)
+def test_values_of_another_type_are_named_with_what_belongs_there(tmp_path, text, expected):
+    error = told(write(tmp_path, link("a", mass=text)))
+    assert (error.key, error.expected) == ("/bot/a", expected)
+
+
+@pytest.mark.parametrize("text", ["int physics:mass = 2", "double physics:mass = 2", "half physics:mass = 2"])
+def test_a_number_of_another_type_is_a_number(tmp_path, text):
+    model, _ = converted(write(tmp_path, link("a", mass=text)))
+    assert model.body("a").mass[0] == 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'string points = "x"',
+        "int[] points = [1, 2, 3]",
+        'string faceVertexCounts = "x"',
+        "float[] faceVertexIndices = [0.5]",
+    ],
+)
+def test_a_mesh_of_other_types_is_left_out_by_name(tmp_path, text):
+    _, done = converted(write(tmp_path, link("a", inside=gprim("Mesh", text))))
+    assert done.description.colliders == ()
+    assert any("/bot/a/shape" in item.values for item in done.report.left_out)
+
+
+def test_values_over_time_alone_are_read_at_their_start_and_noted(tmp_path):
+    timed = "float physics:mass.timeSamples = { 1: 2.5, 2: 7 }\nfloat3 physics:diagonalInertia = (1, 1, 1)"
+    model, done = converted(write(tmp_path, link("a", mass=timed)))
+    assert model.body("a").mass[0] == 2.5
+    assert any(item.path == "/bot/a.physics:mass" for item in done.report.assumptions)
+
+
+def test_a_pose_over_time_alone_is_the_one_at_its_start(tmp_path):
+    path = write(tmp_path, link("a", "(0, 0, 3)"))
+    path.write_text(path.read_text().replace("translate = (0, 0, 3)", "translate.timeSamples = { 5: (0, 0, 3) }"))
+    model, _ = converted(path)
+    assert model.body("a").pos.tolist() == [0, 0, 3]
+
+
+# ---------------------------------------------------------------- joints
+def test_a_joint_to_itself_joins_nothing(tmp_path):
+    _, done = converted(write(tmp_path, link("a") + hinge("j", "a", "a")))
+    assert done.description.dofs == ()
+    assert any(item.name == "PhysicsRevoluteJoint" and "/bot/j" in item.values for item in done.report.left_out)
+
+
+def test_a_joint_to_nowhere_is_left_out_with_a_warning(tmp_path):
+    _, done = converted(write(tmp_path, link("a") + hinge("j", "a", "gone")))
+    assert any("/bot/j" in text for text in done.report.warnings)
+
+
+def test_a_ring_of_joints_is_cut_once(tmp_path):
+    body = "".join(link(name) for name in "abc")
+    body += hinge("ab", "a", "b") + hinge("bc", "b", "c") + hinge("ca", "c", "a")
+    model, done = converted(write(tmp_path, body))
+    assert model.njnt == 3  # the free joint and two hinges
+    assert model.neq == 2  # two points on the third hinge's axis
+    assert len(done.report.warnings) == 1
+
+
+@pytest.mark.parametrize("axis", ['""', '"W"', '"x"'])
+def test_an_axis_that_is_none_is_x_and_noted(tmp_path, axis):
+    model, done = two_links(tmp_path, f"uniform token physics:axis = {axis}")
+    assert model.joint("j").axis.tolist() == [1, 0, 0]
+    assert any(item.path == "/bot/j" for item in done.report.assumptions)
+
+
+def test_several_targets_of_one_end_are_no_end(tmp_path):
+    text = "rel physics:body1 = [</bot/b>, </bot/a>]"
+    joint = f'def PhysicsRevoluteJoint "j"\n{{\nrel physics:body0 = </bot/a>\n{text}\n}}\n'
+    model, _ = converted(write(tmp_path, link("a") + link("b") + joint))
+    assert model.njnt == 2
+
+
+# ---------------------------------------------------------------- composition
+def test_references_that_go_in_circles_are_cut_and_told(tmp_path):
+    body = link("a") + 'def Xform "again" (references = </bot>)\n{\n}\n'
+    model, done = converted(write(tmp_path, body))
+    assert model.nbody == 2
+    assert any("circle" in text and "/bot/again" in text for text in done.report.warnings)
+
+
+def test_layers_below_themselves_are_cut_and_told(tmp_path):
+    (tmp_path / "other.usda").write_text("#usda 1.0\n(\n    subLayers = [@./bot.usda@]\n)\n")
+    path = write(tmp_path, link("a"), header=SI + "\n    subLayers = [@./other.usda@]")
+    model, done = converted(path)
+    assert model.nbody == 2
+    assert any("circle" in text for text in done.report.warnings)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [('over "bot"', "over"), ('class "bot"', "class"), ('def Xform "bot" (active = false)', "active")],
+)
+def test_a_default_prim_that_stands_for_nothing_says_so(tmp_path, kind, said):
+    path = write(tmp_path, link("a"))
+    path.write_text(path.read_text().replace('def Xform "bot" ', kind))
+    assert said in told(path).message
+
+
+def test_a_default_prim_that_is_not_there_is_told_and_the_stage_is_read(tmp_path):
+    model, done = converted(write(tmp_path, link("a"), header=SI.replace('"bot"', '"robot"')))
+    assert model.nbody == 2
+    assert any("'robot'" in text for text in done.report.warnings)
+
+
+def test_a_robot_in_another_variant_says_how_to_choose_it(tmp_path):
+    path = tmp_path / "bot.usda"
+    path.write_text(
+        '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" (\n variants = { string Physics = "None" }\n'
+        ' prepend variantSets = "Physics"\n)\n{\n variantSet "Physics" = {\n "None" {\n }\n "PhysX" {\n'
+        + link("a")
+        + " }\n }\n}\n"
+    )
+    assert "Physics: None, PhysX" in told(path).expected
+    model, _ = converted(path, variants={"Physics": "PhysX"})
+    assert model.nbody == 2
+
+
+def missing(folder, asset: str, holder: str = "parts", inside: str = "") -> str:
+    return link("a") + f'def Xform "{holder}" (references = @{asset}@)\n{{\n{inside}\n}}\n'
+
+
+@pytest.mark.parametrize("asset", ["bot_physics.usd", "configuration/colliders.usd", "./joints.usda"])
+def test_a_missing_layer_of_physics_is_an_error_that_names_it(tmp_path, asset):
+    error = told(write(tmp_path, missing(tmp_path, asset)))
+    assert asset.removeprefix("./") in error.message
+
+
+@pytest.mark.parametrize("asset", ["textures/wood.usda", "../Materials/steel.usd", "bot_visuals.usd", "mat.mdl"])
+def test_a_missing_layer_for_looks_is_passed_over_and_told(tmp_path, asset):
+    _, done = converted(write(tmp_path, missing(tmp_path, asset)))
+    assert len(done.report.unresolved) == 1
+    assert asset.split("/")[-1] in done.report.unresolved[0]
+
+
+def test_a_missing_layer_that_a_joint_needs_is_an_error_that_names_it(tmp_path):
+    error = told(write(tmp_path, missing(tmp_path, "arm.usd") + hinge("j", "a", "parts/arm")))
+    assert "arm.usd" in error.message
+    assert "/bot/j" in error.message
+
+
+def test_a_missing_texture_is_not_blamed_for_a_joint_to_nowhere(tmp_path):
+    body = missing(tmp_path, "textures/wood.usda") + hinge("j", "a", "gone")
+    _, done = converted(write(tmp_path, body))
+    assert any("/bot/j" in text for text in done.report.warnings)
+
+
+def test_a_missing_layer_that_a_collider_needs_is_an_error_that_names_it(tmp_path):
+    body = link(
+        "a",
+        inside='def Xform "c" (\nprepend apiSchemas = ["PhysicsCollisionAPI"]\nreferences = @meshes.usd@)\n{\n}\n',
+    )
+    assert "meshes.usd" in told(write(tmp_path, body)).message
+
+
+@pytest.mark.parametrize("asset", ["/etc/passwd", "../../../../../../etc/passwd", "/etc/hosts.usda"])
+def test_paths_that_climb_out_are_read_by_nobody_who_is_no_layer(tmp_path, asset):
+    model, done = converted(write(tmp_path, missing(tmp_path, asset)))
+    assert model.nbody == 2
+    assert any(asset.split("/")[-1] in name for name in done.report.unresolved)
+
+
+def test_a_layer_outside_the_files_folder_is_read_and_noted(tmp_path):
+    (tmp_path / "Materials").mkdir()
+    (tmp_path / "Materials" / "m.usda").write_text('#usda 1.0\n(\n defaultPrim = "m"\n)\ndef Scope "m"\n{\n}\n')
+    (tmp_path / "bot").mkdir()
+    path = write(tmp_path / "bot", missing(tmp_path, "../Materials/m.usda"))
+    _, done = converted(path)
+    assert any("../Materials/m.usda" in item.rule for item in done.report.assumptions)
+
+
+# ---------------------------------------------------------------- files
+def test_a_folder_an_empty_file_and_a_name_without_end_are_told(tmp_path):
+    folder = tmp_path / "robot.usd"
+    folder.mkdir()
+    assert "is a folder" in told(folder).message
+    empty = tmp_path / "empty.usda"
+    empty.touch()
+    assert "is empty" in told(empty).message
+    assert told(tmp_path / ("x" * 5000 + ".usd")).expected
+
+
+@pytest.mark.parametrize(
+    ("suffix", "part"), [("usdc", 0.05), ("usdc", 0.5), ("usdc", 0.98), ("usdz", 0.05), ("usdz", 0.5)]
+)
+def test_a_file_that_ends_in_the_middle_is_told(tmp_path, suffix, part):
+    whole = tmp_path / f"whole.{suffix}"
+    source = write(tmp_path, link("a", inside=cube_inside("convexHull")))
+    if suffix == "usdz":
+        assert UsdUtils.CreateNewUsdzPackage(str(source), str(whole))
+    else:
+        Sdf.Layer.FindOrOpen(str(source)).Export(str(whole))
+    converted(whole)
+    broken = tmp_path / f"broken.{suffix}"
+    data = whole.read_bytes()
+    broken.write_bytes(data[: int(part * len(data))])
+    assert "broken" in str(told(broken))
+
+
+def test_a_package_that_climbs_out_reads_nothing_there(tmp_path):
+    (tmp_path / "secret.usda").write_text('#usda 1.0\ndef Xform "bot"\n{\n' + link("secret") + "}\n")
+    inner = write(tmp_path, missing(tmp_path, "../secret.usda</bot>".replace("</bot>", "")))
+    package = tmp_path / "in" / "bot.usdz"
+    package.parent.mkdir()
+    with zipfile.ZipFile(package, "w", zipfile.ZIP_STORED) as file:
+        file.writestr("bot.usda", inner.read_text())
+        file.write(tmp_path / "secret.usda", "../secret.usda")
+    try:
+        _, done = converted(package)
+    except AssetError:
+        return
+    assert [body.name for body in done.description.bodies] == ["a"]
+
+
+# ---------------------------------------------------------------- names
+def test_odd_names_give_files_that_every_disk_can_hold(tmp_path):
+    cubes = "\n".join(
+        cube_inside("convexHull").replace('"block"', f'"{name}"').replace("0.1", f"0.{i + 1}1")
+        for i, name in enumerate(["Arm", "arm", "ünï", "x" * 3000])
+    )
+    model, done = converted(write(tmp_path, link("a", inside=cubes)))
+    files = sorted(path.name for path in (done.output.parent / "bot_meshes").iterdir())
+    assert model.nmesh == 4
+    assert len({name.lower() for name in files}) == 4
+    assert all(len(name.encode()) < 255 and re.fullmatch(r"[\w.-]+", name) for name in files)
+
+
+def test_a_display_name_that_nobody_can_read_is_not_used(tmp_path):
+    path = write(tmp_path, link("tn__x").replace("prepend", 'displayName = "a\\tb"\n prepend'))
+    _, done = converted(path)
+    assert done.description.bodies[0].name == "tn__x"
+
+
+def test_a_display_name_that_climbs_becomes_a_plain_file(tmp_path):
+    block = cube_inside("convexHull").replace('"block" (', '"tn__x" (\n displayName = "../../../climb"')
+    _, done = converted(write(tmp_path, link("a", inside=block)))
+    assert [path.name for path in (done.output.parent / "bot_meshes").iterdir()] == ["a__________climb.obj"]
+
+
+# ---------------------------------------------------------------- shapes
+def test_polygons_become_fans_without_the_holes(tmp_path):
+    text = (
+        "point3f[] points = [(0,0,0),(1,0,0),(1,1,0),(0,1,0),(0,0,1)]\nint[] faceVertexCounts = [4, 3, 3, 0, 2]\n"
+        "int[] faceVertexIndices = [0,1,2,3, 0,1,4, 1,2,4, 3,4]\nint[] holeIndices = [1, 99]"
+    )
+    _, done = converted(write(tmp_path, link("a", inside=gprim("Mesh", text))))
+    assert done.description.meshes[0].faces.tolist() == [[0, 1, 2], [0, 2, 3], [1, 2, 4]]
+
+
+@pytest.mark.parametrize("counts", ["[-3, 6]", "[2147483647]", "[3, 3]"])
+def test_counts_that_do_not_fit_leave_the_mesh_out(tmp_path, counts):
+    text = f"point3f[] points = [(0,0,0),(1,0,0),(0,1,0),(0,0,1)]\nint[] faceVertexCounts = {counts}\n"
+    _, done = converted(write(tmp_path, link("a", inside=gprim("Mesh", text + "int[] faceVertexIndices = [0,1,2]"))))
+    assert any("/bot/a/shape" in text for text in done.report.warnings)
+
+
+def test_a_capsule_without_height_is_a_sphere(tmp_path):
+    model, _ = converted(write(tmp_path, link("a", inside=gprim("Capsule", "double radius = 0.2\ndouble height = 0"))))
+    assert model.geom_type[0] == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+
+
+@pytest.mark.parametrize("kind", ["Capsule_1", "Cylinder_1"])
+def test_the_newer_round_shapes_are_read(tmp_path, kind):
+    equal = "double radiusTop = 0.2\ndouble radiusBottom = 0.2\ndouble height = 1"
+    model, _ = converted(write(tmp_path, link("a", inside=gprim(kind, equal))))
+    assert model.geom_size[0, :2].tolist() == [0.2, 0.5]
+    taper = equal.replace("Bottom = 0.2", "Bottom = 0.4")
+    model, done = converted(write(tmp_path, link("a", inside=gprim(kind, taper))))
+    assert model.geom_type[0] == int(mujoco.mjtGeom.mjGEOM_MESH)
+    assert np.abs(done.description.meshes[0].vertices[:, :2]).max() == pytest.approx(0.4)
+
+
+def test_a_plane_on_a_body_that_moves_is_no_collider_but_drawn(tmp_path):
+    _, done = converted(write(tmp_path, link("a", inside=gprim("Plane"))))
+    assert any("/bot/a/shape" in text for text in done.report.warnings)
+    drawn = gprim("Plane", 'double width = 4\ndouble length = 2\nuniform token axis = "X"', apis="")
+    model, _ = converted(write(tmp_path, link("a", inside=drawn)))
+    assert model.geom_size[0].tolist() == [0.0005, 1, 2]
+
+
+def test_a_mirrored_ground_keeps_its_solid_side(tmp_path):
+    turned = "double3 xformOp:scale = (1, 1, -1)\nuniform token[] xformOpOrder = ['xformOp:scale']".replace("'", '"')
+    model, _ = converted(write(tmp_path, link("a") + gprim("Plane", turned)))
+    normal = np.zeros(3)
+    mujoco.mju_rotVecQuat(normal, np.array([0.0, 0, 1]), model.geom_quat[0])
+    assert normal.round(9).tolist() == [0, 0, -1]
+
+
+def test_a_gprim_that_collides_leaves_its_children_alone(tmp_path):
+    nested = gprim("Cube", 'def Sphere "inner"\n{\n}\n')
+    _, done = converted(write(tmp_path, link("a", inside=nested)))
+    assert [geom.kind for geom in done.description.colliders] == ["box"]
+
+
+@pytest.mark.parametrize("apis", ["", "PhysicsCollisionAPI"])
+def test_a_cone_without_height_is_flat(tmp_path, apis):
+    model, _ = converted(write(tmp_path, link("a", inside=gprim("Cone", "double height = 1e-300", apis=apis))))
+    assert model.geom_type[0] == int(mujoco.mjtGeom.mjGEOM_BOX)
+
+
+def test_tiny_and_flat_colliders_become_something_that_mujoco_builds(tmp_path):
+    tiny = cube_inside("convexHull").replace("0.1", "0.000002")
+    model, _ = converted(write(tmp_path, link("a", inside=tiny)))
+    assert model.ngeom == 1
+
+
+INSTANCER = """def PointInstancer "many" {apis}
+{{
+    rel prototypes = </bot/a/many/proto>
+    int[] protoIndices = [0, 0, 0]
+    point3f[] positions = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
+    def Xform "proto"
+    {{
+        double3 xformOp:translate = (5, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+        def Sphere "ball" {inner}
+        {{
+            double radius = 0.25
+            double3 xformOp:translate = (0, 0.5, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }}
+    }}
+}}
+"""
+
+
+def test_a_point_instancer_shows_its_prototype_where_it_says(tmp_path):
+    text = INSTANCER.format(apis="", inner=COLLIDES)
+    model, _ = converted(write(tmp_path, link("a", inside=text)))
+    assert model.geom_pos.tolist() == [[5, 0.5, 0], [5, 0.5, 1], [5, 0.5, 2]]
+    assert set(model.geom_contype.tolist()) == {1}
+
+
+@pytest.mark.parametrize("wrong", ["[0, 0, 7]", "[0]", "[0, -1, 0]", "[]"])
+def test_a_point_instancer_that_does_not_fit_is_left_out_with_a_warning(tmp_path, wrong):
+    text = INSTANCER.format(apis="", inner=COLLIDES).replace("[0, 0, 0]", wrong)
+    _, done = converted(write(tmp_path, link("a", inside=text)))
+    assert any("/bot/a/many" in warning for warning in done.report.warnings)
+
+
+@pytest.mark.parametrize("change", [("/many/proto>", "/gone>"), (COLLIDES, applied("PhysicsRigidBodyAPI"))])
+def test_a_point_instancer_of_nothing_or_of_bodies_is_left_out_with_a_warning(tmp_path, change):
+    text = INSTANCER.format(apis="", inner=COLLIDES).replace(*change)
+    _, done = converted(write(tmp_path, link("a", inside=text)))
+    assert any("/bot/a/many" in warning for warning in done.report.warnings)
+    assert done.description.colliders == ()
+
+
+# ---------------------------------------------------------------- size
+def test_names_take_time_in_proportion_to_their_number():
+    start = time.process_time()
+    equal = unique_names(f"/g{i}" + "/a" * 8 for i in range(20_000))
+    deep = unique_names("/" + "/".join(["a"] * n) for n in range(1, 2_000))
+    assert len(set(equal.values())) == 20_000
+    assert len(set(deep.values())) == 1_999
+    assert time.process_time() - start < 3  # some 0.3 s; trying all numbers anew for each name takes half a minute
+
+
+# ---------------------------------------------------------------- a small fuzz
+NUMBERS = [float("nan"), float("inf"), 0.0, -1.0, 1e300, 3.4e38, 1e-300, 1e12]
+TYPES = [
+    ("string", "abc"),
+    ("token", "X"),
+    ("bool", True),
+    ("float[]", [1.0, 2.0]),
+    ("double", 1e300),
+    ("float3", (1, 2, 3)),
+]
+KINDS = ["Xform", "Sphere", "Mesh", "Plane", "PhysicsFixedJoint", "PhysicsJoint", "PhysicsScene", "PointInstancer", "X"]
+
+
+def mutated(layer: Sdf.Layer, dice: random.Random) -> None:
+    """Change one thing of a layer: a number, a type, a prim's kind, a target; or drop a prim."""
+    paths: list[Sdf.Path] = []
+    layer.Traverse("/", paths.append)
+    attributes = [p for p in paths if layer.GetAttributeAtPath(p)]
+    prims = [p for p in paths if p.IsPrimPath() and len(p.GetPrefixes()) > 1]
+    links = [p for p in paths if layer.GetRelationshipAtPath(p)]
+    act = dice.randrange(6)
+    if act == 0:
+        spec = layer.GetAttributeAtPath(dice.choice(attributes))
+        if isinstance(spec.default, float):
+            spec.default = dice.choice(NUMBERS)
+    elif act == 1:
+        path = dice.choice(attributes)
+        prim = layer.GetPrimAtPath(path.GetPrimPath())
+        del prim.properties[path.name]
+        kind, value = dice.choice(TYPES)
+        Sdf.AttributeSpec(
+            prim, path.name, getattr(Sdf.ValueTypeNames, kind, None) or Sdf.ValueTypeNames.Find(kind)
+        ).default = value
+    elif act == 2:
+        layer.GetPrimAtPath(dice.choice(prims)).typeName = dice.choice(KINDS)
+    elif act == 3 and links:
+        targets = layer.GetRelationshipAtPath(dice.choice(links)).targetPathList
+        targets.ClearEditsAndMakeExplicit()
+        targets.explicitItems.append(dice.choice([*prims, Sdf.Path("/nowhere"), *attributes]))
+    elif act == 4:
+        spec = layer.GetPrimAtPath(dice.choice(prims))
+        del spec.nameParent.nameChildren[spec.name]
+    else:
+        layer.GetPrimAtPath(dice.choice(prims)).specifier = dice.choice([Sdf.SpecifierOver, Sdf.SpecifierClass])
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_whatever_is_changed_gives_a_model_or_one_sentence(tmp_path, seed):
+    dice = random.Random(seed)
+    body = link("a", inside=cube_inside("convexHull")) + link("b", "(1, 0, 0)", inside=gprim("Capsule"))
+    body += hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text="float drive:angular:physics:stiffness = 1")
+    body += hinge("w", "b", "a", kind="Fixed") + gprim("Plane")
+    layer = Sdf.Layer.FindOrOpen(str(write(tmp_path, body)))
+    for _ in range(dice.randint(1, 3)):
+        mutated(layer, dice)
+    path = tmp_path / "changed.usda"
+    layer.Export(str(path))
+    try:
+        done = convert(path, tmp_path / "out" / "bot.xml")
+    except AssetError as error:
+        said = error
+    else:
+        mujoco.mj_forward(model := mujoco.MjModel.from_xml_path(str(done.output)), mujoco.MjData(model))
+        return
+    assert said.key or said.where
+    assert len(str(said)) < 600
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_the_library_says_nothing_of_its_own(tmp_path, capfd):
+    converted(write(tmp_path, missing(tmp_path, "textures/wood.usda")))
+    told(write(tmp_path, missing(tmp_path, "bot_physics.usd")))
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", "")
+    assert Usd.GetVersion()

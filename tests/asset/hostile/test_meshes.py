@@ -1,0 +1,186 @@
+"""Mesh files that are damaged, or lie about themselves: the shape is left out with the reason, and the robot comes."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from wheelleg_exp.asset.urdf import collada, meshes
+
+from .. import small_urdf
+from .scratch import CANARY, Scratch
+
+NAN, INFINITE = float("nan"), float("inf")
+
+
+def stl(claim: int, *corners: float) -> bytes:
+    """A binary STL of triangles (0, 0, 0), ``corners``, that says it has ``claim`` of them."""
+    faces = [struct.pack("<12fH", 0, 0, 1, 0, 0, 0, *corners, 0)] if corners else []
+    return bytes(80) + struct.pack("<I", claim) + b"".join(faces)
+
+
+POINTS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+MESH = """<source id="p"><float_array count="12">0 0 0 1 0 0 0 1 0 0 0 1</float_array>
+<technique_common><accessor stride="3"/></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2 0 1 3</p></triangles>"""
+SHOWN = '<visual_scene id="s"><node><instance_geometry url="#g"/></node></visual_scene>'
+
+
+def dae(old: str = "", new: str = "", *, scene: str = SHOWN, before: str = "", nodes: str = "") -> str:
+    """A COLLADA of one mesh, with a part of it replaced."""
+    assert old in MESH
+    return (
+        f"{before}<COLLADA><library_geometries><geometry id='g'><extra/><mesh>{MESH.replace(old, new) if old else MESH}"
+        f"</mesh></geometry></library_geometries><library_nodes>{nodes}</library_nodes>"
+        f"<library_visual_scenes>{scene}</library_visual_scenes>"
+        "<scene><instance_visual_scene url='#s'/></scene></COLLADA>"
+    )
+
+
+def node(inside: str) -> str:
+    return f'<visual_scene id="s"><node>{inside}</node></visual_scene>'
+
+
+def floors(last: str) -> str:
+    """Nodes that each stand ten times for the next one."""
+    steps = [f'<instance_node url="#n{i + 1}"/>' for i in range(40)]
+    nodes = "".join(f'<node id="n{i}">{step * 10}</node>' for i, step in enumerate(steps))
+    return f'{nodes}<node id="n40">{last}</node>'
+
+
+POLYGONS = '<triangles><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2 0 1 3</p></triangles>'
+
+
+def polygons(counts: str) -> str:
+    inside = POLYGONS.replace("triangles", "polylist").replace("<p>", f"<vcount>{counts}</vcount><p>")
+    return dae(POLYGONS, inside)
+
+
+DAMAGED: dict[str, tuple[str, str | bytes, str]] = {  # file, content, reason
+    "STL of four thousand million faces": ("m.stl", stl(2**32 - 1, 1, 0, 0, 0, 1, 0), "as long as its number of tri"),
+    "STL without faces": ("m.stl", stl(0), "as long as its number of triangles"),
+    "STL with NaN": ("m.stl", stl(1, NAN, 0, 0, 0, 1, 0), "not finite"),
+    "STL with infinity": ("m.stl", stl(1, INFINITE, 0, 0, 0, 1, 0), "not finite"),
+    "STL cut short": ("m.stl", stl(1, 1, 0, 0, 0, 1, 0)[:-7], "as long as its number of triangles"),
+    "STL of words": ("m.stl", "solid\nvertex a b c\nvertex 0 0 0\nvertex 1 1 1", "could not convert"),
+    "STL of half a point": ("m.stl", "solid\nvertex 1 2", "damaged"),
+    "STL of two corners": ("m.stl", "solid\nvertex 1 2 3\nvertex 1 2 4", "other than three corners"),
+    "STL of nothing": ("m.stl", b"", "as long as its number of triangles"),
+    "OBJ with an index of 24 digits": ("m.obj", POINTS + "f 1 2 " + "9" * 24, "damaged"),
+    "OBJ with an index of 2^31": ("m.obj", POINTS + "f 1 2 2147483648", "no triangles"),
+    "OBJ with an index before the first": ("m.obj", POINTS + "f -1 -2 -99", "no triangles"),
+    "OBJ with faces of slashes": ("m.obj", POINTS + "f / // ///", "damaged"),
+    "OBJ with faces of two corners": ("m.obj", POINTS + "f\nf 1\nf 1 2", "no triangles"),
+    "OBJ with points of two numbers": ("m.obj", "v 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "damaged"),
+    "OBJ with NaN": ("m.obj", POINTS.replace("1 0 0", "nan 1e999 0") + "f 1 2 3", "not finite"),
+    "OBJ with NUL": ("m.obj", POINTS.replace("v 1", "v 1\0") + "f 1 2 3", "damaged"),
+    "COLLADA of a secret": (
+        "m.dae",
+        dae("0 0 0 1", "&x;", before='<!DOCTYPE c [<!ENTITY x SYSTEM "../canary">]>'),
+        "document type",
+    ),
+    "COLLADA with a stride of zero": ("m.dae", dae('stride="3"', 'stride="0"'), "without positions"),
+    "COLLADA with a stride of 22 digits": ("m.dae", dae('stride="3"', f'stride="{"9" * 22}"'), "damaged"),
+    "COLLADA with an offset of 22 digits": ("m.dae", dae('offset="0"', f'offset="{"9" * 22}"'), "no triangles"),
+    "COLLADA with an offset before the first": ("m.dae", dae('offset="0"', 'offset="-1"'), "damaged"),
+    "COLLADA with an index of 24 digits": ("m.dae", dae("0 1 2 0 1 3", f"0 1 {'9' * 24}"), "damaged"),
+    "COLLADA with an index before the first": ("m.dae", dae("0 1 2 0 1 3", "0 1 -1"), "no triangles"),
+    "COLLADA without positions": ("m.dae", dae("POSITION", "NORMAL"), "without positions"),
+    "COLLADA with positions elsewhere": (
+        "m.dae",
+        dae("#p", "http://127.0.0.1/x#p"),
+        "refers to 'http://127.0.0.1/x#p'",
+    ),
+    "COLLADA of polygons of 2e9 corners": ("m.dae", polygons("2000000000 2000000000"), "do not fit"),
+    "COLLADA of polygons of -3 corners": ("m.dae", polygons("-3 9"), "do not fit"),
+    "COLLADA of polygons that overflow": ("m.dae", polygons(" ".join([str(2**62)] * 4) + " 6"), "do not fit"),
+    "COLLADA of more polygons than corners": ("m.dae", polygons("3 4"), "do not fit"),
+    "COLLADA in a ring": (
+        "m.dae",
+        dae(scene=node('<instance_node url="#n"/>'), nodes='<node id="n"><instance_node url="#n"/></node>'),
+        "in a ring, or multiply",
+    ),
+    "COLLADA that multiplies": (
+        "m.dae",
+        dae(scene=node('<instance_node url="#n0"/>'), nodes=floors('<instance_geometry url="#g"/>')),
+        "in a ring, or multiply",
+    ),
+    "COLLADA that multiplies nothing": (
+        "m.dae",
+        dae(scene=node('<instance_node url="#n0"/>'), nodes=floors("")),
+        "in a ring, or multiply",
+    ),
+    "COLLADA with the same shape again and again": (
+        "m.dae",
+        dae(scene=node('<instance_geometry url="#g"/>' * 200)),
+        "more than 1,000 points and triangles",
+    ),
+    "COLLADA with a matrix of NaN": (
+        "m.dae",
+        dae(scene=node(f"<matrix>{'nan ' * 16}</matrix><instance_geometry url='#g'/>")),
+        "not finite",
+    ),
+    "COLLADA with scales that overflow": (
+        "m.dae",
+        dae(scene=node(f"{'<scale>1e200 1e200 1e200</scale>' * 2}<instance_geometry url='#g'/>")),
+        "not finite",
+    ),
+    "COLLADA in a scene that is a shape": ("m.dae", dae(scene=SHOWN.replace("#g", "#s")), "no triangles"),
+    "COLLADA that is deep": ("m.dae", "<COLLADA>" + "<node>" * 100_000, "deep inside each other"),
+    "COLLADA that is something else": ("m.dae", CANARY, "not valid XML"),
+}
+WHOLE: dict[str, tuple[str, str | bytes]] = {
+    "STL with more than it says": ("m.stl", stl(1, 1, 0, 0, 0, 1, 1) + bytes(99)),
+    "OBJ with files of its own": ("m.obj", f"mtllib ../canary\ncall ../canary\n{POINTS}f 1 2 3\nf 1 2 4"),
+    "COLLADA that says it has more": ("m.dae", dae('count="12"', 'count="1000000000000"')),
+    "COLLADA in UTF-16": ("m.dae", dae().encode("utf-16")),
+    "COLLADA without a scene": ("m.dae", dae().replace("instance_visual_scene", "extra")),
+}
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the bounds be reached soon."""
+    monkeypatch.setattr(meshes, "MOST_POINTS", 1_000)
+    monkeypatch.setattr(collada, "MOST_POINTS", 1_000)
+    monkeypatch.setattr(collada, "MOST_PARTS", 10_000)
+
+
+def robot(folder: Path, name: str, content: str | bytes) -> Path:
+    (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    shape = f'<geometry><mesh filename="{name}"/></geometry>'
+    inside = f"<visual>{shape}</visual><collision>{shape}</collision>{small_urdf.BOX}"
+    return small_urdf.write(folder, small_urdf.link("a", inside))
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_mesh_is_left_out_with_the_reason(scratch: Scratch, few: None, name: str) -> None:
+    file, content, reason = DAMAGED[name]
+    said = scratch.convert(lambda folder: robot(folder, file, content))
+    assert said.status == 0, said.err
+    assert "warning: /robot/link[a]/collision[1]: a collider was left out: mesh" in said.out
+    assert reason in said.out
+    assert mujoco.MjModel.from_xml_path(str(scratch.out / "bot.xml")).ngeom == 1
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_a_mesh_that_is_only_odd_is_read(scratch: Scratch, name: str) -> None:
+    said = scratch.convert(lambda folder: robot(folder, *WHOLE[name]))
+    assert said.status == 0, said.err
+    assert mujoco.MjModel.from_xml_path(str(scratch.out / "bot.xml")).ngeom == 3
+
+
+def test_a_mesh_of_more_points_than_a_robot_has_is_left_out(scratch: Scratch, few: None) -> None:
+    many = POINTS * 300 + "f 1 2 3\nf 1 2 4\n"
+    said = scratch.convert(lambda folder: robot(folder, "m.obj", many))
+    assert "it has more than 1,000 points and triangles" in said.out
+
+
+def test_a_long_name_of_a_mesh_gives_a_file_that_every_disk_can_hold(scratch: Scratch) -> None:
+    said = scratch.convert(lambda folder: robot(folder, "網" * 83 + ".obj", f"{POINTS}f 1 2 3\nf 1 2 4"))
+    assert said.status == 0, said.err
+    assert len(list((scratch.out / "bot_meshes").iterdir())) == 2

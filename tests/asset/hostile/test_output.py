@@ -1,0 +1,214 @@
+"""Where a conversion writes: over no robot, no mesh of anybody's, and through no link; and what a cache may hold."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.asset import cache, convert, convert_cached
+from wheelleg_exp.errors import AssetError
+
+from .. import small_urdf
+from ..small_usd import link as body
+from ..small_usd import write as write_usd
+from .scratch import CANARY, Scratch
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
+
+
+def robot(folder: Path, mesh: str = "part.obj") -> Path:
+    """A URDF with one visual, whose mesh is beside it."""
+    path = folder / mesh
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(TETRAHEDRON)
+    return small_urdf.write(
+        folder, small_urdf.link("a", f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>')
+    )
+
+
+def link_to(target: str) -> Callable[[Path], None]:
+    return lambda path: path.symlink_to(target)
+
+
+PLACES: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "a folder": ("bot.xml", Path.mkdir),
+    "the robot by another link": ("bot.xml", link_to("bot.urdf")),
+    "below a file": ("file/bot.xml", lambda path: path.parent.write_text(CANARY)),
+    "a name without end": ("x" * 300 + ".xml", lambda path: None),
+    "bytes that are no text": ("\udcff.xml", lambda path: None),
+    "below the devices": ("/dev/null/bot.xml", lambda path: None),
+    "no MJCF": ("bot.usda", lambda path: None),
+    "no name": ("..", lambda path: None),
+}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_an_output_that_cannot_be_is_refused(scratch: Scratch, name: str) -> None:
+    place, prepare = PLACES[name]
+    source, output = robot(scratch.robot), scratch.robot / place
+    prepare(output)
+    said = scratch.run("convert", source, "-o", output)
+    assert said.status == 2
+    assert said.err.startswith("wheelleg: error: -o: ")
+
+
+def test_an_output_with_nul_in_its_name_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="-o: cannot write"):
+        convert(robot(tmp_path), tmp_path / "a\0.xml")
+
+
+@pytest.mark.parametrize("target", ["canary.xml", "bot.xml", "nowhere/bot.xml"])
+def test_an_output_that_is_a_link_takes_the_links_place(tmp_path: Path, target: str) -> None:
+    (tmp_path / "canary.xml").write_text(CANARY)
+    output = tmp_path / "bot.xml"
+    output.symlink_to(target)
+    convert(robot(tmp_path), output)
+    assert not output.is_symlink()
+    assert (tmp_path / "canary.xml").read_text() == CANARY
+
+
+def test_meshes_that_are_a_link_take_the_links_place(tmp_path: Path) -> None:
+    source, output = robot(tmp_path), tmp_path / "out.xml"
+    convert(source, output)
+    (tmp_path / "out_meshes").rename(tmp_path / "kept")
+    (tmp_path / "out_meshes").symlink_to("kept")
+    convert(source, output)
+    assert not (tmp_path / "out_meshes").is_symlink()
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+
+
+def test_the_robots_own_meshes_are_not_replaced(scratch: Scratch) -> None:
+    source = robot(scratch.robot, "bot_meshes/part.obj")
+    said = scratch.run("convert", source, "-o", source.with_suffix(".xml"))
+    assert said.status == 2
+    assert "'bot_meshes/part.obj' would be replaced by the meshes" in said.err
+
+
+@pytest.mark.parametrize("older", ["", "<mujoco/>"], ids=["none", "another"])
+def test_meshes_that_the_older_model_does_not_name_are_not_replaced(scratch: Scratch, older: str) -> None:
+    source, output = robot(scratch.robot), scratch.robot / "bot.xml"
+    (scratch.robot / "bot_meshes").mkdir()
+    (scratch.robot / "bot_meshes" / "mine.obj").write_text(TETRAHEDRON)
+    if older:
+        output.write_text(older)
+    said = scratch.run("convert", source, "-o", output)
+    assert said.status == 2
+    assert "holds other files than the meshes of 'bot.xml', such as 'mine.obj'" in said.err
+
+
+def test_meshes_that_are_a_file_are_not_replaced(scratch: Scratch) -> None:
+    source = robot(scratch.robot)
+    (scratch.robot / "bot_meshes").write_text(CANARY)
+    assert scratch.run("convert", source, "-o", scratch.robot / "bot.xml").status == 2
+
+
+def test_a_second_conversion_replaces_the_first(tmp_path: Path) -> None:
+    output = tmp_path / "bot.xml"
+    convert(robot(tmp_path), output)
+    convert(robot(tmp_path, "other.obj"), output)
+    assert [path.name for path in (tmp_path / "bot_meshes").iterdir()] == ["other_visual.obj"]
+    convert(write_usd(tmp_path, body("a")), output)
+    assert not (tmp_path / "bot_meshes").exists()
+
+
+# ---------------------------------------------------------------- what is shown
+STEERING = "\x1b[2J\x9b2J\u202e"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'token physics:kinematicEnabled = "{STEERING}"',
+        f'string physics:unknown = "{STEERING}"',
+    ],
+)
+def test_what_a_file_says_does_not_steer_the_terminal(scratch: Scratch, text: str) -> None:
+    said = scratch.convert(lambda folder: write_usd(folder, body("a", mass=text)))
+    assert not [letter for letter in "\x1b\x9b\u202e" if letter in said.out + said.err]
+
+
+def test_names_of_files_do_not_steer_the_terminal(scratch: Scratch) -> None:
+    said = scratch.convert(lambda folder: robot(folder, "part\x7f.obj").rename(folder / "b\x1b[2J.urdf"))
+    assert said.status == 0
+    assert "b\\x1b[2J.urdf" in said.out
+
+
+# ---------------------------------------------------------------- the cache
+def deep(path: Path) -> None:
+    path.write_text("[" * 100_000)
+
+
+def piped(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def foldered(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+DAMAGE: dict[str, Callable[[Path], None]] = {
+    "deep": deep,
+    "pipe": piped,
+    "folder": foldered,
+    "number": lambda path: path.write_text("7"),
+    "no text": lambda path: path.write_bytes(b"\xff\xfe"),
+    "empty": lambda path: path.write_text(""),
+    "link to itself": lambda path: (path.unlink(), path.symlink_to(path.name))[1],
+}
+
+
+@pytest.mark.parametrize("file", [cache.MODEL, cache.REPORT, cache.CONTENTS])
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_damaged_cache_is_made_again(tmp_path: Path, name: str, file: str) -> None:
+    source = robot(tmp_path)
+    first = convert_cached(source, cache_dir=tmp_path / "cache")
+    whole = first.output.read_bytes()
+    DAMAGE[name](first.output.with_name(file))
+    again = convert_cached(source, cache_dir=tmp_path / "cache")
+    assert again.fresh
+    assert again.output.read_bytes() == whole
+    assert not convert_cached(source, cache_dir=tmp_path / "cache").fresh
+
+
+def test_an_entry_without_a_model_is_made_again(tmp_path: Path) -> None:
+    source = robot(tmp_path)
+    entry = convert_cached(source, cache_dir=tmp_path / "cache").output.parent
+    (entry / cache.MODEL).unlink()
+    contents = json.loads((entry / cache.CONTENTS).read_text())
+    (entry / cache.CONTENTS).write_text(json.dumps({k: v for k, v in contents.items() if k != cache.MODEL}))
+    assert convert_cached(source, cache_dir=tmp_path / "cache").output.is_file()
+
+
+@pytest.mark.parametrize("kind", ["file", "pipe", "link to itself", "link elsewhere"])
+def test_an_entry_that_is_none_is_made_again(tmp_path: Path, kind: str) -> None:
+    source = robot(tmp_path)
+    entry = convert_cached(source, cache_dir=tmp_path / "cache").output.parent
+    shutil.rmtree(entry)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "canary").write_text(CANARY)
+    {
+        "file": lambda: entry.write_text(CANARY),
+        "pipe": lambda: os.mkfifo(entry),
+        "link to itself": lambda: entry.symlink_to(entry.name),
+        "link elsewhere": lambda: entry.symlink_to(tmp_path / "elsewhere"),
+    }[kind]()
+    assert convert_cached(source, cache_dir=tmp_path / "cache").fresh
+    assert not convert_cached(source, cache_dir=tmp_path / "cache").fresh
+    assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["canary"]
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "loop", "/dev/null", "a" * 300])
+def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path, place: str) -> None:
+    source = robot(tmp_path)
+    (tmp_path / "file").write_text(CANARY)
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(AssetError, match="cannot write the cache"):
+        convert_cached(source, cache_dir=tmp_path / place)
+    assert (tmp_path / "file").read_text() == CANARY

@@ -1,0 +1,312 @@
+"""Small files that claim, multiply or nest without end: told before time and memory are gone."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.asset.usd.layers import open_layers
+
+from .. import small_urdf, small_usd
+from ..small_usd import SI, applied, cube_inside, hinge, link
+from .scratch import Maker, Scratch
+
+BALL = '<visual><geometry><sphere radius="1"/></geometry></visual>'
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
+
+
+def usd(inside: str, outside: str = "") -> Maker:
+    return lambda folder: small_usd.write(folder, link("a") + inside, outside=outside)
+
+
+def urdf(inside: str) -> Maker:
+    return lambda folder: small_urdf.write(folder, inside)
+
+
+# ---------------------------------------------------------------- what composition multiplies
+LEVELS = 40
+
+
+def prim(name: str, metadata: str = "", inside: str = "") -> str:
+    return f'def "{name}" ({metadata})\n{{\n{inside}\n}}\n'
+
+
+def listed(names: Iterable[str]) -> str:
+    return "[" + ", ".join(f"</{name}>" for name in names) + "]"
+
+
+def tower(level: str) -> Maker:
+    """Prims ``e0``, ``e1``, ... made by a template of which each names the next one, here ``{next}``, several times."""
+
+    def make(folder: Path) -> Path:
+        levels = [level.replace("{here}", f"e{i}").replace("{next}", f"e{i + 1}") for i in range(LEVELS)]
+        ends = prim(f"e{LEVELS}", inside=prim("c")) + prim(f"oe{LEVELS}")
+        return usd(prim("top", "references = </e0>"), "".join(levels) + ends)(folder)
+
+    return make
+
+
+TWICE = prim("x", "references = </{next}>") + prim("y", "references = </{next}>")
+THERE = prim("x", "references = </{next}/c>") + prim("y", "references = </{next}/c>")
+CHOSEN = 'variants = { string s = "a" }\nprepend variantSets = "s"'
+
+
+def sublayers(folder: Path) -> Path:
+    """Forty floors of layers, each of which names both of the next floor."""
+    for i in range(LEVELS):
+        for name in "pq":
+            (folder / f"{name}{i}.usda").write_text(
+                f"#usda 1.0\n(\n    subLayers = [@./p{i + 1}.usda@, @./q{i + 1}.usda@]\n)\n"
+            )
+    for name in "pq":
+        (folder / f"{name}{LEVELS}.usda").write_text("#usda 1.0\n")
+    return small_usd.write(folder, link("a"), header=SI + "\n    subLayers = [@./p0.usda@]")
+
+
+MULTIPLYING: dict[str, Maker] = {
+    "references to prims with references": tower(prim("{here}", inside=TWICE)),
+    "payloads": tower(prim("{here}", inside=TWICE.replace("references", "payload"))),
+    "inherited classes": tower(prim("{here}", inside=TWICE.replace("references", "inherits"))),
+    "specialized prims": tower(prim("{here}", inside=TWICE.replace("references", "specializes"))),
+    "instances": tower(prim("{here}", inside=TWICE.replace("references", "instanceable = true\nreferences"))),
+    "two references of one prim": tower(
+        prim("{here}", f"references = {listed(['{next}', 'o{next}'])}")
+        + prim("o{here}", f"references = {listed(['{next}', 'o{next}'])}")
+    ),
+    "references in variants": tower(prim("{here}", CHOSEN, 'variantSet "s" = {\n"a" {\n' + TWICE + "}\n}")),
+    "references of what stands above": tower(
+        prim("{here}", "references = </g{here}>") + prim("g{here}", inside=prim("c", inside=THERE))
+    ),
+    "sublayers of sublayers": sublayers,
+}
+
+
+@pytest.mark.parametrize("name", MULTIPLYING)
+def test_what_multiplies_is_counted_before_it_is_composed(scratch: Scratch, name: str) -> None:
+    said = scratch.convert(MULTIPLYING[name])
+    assert said.status == 2
+    assert "multiply to more than 1,000,000 prims" in said.err or "more than 1,000 layers" in said.err
+    assert "bot.usda" in said.err
+
+
+@pytest.mark.parametrize("name", MULTIPLYING)
+def test_a_little_of_it_is_composed(scratch: Scratch, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{__name__}.LEVELS", 3)
+    assert scratch.convert(MULTIPLYING[name]).status == 0
+
+
+# ---------------------------------------------------------------- what is nested
+DEEP = 200_000
+
+
+def nested(opening: str, closing: str = "}\n") -> str:
+    return "#usda 1.0\n" + opening * DEEP + closing * DEEP
+
+
+def written(text: str) -> Maker:
+    def make(folder: Path) -> Path:
+        (folder / "bot.usda").write_text(text)
+        return folder / "bot.usda"
+
+    return make
+
+
+def packed(folder: Path) -> Path:
+    inner = written(nested('def "a" {\n'))(folder)
+    with zipfile.ZipFile(folder / "bot.usdz", "w", zipfile.ZIP_STORED) as file:
+        file.write(inner, "bot.usda")
+    return folder / "bot.usdz"
+
+
+def referred(folder: Path) -> Path:
+    (folder / "deep.usda").write_text(nested('def "a" {\n'))
+    return usd(prim("x", "references = @./deep.usda@</a>"))(folder)
+
+
+NESTED: dict[str, Maker] = {
+    "prims": written(nested('def "a" {\n')),
+    "prims among braces in text": written(nested('def "a" { # }\nstring s = "}}\\"}"\nasset f = @}@\n')),
+    "prims before comments that do not end": written(nested('def "a" {\n') + "/*" * DEEP),
+    "dictionaries": written(nested("( customLayerData = {\ndictionary a = {\n")),
+    "prims in a package": packed,
+    "prims of another layer": referred,
+}
+
+
+@pytest.mark.parametrize("name", NESTED)
+def test_what_is_nested_deeper_than_the_librarys_stack_is_refused(scratch: Scratch, name: str) -> None:
+    said = scratch.convert(NESTED[name])
+    assert said.status == 2
+    assert "deep inside each other" in said.err
+    assert ".usd" in said.err
+
+
+def test_many_prims_beside_each_other_are_not_nested(scratch: Scratch) -> None:
+    assert open_layers(usd("".join(prim(f"b{i}") for i in range(10_100)))(scratch.robot))
+
+
+# ---------------------------------------------------------------- what is many
+def with_mesh(inside: str) -> Maker:
+    def make(folder: Path) -> Path:
+        (folder / "part.obj").write_text(TETRAHEDRON)
+        return small_urdf.write(folder, inside)
+
+    return make
+
+
+def scaled(count: int) -> str:
+    """Visuals of one mesh, each of another scale."""
+    return "".join(
+        f'<visual><geometry><mesh filename="part.obj" scale="1 1 {i + 1}"/></geometry></visual>' for i in range(count)
+    )
+
+
+READER = "wheelleg_exp.asset"
+MANY: dict[str, tuple[str, int, Maker, str]] = {  # the bound, what it is set to, a file beyond it, and its message
+    "prims": (
+        f"{READER}.usd.stage.MOST_PRIMS",
+        20,
+        usd("".join(prim(f"x{i}") for i in range(30))),
+        "20 prims below /bot",
+    ),
+    "bodies": (
+        f"{READER}.usd.bodies.rigid_bodies.MOST_BODIES",
+        5,
+        usd("".join(link(f"x{i}") for i in range(9))),
+        "5 rigid bodies",
+    ),
+    "shapes": (
+        f"{READER}.usd.shapes.colliders.MOST_SHAPES",
+        5,
+        usd("".join(f'def Sphere "s{i}"\n{{\n}}\n' for i in range(9))),
+        "5 shapes",
+    ),
+    "points of instances": (
+        f"{READER}.usd.shapes.colliders.MOST_POINTS",
+        30,
+        usd(
+            "".join(prim(f"x{i}", "instanceable = true\nreferences = </proto>") for i in range(4)),
+            f'def Xform "proto"\n{{\n{cube_inside("none")}\n}}\n',
+        ),
+        "30 points and triangles",
+    ),
+    "numbers of a mesh": (f"{READER}.usd.shapes.gprims.MOST_POINTS", 2, usd(cube_inside("none")), "6 numbers"),
+    "schemas of a prim": (
+        f"{READER}.usd.stage.MOST_SCHEMAS",
+        200,
+        usd(f'def Xform "x" {applied(" ".join(f"PhysicsLimitAPI:x{i}" for i in range(20_000)))}\n{{\n}}\n'),
+        "/bot/x: there are more than 200 schemas",
+    ),
+    "drives of a joint": (
+        f"{READER}.usd.stage.MOST_SCHEMAS",
+        200,
+        usd(link("b") + hinge("j", "a", "b", apis=" ".join(f"PhysicsDriveAPI:x{i}" for i in range(20_000)))),
+        "/bot/j: there are more than 200 schemas",
+    ),
+    "elements of XML": (
+        f"{READER}.urdf.xml.MOST_ELEMENTS",
+        20,
+        urdf(small_urdf.link("a") + "<x/>" * 30),
+        "20 elements",
+    ),
+    "links": (
+        f"{READER}.urdf.kinematics.MOST_BODIES",
+        5,
+        urdf(
+            "".join(small_urdf.link(f"l{i}") + small_urdf.joint(f"j{i}", "r", f"l{i}", "fixed") for i in range(9))
+            + small_urdf.link("r")
+        ),
+        "5 links",
+    ),
+    "shapes of links": (f"{READER}.urdf.shapes.MOST_SHAPES", 5, urdf(small_urdf.link("a", BALL * 9)), "5 shapes"),
+    "points of one mesh, scaled": (
+        f"{READER}.urdf.shapes.MOST_POINTS",
+        30,
+        with_mesh(small_urdf.link("a", scaled(9))),
+        "30 points and triangles",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_what_is_too_many_is_told(scratch: Scratch, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    bound, most, make, words = MANY[name]
+    assert scratch.convert(make, "--json").status == 0 or "schemas" in words
+    monkeypatch.setattr(bound, most)
+    said = scratch.convert(make)
+    assert said.status == 2
+    assert words in said.err
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("", "more than 20,000 instances"),
+        ("int64[] invisibleIds = [0, 1, 2]", "more than 20,000 instances"),
+        ("quath[] orientations = [(0, 0, 0, 0)]", "more than 20,000 instances"),
+    ],
+)
+def test_an_instancer_of_a_forest_is_left_out(scratch: Scratch, more: str, words: str) -> None:
+    said = scratch.convert(usd(instancer(20_001, more)))
+    assert said.status == 0
+    assert words in said.out
+
+
+@pytest.mark.parametrize(
+    "more", ["float3[] scales = [(inf, 1, 1)]", "float3[] scales = [(1, nan, 1)]", "float3[] scales = [(1e20, 1, 1)]"]
+)
+def test_an_instancer_that_puts_things_nowhere_is_left_out(scratch: Scratch, more: str) -> None:
+    said = scratch.convert(usd(instancer(1, more)))
+    assert said.status == 0
+    assert "its transforms are not finite, or reach more than 1e+09 m" in said.out
+
+
+def instancer(count: int, more: str) -> str:
+    zeros, places = ", ".join(["0"] * count), ", ".join(["(0, 0, 0)"] * count)
+    return f"""def PointInstancer "many"
+{{
+    rel prototypes = </bot/many/ball>
+    int[] protoIndices = [{zeros}]
+    point3f[] positions = [{places}]
+    {more}
+    def Sphere "ball"
+    {{
+    }}
+}}
+"""
+
+
+# ---------------------------------------------------------------- what is far
+MOVED = (
+    "float physics:mass = 1\nfloat3 physics:diagonalInertia = (1, 1, 1)\npoint3f physics:centerOfMass = (1e10, 0, 0)"
+)
+FAR: dict[str, tuple[Maker, str]] = {
+    "joint of a USD": (
+        usd(link("b") + hinge("j", "a", "b", text="point3f physics:localPos0 = (0, 1e10, 0)")),
+        "/bot/b",
+    ),
+    "centre of mass of a USD": (usd(link("b", mass=MOVED)), "/bot/b"),
+    "joint of a URDF": (urdf(small_urdf.pair("fixed", '<origin xyz="1e10 0 0"/>')), "/robot/link[b]"),
+    "centre of mass of a URDF": (
+        urdf(small_urdf.link("a", inertial=small_urdf.inertial(1, at="0 0 1e10", tensor="1 1 1 0 0 0"))),
+        "/robot/link[a]",
+    ),
+    "shape of a URDF": (
+        urdf(small_urdf.link("a", BALL.replace("<geometry", '<origin xyz="0 -1e10 0"/><geometry'))),
+        "visual",
+    ),
+    "size of a URDF's shape": (urdf(small_urdf.link("a", BALL.replace('"1"', '"1e29"'))), "/robot/link[a]/visual"),
+    "mesh of a URDF": (with_mesh(small_urdf.link("a", scaled(1).replace("1 1 1", "1e30 1 1"))), "/geometry/mesh"),
+}
+
+
+@pytest.mark.parametrize("name", FAR)
+def test_what_no_robot_reaches_is_told(scratch: Scratch, name: str) -> None:
+    make, key = FAR[name]
+    said = scratch.convert(make)
+    assert said.status == 2
+    assert f"{key}: it reaches 1e+" in said.err
+    assert "expected less than 1e+09 m" in said.err

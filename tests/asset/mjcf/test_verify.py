@@ -1,0 +1,138 @@
+"""A written model that is not what was described is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import pytest
+
+from wheelleg_exp.asset.description import (
+    Actuator,
+    Body,
+    Closure,
+    Coupling,
+    Geom,
+    Inertial,
+    Pose,
+    RobotDescription,
+    Site,
+    Tendon,
+)
+from wheelleg_exp.asset.mjcf.document import Writer
+from wheelleg_exp.asset.mjcf.verify import verify
+from wheelleg_exp.errors import AssetError
+
+from ..small_usd import MASS, converted, cube_inside, link, two_links, write
+
+
+@pytest.fixture
+def pair(tmp_path):
+    text = "float physics:lowerLimit = -10\n float physics:upperLimit = 10"
+    return two_links(tmp_path, text)
+
+
+def changed(robot, **changes):
+    first, second = robot.bodies
+    return replace(robot, bodies=(first, replace(second, **changes)))
+
+
+def test_the_model_that_was_written_passes(pair):
+    model, done = pair
+    verify(model, done.description, "bot.usda")
+
+
+@pytest.mark.parametrize("what", ["mass", "moments", "center_of_mass"])
+def test_other_mass_properties_are_refused(pair, what):
+    model, done = pair
+    body = done.description.bodies[1]
+    other = {"mass": 2.0, "moments": (0.1, 0.1, 0.11), "center_of_mass": (0.0, 0.0, 0.01)}[what]
+    wrong = changed(done.description, inertial=replace(body.inertial, **{what: other}))
+    with pytest.raises(AssetError, match="of b"):
+        verify(model, wrong, "bot.usda")
+
+
+def test_other_limits_are_refused(pair):
+    model, done = pair
+    dof = done.description.bodies[1].dofs[0]
+    wrong = changed(done.description, dofs=(replace(dof, range=(-1.0, 1.0)),))
+    with pytest.raises(AssetError, match="range of j"):
+        verify(model, wrong, "bot.usda")
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"pose": Pose((1.0, 0.0, 0.0), (0.6, 0.8, 0.0, 0.0))}, "rotation of b"),
+        ({"pose": Pose((1.0, 0.0, 0.1))}, "position of b"),
+        ({"parent": None}, "parent of b"),
+    ],
+)
+def test_other_places_are_refused(pair, changes, what):
+    model, done = pair
+    with pytest.raises(AssetError, match=what):
+        verify(model, changed(done.description, **changes), "bot.usda")
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"axis": (0.0, 1.0, 0.0)}, "axis of j"),
+        ({"anchor": (0.0, 0.0, 0.1)}, "anchor of j"),
+        ({"kind": "slide"}, "kind of j"),
+        ({"damping": 1.0}, "damping of j"),
+        ({"frictionloss": 1.0}, "friction loss of j"),
+    ],
+)
+def test_other_joints_are_refused(pair, changes, what):
+    model, done = pair
+    dof = done.description.bodies[1].dofs[0]
+    with pytest.raises(AssetError, match=what):
+        verify(model, changed(done.description, dofs=(replace(dof, **changes),)), "bot.usda")
+
+
+BALL = Geom("g", "/g", "sphere", (0.1,), Pose(), collides=True, drawn=False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"static_geoms": (BALL,)}, "shapes"),
+        ({"static_sites": (Site("s", "/s", Pose()),)}, "sites"),
+        ({"exclusions": ()}, "exclusions"),
+        ({"closures": (Closure("c", "/c", "weld", ("a", "b"), ((Pose(), Pose()),)),)}, "sites|equalities"),
+        ({"couplings": (Coupling("c", "/c", "j", "j", (0.0, 1.0, 0.0, 0.0, 0.0)),)}, "equalities"),
+        ({"tendons": (Tendon("t", "/t", joints=(("j", 1.0),)),)}, "no tendon 't'"),
+        ({"actuators": (Actuator("m", "/m", "joint", "j"),)}, "no actuator 'm'"),
+    ],
+)
+def test_other_counts_are_refused(pair, changes, what):
+    model, done = pair
+    with pytest.raises(AssetError, match=what):
+        verify(model, replace(done.description, **changes), "bot.usda")
+
+
+def test_colliders_are_counted_without_self_collision_too(tmp_path):
+    root = "PhysicsArticulationRootAPI PhysxArticulationAPI"
+    off = MASS + "\n        bool physxArticulation:enabledSelfCollisions = 0"
+    model, done = converted(write(tmp_path, link("a", apis=root, mass=off, inside=cube_inside("boundingCube"))))
+    assert not done.description.self_collision
+    verify(model, done.description, "bot.usda")
+    model.geom_conaffinity[:] = 0
+    with pytest.raises(AssetError, match="colliders"):
+        verify(model, done.description, "bot.usda")
+
+
+def test_a_frame_without_mass_passes():
+    """Bodies that are fixed to another may weigh nothing."""
+    nothing = Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    whole = replace(nothing, mass=1.0, moments=(0.1, 0.1, 0.1))
+    robot = RobotDescription("r", (Body("a", "/a", None, Pose(), whole), Body("b", "/b", "a", Pose(), nothing)))
+    verify(mujoco.MjModel.from_xml_string(Writer(robot, "").text()), robot, "r")
+
+
+def test_a_missing_body_is_refused(pair):
+    _, done = pair
+    empty = mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
+    with pytest.raises(AssetError, match="has no body"):
+        verify(empty, done.description, "bot.usda")

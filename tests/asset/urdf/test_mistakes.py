@@ -1,0 +1,162 @@
+"""Wrong and hostile URDFs: one sentence that says what and where, and no file left behind."""
+
+from __future__ import annotations
+
+import pytest
+
+from wheelleg_exp.asset import convert, convert_cached, source_digest
+from wheelleg_exp.errors import AssetError
+
+from ..small_urdf import inertial, joint, link, pair, write
+
+HEAD = '<robot name="bot">'
+
+
+def refused(folder, text: str, name: str = "bot.urdf") -> str:
+    """Return the message that a file's conversion ends with."""
+    source = folder / name
+    source.write_text(text)
+    with pytest.raises(AssetError) as caught:
+        convert(source, folder / "out.xml")
+    assert not (folder / "out.xml").exists()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("inside", "message"),
+    [
+        ("", "'bot.urdf' has no link"),
+        (link("a") + link("a"), "there are two links 'a'"),
+        (pair() + joint("j", "b", "a"), "there are two joints 'j'"),
+        (pair() + link("c"), "2 links hang on no joint: a, c"),
+        (pair() + link("c") + joint("k", "c", "b"), "link 'b' is the child of two joints, 'j' and 'k'"),
+        (pair() + joint("k", "b", "a"), "the joints form a ring"),
+        (link("r") + pair() + joint("k", "b", "a"), "link 'a' is not reached from the root 'r'"),
+        (link("a") + joint("j", "a", "a"), "the joints form a ring"),
+        (link("a") + link("b") + joint("j", "a", "bb"), "there is no link 'bb'"),
+        (pair("revolut"), "there is no joint type 'revolut'"),
+        (link(""), "<link> has no 'name'"),
+        ('<link name="a"/><joint name="j" type="fixed"><child link="a"/></joint>', "<joint> has no <parent>"),
+        (pair("continuous", '<axis xyz="0 0 0"/>'), "the axis has no direction"),
+        (pair("continuous", '<axis xyz="0 1"/>'), "'xyz' is '0 1'"),
+        (pair("continuous", '<origin xyz="0 0 nan"/>'), "'xyz' is '0 0 nan'"),
+        (pair("continuous", '<origin xyz="1e999 0 0"/>'), "'xyz' is '1e999 0 0'"),
+        (pair("continuous", '<origin xyz="1,0,0"/>'), "'xyz' is '1,0,0'"),
+        (pair("revolute", '<limit lower="nan" upper="1"/>'), "'lower' is 'nan'"),
+        (pair("continuous", '<dynamics damping="-1"/>'), "'damping' is -1"),
+        (pair("continuous", '<origin xyz="1e300 0 0"/>'), "'xyz' is '1e300 0 0'"),
+        (link("a", inertial=inertial(1e-20)), "it moves, and its mass or inertia is below 1e-15"),
+        (link("a", inertial=inertial(-2)), "the mass is -2 kg"),
+        (link("a", inertial='<inertial><mass value="1_0"/></inertial>'), "'value' is '1_0'"),
+        (link("a", "<collision><geometry><sphere/></geometry></collision>"), "<sphere> has no 'radius'"),
+        ('<link name="world"/>', "the file holds the world and nothing in it"),
+        ('<xacro:include filename="x"/>' + link("a"), "the file still holds xacro"),
+        (link("${prefix}a"), "the file still holds xacro"),
+    ],
+)
+def test_a_mistake_is_told_with_its_element(tmp_path, inside, message):
+    told = refused(tmp_path, f"{HEAD}{inside}</robot>")
+    assert message in told
+    assert f"{tmp_path / 'bot.urdf'}:" in told
+
+
+def test_the_line_of_a_mistake_is_right(tmp_path):
+    text = f"\n\n{HEAD}\n{link('a')}{link('b')}{joint('j', 'a', 'b', 'continuous')}</robot>"
+    line = text.splitlines().index('    <parent link="a"/><child link="b"/>') + 1
+    assert f"bot.urdf:{line})" in refused(tmp_path, text.replace('child link="b"', 'child link="bb"'))
+    broken = text.replace('child link="b"/>', 'child link="b"')
+    assert f"bot.urdf:{line + 1})" in refused(tmp_path, broken)  # where the next element begins
+
+
+BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not valid XML"),
+        ("solid part", "not valid XML"),
+        ('<?xml version="1.0" encoding="of-its-own"?><robot/>', "not valid XML: unknown encoding"),
+        ("<robot>", "not valid XML"),
+        ("<mujoco/>", "is not a URDF: its outermost element is <mujoco>"),
+        (f"{BOMB}<robot name='&b;'/>", "a document type (<!DOCTYPE ...>) is not read"),
+        ('<!DOCTYPE robot SYSTEM "file:///etc/passwd"><robot/>', "a document type (<!DOCTYPE ...>) is not read"),
+        ("<robot>" + "<link>" * 5000 + "</link>" * 5000 + "</robot>", "more than 60 deep"),
+    ],
+)
+def test_what_is_no_urdf_is_refused(tmp_path, text, message):
+    assert message in refused(tmp_path, text)
+
+
+def test_a_chain_longer_than_mujoco_reads_is_refused_in_words(tmp_path):
+    links = "".join(link(f"l{i}") for i in range(700))
+    joints = "".join(joint(f"j{i}", f"l{i}", f"l{i + 1}", "continuous") for i in range(699))
+    assert "a chain of about 700 bodies" in refused(tmp_path, f"{HEAD}{links}{joints}</robot>")
+
+
+def test_endings_tell_the_formats_apart(tmp_path):
+    assert "holds xacro macros" in refused(tmp_path, HEAD, "bot.urdf.xacro")
+    assert ".usda, .usdc, .usdz, .urdf" in refused(tmp_path, HEAD, "bot.sdf")
+    source = tmp_path / "BOT.URDF"
+    write(tmp_path, link("a")).rename(source)
+    assert convert(source, tmp_path / "out.xml").report.model == "bot"
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(AssetError, match=r"there is no file '.*gone.urdf'"):
+        convert(tmp_path / "gone.urdf", tmp_path / "out.xml")
+    (tmp_path / "folder.urdf").mkdir()
+    with pytest.raises(AssetError, match="is a folder"):
+        source_digest(tmp_path / "folder.urdf")
+
+
+def test_a_urdf_has_no_variants(tmp_path):
+    source = write(tmp_path, link("a"))
+    for call in (
+        lambda: convert(source, tmp_path / "out.xml", variants={"Physics": "PhysX"}),
+        lambda: convert_cached(source, cache_dir=tmp_path, variants={"Physics": "PhysX"}),
+    ):
+        with pytest.raises(AssetError, match="--variant Physics=PhysX: a URDF has no variants"):
+            call()
+
+
+# ---------------------------------------------------------------- where the model goes
+
+
+@pytest.mark.parametrize("name", ["folder", "robot.txt", "robot.urdf", "robot"])
+def test_an_output_has_to_be_a_name_for_an_mjcf(tmp_path, name):
+    (tmp_path / "folder").mkdir()
+    source = write(tmp_path, link("a"), "robot")
+    before = source.read_text()
+    with pytest.raises(AssetError, match="-o: "):
+        convert(source, tmp_path / name)
+    assert source.read_text() == before
+
+
+def test_an_output_among_the_meshes_of_another_is_refused(tmp_path):
+    source = write(tmp_path, link("a"))
+    (tmp_path / "robot.xml").write_text("<mujoco/>")
+    with pytest.raises(AssetError, match="holds the meshes of another MJCF"):
+        convert(source, tmp_path / "robot_meshes" / "other.xml")
+
+
+def test_an_interrupted_swap_leaves_the_older_model_with_its_meshes(tmp_path, monkeypatch):
+    part = tmp_path / "part.obj"
+    part.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
+    visual = '<visual><geometry><mesh filename="part.obj"/></geometry></visual>'
+    output = convert(write(tmp_path, link("a", visual)), tmp_path / "out.xml").output
+    meshes = tmp_path / "out_meshes" / "part_visual.obj"
+    before = (output.read_bytes(), meshes.read_bytes())
+    part.write_text(part.read_text().replace("v 0 0 1", "v 0 0 9"))
+    whole = type(output).replace
+
+    def interrupted(path, target):
+        if target == output:
+            raise KeyboardInterrupt
+        return whole(path, target)
+
+    monkeypatch.setattr(type(output), "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        convert(tmp_path / "bot.urdf", output)
+    assert (output.read_bytes(), meshes.read_bytes()) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bot.urdf", "out.xml", "out_meshes", "part.obj"]

@@ -1,0 +1,397 @@
+"""What bodies weigh, held against OpenUSD's own computation of mass properties, which PhysX's numbers come from."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom, UsdPhysics
+
+from wheelleg_exp.errors import AssetError
+
+from ..small_usd import MASS, converted, link, tensor, write
+
+SEEDS = range(40)
+TILT = "(0.98480775, 0, 0, 0.17364818)"  # 20° about z
+
+
+# ------------------------------------------------------------------ the oracle
+def shape_information(prim: Usd.Prim, cache: UsdGeom.XformCache) -> UsdPhysics.RigidBodyAPI.MassInformation:
+    """Volume, centre and inertia of density 1 of a box, ball or cylinder, by its textbook form."""
+    body = prim.GetParent()
+    to_body = Gf.Transform(cache.ComputeRelativeTransform(prim, body)[0])
+    scale = np.array(Gf.Transform(cache.GetLocalToWorldTransform(prim)).GetScale())
+    volume, moments = _forms(prim, scale)
+    info = UsdPhysics.RigidBodyAPI.MassInformation()
+    info.volume = volume
+    info.centerOfMass = Gf.Vec3f(0)
+    info.inertia = Gf.Matrix3f(*np.diag(moments).ravel().tolist())
+    stretch = np.array(Gf.Transform(cache.GetLocalToWorldTransform(body)).GetScale())
+    info.localPos = Gf.Vec3f(*(np.array(to_body.GetTranslation()) * stretch).tolist())
+    info.localRot = Gf.Quatf(to_body.GetRotation().GetQuat())
+    return info
+
+
+def _forms(prim: Usd.Prim, scale: np.ndarray) -> tuple[float, list[float]]:
+    if prim.IsA(UsdGeom.Cube):
+        a, b, c = UsdGeom.Cube(prim).GetSizeAttr().Get() * scale
+        return a * b * c, [a * b * c / 12 * (q * q + r * r) for q, r in ((b, c), (a, c), (a, b))]
+    if prim.IsA(UsdGeom.Sphere):
+        r = UsdGeom.Sphere(prim).GetRadiusAttr().Get() * scale[0]
+        v = 4 / 3 * math.pi * r**3
+        return v, [0.4 * v * r * r] * 3
+    r, h = (
+        UsdGeom.Cylinder(prim).GetRadiusAttr().Get() * scale[0],
+        UsdGeom.Cylinder(prim).GetHeightAttr().Get() * scale[2],
+    )
+    v = math.pi * r * r * h
+    return v, [v * (3 * r * r + h * h) / 12] * 2 + [v * r * r / 2]
+
+
+def expected(path: Path, mpu: float, kpu: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """OpenUSD's mass, centre, and tensor about it in the body's axes, in SI units."""
+    stage = Usd.Stage.Open(str(path))
+    cache = UsdGeom.XformCache()
+    body = UsdPhysics.RigidBodyAPI(stage.GetPrimAtPath("/bot/a"))
+    mass, moments, center, axes = body.ComputeMassProperties(lambda prim: shape_information(prim, cache))
+    turn = np.array(Gf.Matrix3d(Gf.Rotation(Gf.Quatd(axes)))).T
+    inertia = turn @ np.diag(np.array(moments, float)) @ turn.T
+    return mass * kpu, np.array(center, float) * mpu, inertia * kpu * mpu**2
+
+
+# ------------------------------------------------------------------ random bodies
+class Dice:
+    """Random numbers as USD text."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = np.random.default_rng(seed)
+
+    def one(self, low: float, high: float) -> float:
+        return round(float(self.random.uniform(low, high)), 3)
+
+    def vector(self, low: float, high: float) -> str:
+        return f"({self.one(low, high)}, {self.one(low, high)}, {self.one(low, high)})"
+
+    def quaternion(self) -> str:
+        values = self.random.normal(size=4)
+        return "(" + ", ".join(f"{v:.6f}" for v in values / np.linalg.norm(values)) + ")"
+
+    def moments(self) -> str:
+        base = self.one(0.01, 0.2)
+        return f"({base}, {round(base * 1.3, 4)}, {round(base * 1.7, 4)})"
+
+    def chosen(self, *options: str) -> str:
+        return options[int(self.random.integers(len(options)))]
+
+
+def mass_text(dice: Dice, body: bool) -> str:
+    """A MassAPI's attributes, sentinels among them.
+
+    A body's moments come with axes: without them OpenUSD takes the colliders' axes, which are noise for round shapes.
+    """
+    center, nowhere = f"point3f physics:centerOfMass = {dice.vector(-0.3, 0.3)}", "(-inf, -inf, -inf)"
+    moments = dice.chosen(
+        "", "float3 physics:diagonalInertia = (0, 0, 0)", f"float3 physics:diagonalInertia = {dice.moments()}"
+    )
+    turned, straight = (
+        f"quatf physics:principalAxes = {dice.quaternion()}",
+        "quatf physics:principalAxes = (0, 0, 0, 0)",
+    )
+    lines = [
+        dice.chosen("", "float physics:mass = 0", f"float physics:mass = {dice.one(0.1, 3)}"),
+        dice.chosen("", "float physics:density = 0", f"float physics:density = {dice.one(50, 3000)}"),
+        dice.chosen("", f"point3f physics:centerOfMass = {nowhere}", center),
+        moments,
+        "" if not body else turned if "(0, 0, 0)" not in moments and moments else dice.chosen("", straight),
+    ]
+    return "\n".join(line for line in lines if line)
+
+
+def collider(dice: Dice, name: str) -> str:
+    kind = dice.chosen("Cube", "Sphere", "Cylinder")
+    size = {
+        "Cube": "double size = 0.3",
+        "Sphere": "double radius = 0.2",
+        "Cylinder": "double radius = 0.1\n double height = 0.5",
+    }[kind]
+    across = dice.one(0.5, 2)
+    scale = {
+        "Cube": dice.vector(0.5, 2),
+        "Sphere": f"({across}, {across}, {across})",
+        "Cylinder": f"({across}, {across}, {dice.one(0.5, 2)})",
+    }[kind]
+    turn = "(1, 0, 0, 0)" if kind == "Sphere" else dice.quaternion()  # a turned ball has axes of noise
+    material = dice.chosen("", "rel material:binding:physics = </bot/heavy>")
+    return f"""
+        def {kind} "{name}" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI", "MaterialBindingAPI"])
+        {{
+            {size}
+            {material}
+            {mass_text(dice, body=False)}
+            double3 xformOp:translate = {dice.vector(-0.5, 0.5)}
+            quatd xformOp:orient = {turn}
+            double3 xformOp:scale = {scale}
+            uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient", "xformOp:scale"]
+        }}
+"""
+
+
+def random_body(folder: Path, seed: int) -> tuple[Path, float, float]:
+    dice = Dice(seed)
+    inside = "".join(collider(dice, f"c{i}") for i in range(int(dice.random.integers(1, 4))))
+    mpu, kpu = (1.0, 1.0) if seed % 3 else (0.01, 0.001)
+    header = f'defaultPrim = "bot"\n metersPerUnit = {mpu}\n kilogramsPerUnit = {kpu}\n upAxis = "Z"'
+    material = (
+        'def Material "heavy" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{\n float physics:density = 4000\n}\n'
+    )
+    body = link("a", dice.vector(-1, 1), mass=mass_text(dice, body=True), inside=inside)
+    if dice.random.random() < 0.4:
+        body = body.replace(
+            'xformOpOrder = ["xformOp:translate"]',
+            f'xformOpOrder = ["xformOp:translate", "xformOp:scale"]\n double3 xformOp:scale = {"(2, 2, 2)"}',
+        )
+    return write(folder, body + material, header=header), mpu, kpu
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_mass_properties_are_those_of_openusd(tmp_path, seed):
+    path, mpu, kpu = random_body(tmp_path, seed)
+    model, done = converted(path)
+    mass, center, inertia = expected(path, mpu, kpu)
+    if any("A + B < C" in item.rule for item in done.report.assumptions):
+        pytest.skip("moments that MuJoCo refuses")
+    body = model.body("a")
+    assert body.mass[0] == pytest.approx(mass, rel=1e-5)
+    np.testing.assert_allclose(body.ipos, center, atol=1e-5 * max(1e-3, np.abs(center).max()))
+    np.testing.assert_allclose(tensor(model, "a"), inertia, atol=2e-4 * np.abs(inertia).max())
+
+
+# ------------------------------------------------------------------ one rule each
+def cube(name: str, mass: str = "", *, at: str = "(0, 0, 0)", more: str = "") -> str:
+    """A solid cube of 0.2 m with a MassAPI."""
+    return f"""
+        def Cube "{name}" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI", "MaterialBindingAPI"])
+        {{
+            double size = 0.2
+            {mass}
+            {more}
+            double3 xformOp:translate = {at}
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }}
+"""
+
+
+def test_a_colliders_own_mass_moves_the_centre(tmp_path):
+    inside = cube("left", "float physics:mass = 3", at="(-1, 0, 0)") + cube(
+        "right", "float physics:mass = 1", at="(1, 0, 0)"
+    )
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
+    body, own = model.body("a"), 4 * 0.2**2 / 6
+    assert body.mass[0] == pytest.approx(4)
+    np.testing.assert_allclose(body.ipos, [-0.5, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(tensor(model, "a"), np.diag([own, own + 3, own + 3]), rtol=1e-6)  # 3·0.5² + 1·1.5²
+
+
+def test_the_bodys_mass_shares_out_over_the_colliders(tmp_path):
+    inside = cube("left", "float physics:mass = 3", at="(-1, 0, 0)") + cube(
+        "right", "float physics:mass = 1", at="(1, 0, 0)"
+    )
+    model, _ = converted(write(tmp_path, link("a", mass="float physics:mass = 8", inside=inside)))
+    assert model.body("a").mass[0] == pytest.approx(8)
+    np.testing.assert_allclose(model.body("a").ipos, [-0.5, 0, 0], atol=1e-9)
+
+
+def test_a_mass_on_a_collider_that_is_an_xform_goes_for_all_shapes_below_together(tmp_path):
+    def part(name: str, x: float) -> str:
+        return f"""def Cube "{name}"
+            {{
+                double size = 0.2
+                double3 xformOp:translate = ({x}, 0, 0)
+                uniform token[] xformOpOrder = ["xformOp:translate"]
+            }}
+"""
+
+    inside = f"""def Xform "collisions" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"])
+        {{
+            float physics:mass = 5
+            {part("one", 1)}
+            {part("two", 3)}
+        }}"""
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
+    assert model.body("a").mass[0] == pytest.approx(5)
+    np.testing.assert_allclose(model.body("a").ipos, [2, 0, 0], atol=1e-9)
+
+
+def test_density_of_a_bound_material_is_the_last_that_is_asked(tmp_path):
+    material = (
+        'def Material "lead" (prepend apiSchemas = ["PhysicsMaterialAPI"])\n{\n float physics:density = 11340\n}\n'
+    )
+    bound = "rel material:binding:physics = </bot/lead>"
+    for body, expected_density in (("", 11340), ("float physics:density = 500", 500)):
+        model, _ = converted(write(tmp_path, link("a", mass=body, inside=cube("c", more=bound)) + material))
+        assert model.body("a").mass[0] == pytest.approx(expected_density * 0.2**3, rel=1e-6)
+
+
+def test_moments_without_axes_go_along_the_colliders_axes_as_in_physx(tmp_path):
+    mass = "float physics:mass = 1\n float3 physics:diagonalInertia = (0.1, 0.2, 0.25)"
+    box = cube("c").replace(
+        "double3 xformOp:translate = (0, 0, 0)", f"quatd xformOp:orient = {TILT}\n float3 xformOp:scale = (1, 2, 3)"
+    )
+    box = box.replace('["xformOp:translate"]', '["xformOp:orient", "xformOp:scale"]')
+    model, done = converted(write(tmp_path, link("a", mass=mass, inside=box)))
+    cos, sin = math.cos(math.radians(20)), math.sin(math.radians(20))
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    np.testing.assert_allclose(tensor(model, "a"), turn @ np.diag([0.1, 0.2, 0.25]) @ turn.T, atol=1e-6)
+    assert any("no principal axes" in item.rule for item in done.report.assumptions)
+
+
+def test_axes_without_moments_turn_the_colliders_moments_as_in_physx(tmp_path):
+    mass = f"float physics:mass = 12\n quatf physics:principalAxes = {TILT}"
+    box = cube("c").replace("double3 xformOp:translate = (0, 0, 0)", "float3 xformOp:scale = (1, 2, 3)")
+    box = box.replace('["xformOp:translate"]', '["xformOp:scale"]')
+    model, _ = converted(write(tmp_path, link("a", mass=mass, inside=box)))
+    a, b, c = 0.2, 0.4, 0.6
+    cos, sin = math.cos(math.radians(20)), math.sin(math.radians(20))
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    moments = np.diag([b * b + c * c, a * a + c * c, a * a + b * b])  # m/12 = 1
+    np.testing.assert_allclose(tensor(model, "a"), turn @ moments @ turn.T, atol=1e-6)
+
+
+def test_a_body_of_nothing_weighs_one_unit_of_the_stage(tmp_path):
+    grams = 'defaultPrim = "bot"\n metersPerUnit = 0.01\n kilogramsPerUnit = 0.001\n upAxis = "Z"'
+    model, _ = converted(write(tmp_path, link("a", mass=""), header=grams))
+    assert model.body("a").mass[0] == pytest.approx(0.001)
+    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 0.4 * 0.001 * 0.1**2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("moments", ["(0.1, 0.1, 0.2000001)", "(0.1, 0.1, 0.9)", "(0.1, 0.2, 0)", "(-0.1, 0.1, 0.1)"])
+def test_moments_that_mujoco_refuses_are_cut_and_reported(tmp_path, moments):
+    model, done = converted(write(tmp_path, link("a", mass=MASS.replace("(0.1, 0.1, 0.1)", moments))))
+    a, b, c = sorted(model.body("a").inertia)
+    assert a > 0
+    assert a + b >= c
+    cut = moments != "(-0.1, 0.1, 0.1)"
+    assert any("moments that no body can have" in item.rule for item in done.report.assumptions) is cut
+    assert any("/bot/a" in warning for warning in done.report.warnings) is (moments != "(0.1, 0.1, 0.2000001)")
+
+
+def test_a_mass_too_small_for_mujoco_is_told_with_its_prim(tmp_path):
+    with pytest.raises(AssetError, match="too small") as told:
+        converted(write(tmp_path, link("a", mass=MASS.replace("mass = 1", "mass = 1e-30"))))
+    assert told.value.key == "/bot/a"
+
+
+def test_a_mass_of_zero_means_not_given(tmp_path):
+    zero = "float physics:mass = 0\n        float3 physics:diagonalInertia = (0, 0, 0)"
+    model, done = converted(write(tmp_path, link("a", mass=zero, inside=cube("cube"))))
+    assert model.body("a").mass[0] == pytest.approx(1000 * 0.2**3)
+    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 8 * 0.2**2 / 6, rtol=1e-6)
+    assert any(item.name == "physics:mass" for item in done.report.left_out)
+
+
+@pytest.mark.parametrize(
+    ("body", "collider", "density"),
+    [
+        ("", "", 1000),
+        ("float physics:density = 500", "", 500),
+        ("float physics:density = 500", "float physics:density = 250", 250),
+    ],
+)
+def test_the_colliders_density_wins_over_the_bodys(tmp_path, body, collider, density):
+    inside = cube("cube", collider)
+    model, _ = converted(write(tmp_path, link("a", mass=body, inside=inside)))
+    assert model.body("a").mass[0] == pytest.approx(density * 0.2**3, rel=1e-6)
+
+
+def test_a_switched_off_collider_still_weighs(tmp_path):
+    inside = cube("cube", more="bool physics:collisionEnabled = 0")
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
+    assert model.body("a").mass[0] == pytest.approx(8.0)
+    assert not (model.geom_contype | model.geom_conaffinity).any()
+
+
+def test_inertia_of_colliders_is_moved_to_an_authored_centre(tmp_path):
+    mass = "float physics:mass = 2\n        point3f physics:centerOfMass = (0, 0, 0.5)"
+    model, _ = converted(write(tmp_path, link("a", mass=mass, inside=cube("cube"))))
+    own = 2 * 0.2**2 / 6
+    expected = np.diag([own + 2 * 0.25, own + 2 * 0.25, own])
+    np.testing.assert_allclose(tensor(model, "a"), expected, rtol=1e-6, atol=1e-12)
+
+
+def test_principal_axes_turn_the_moments(tmp_path):
+    mass = """float physics:mass = 1
+        float3 physics:diagonalInertia = (0.1, 0.2, 0.25)
+        quatf physics:principalAxes = (0.70710678, 0, 0, 0.70710678)"""
+    model, _ = converted(write(tmp_path, link("a", mass=mass)))
+    np.testing.assert_allclose(tensor(model, "a"), np.diag([0.2, 0.1, 0.25]), atol=1e-7)
+
+
+def test_newtons_full_tensor_wins_over_the_diagonal(tmp_path):
+    mass = MASS + "\n        float[] newton:inertia = [0.3, 0.2, 0.25, 0.01, 0, 0]"
+    model, _ = converted(write(tmp_path, link("a", mass=mass)))
+    np.testing.assert_allclose(tensor(model, "a")[:2, :2], [[0.3, 0.01], [0.01, 0.2]], rtol=1e-6)
+
+
+def test_a_body_of_nothing_is_physx_ball_of_one_kilogram(tmp_path):
+    model, _ = converted(write(tmp_path, link("a", mass="")))
+    assert model.body("a").mass[0] == pytest.approx(1.0)
+    np.testing.assert_allclose(tensor(model, "a"), np.eye(3) * 0.4 * 0.1**2)
+
+
+def shape(kind: str, text: str, scale: str = "(1, 1, 1)") -> str:
+    """A gprim that collides, in SI."""
+    return f"""def {kind} "shape" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+        {{
+            {text}
+            double3 xformOp:scale = {scale}
+            uniform token[] xformOpOrder = ["xformOp:scale"]
+        }}"""
+
+
+@pytest.mark.parametrize(
+    ("inside", "volume"),
+    [  # the volumes of the masses that PhysX gives these files
+        (shape("Sphere", "double radius = 0.2", "(1.5, 1, 0.7)"), 4 / 3 * math.pi * 0.3**3),
+        (
+            shape("Cylinder", 'double radius = 0.1\n double height = 0.5\n token axis = "X"', "(2, 1, 0.7)"),
+            math.pi * 0.01,
+        ),
+        (shape("Cone", "double radius = 0.1\n double height = 0.5"), math.pi * 0.01 * 0.5 / 3),
+        (shape("Cone", "double radius = 0.1\n double height = 0.5", "(1.5, 1, 1)"), math.pi * 0.0225 * 0.5 / 3),
+    ],
+    ids=["sphere", "cylinder", "cone", "oval cone"],
+)
+def test_what_is_scaled_unevenly_weighs_as_its_largest_scale_across(tmp_path, inside, volume):
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=inside)))
+    np.testing.assert_allclose(model.body("a").mass[0], 1000 * volume, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("axis", "flip", "center"), [("Z", 1, [0, 0, -0.15]), ("Y", 1, [0, -0.15, 0]), ("Z", -1, [0, 0, 0.15])]
+)
+def test_a_cone_weighs_as_a_cone_and_not_as_its_hull(tmp_path, axis, flip, center):
+    """Centre a quarter of the height above the base; moments 3/10 m r² and m(3/20 r² + 3/80 h²)."""
+    inside = shape("Cone", f'double radius = 0.2\n double height = 0.6\n token axis = "{axis}"', f"(1, 1, {flip})")
+    model, _ = converted(write(tmp_path, link("a", mass="float physics:mass = 2", inside=inside)))
+    np.testing.assert_allclose(model.body("a").ipos, center, atol=1e-9)
+    moments = np.sort(model.body("a").inertia)
+    np.testing.assert_allclose(moments, [2 * 0.3 * 0.04] + [2 * (0.15 * 0.04 + 3 / 80 * 0.36)] * 2, rtol=1e-6)
+
+
+def test_a_negative_mass_means_not_given_and_is_warned_about(tmp_path):
+    model, done = converted(write(tmp_path, link("a", mass="float physics:mass = -3", inside=cube("c"))))
+    np.testing.assert_allclose(model.body("a").mass[0], 1000 * 0.2**3)
+    assert any("/bot/a" in warning and "-3" in warning for warning in done.report.warnings)
+
+
+def test_a_shape_below_a_shape_collides_where_a_prim_above_both_says_so(tmp_path):
+    """Xform with CollisionAPI / Cube / Sphere: both weigh; a schema of the cube's own goes for the cube alone."""
+    inner = 'def Cube "c" {own}\n{{\n double size = 0.2\n def Sphere "s"\n {{\n double radius = 0.3\n }}\n}}\n'
+    api = '(prepend apiSchemas = ["PhysicsCollisionAPI"])'
+    group = f'def Xform "g" {api}\n{{\n{inner.format(own="")}}}\n'
+    both, _ = converted(write(tmp_path, link("a", mass="", inside=group)))
+    np.testing.assert_allclose(both.body("a").mass[0], 1000 * (0.008 + 4 / 3 * math.pi * 0.027), rtol=1e-6)
+    one, _ = converted(write(tmp_path, link("a", mass="", inside=inner.format(own=api))))
+    np.testing.assert_allclose(one.body("a").mass[0], 8, rtol=1e-6)

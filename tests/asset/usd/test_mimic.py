@@ -1,0 +1,97 @@
+"""Joints that follow others, as PhysX says it: q = -gearing · reference - offset, in degrees and stage lengths."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from ..small_usd import converted, hinge, link, write
+
+CM = 'defaultPrim = "bot"\n    metersPerUnit = 0.01\n    upAxis = "Z"'
+
+
+def mimic(axis: str = "rotX", gearing: float = 2, offset: float = 0, reference: str = "ab", of: str = "rotX") -> str:
+    prefix = f"physxMimicJoint:{axis}"
+    return (
+        f'rel {prefix}:referenceJoint = </bot/{reference}>\n uniform token {prefix}:referenceJointAxis = "{of}"\n'
+        f"float {prefix}:gearing = {gearing}\n float {prefix}:offset = {offset}\n"
+        f"float {prefix}:naturalFrequency = 25\n float {prefix}:dampingRatio = 0.005"
+    )
+
+
+def three(folder, text: str, *, lead: str = "Revolute", follow: str = "Revolute", axis: str = "rotX", header: str = ""):
+    body = link("a") + link("b") + link("c") + hinge("ab", "a", "b", kind=lead)
+    body += hinge("bc", "b", "c", kind=follow, apis=f"PhysxMimicJointAPI:{axis}", text=text)
+    return converted(write(folder, body, **({"header": header} if header else {})))
+
+
+def settled(model: mujoco.MjModel, value: float) -> float:
+    """What the equality makes of the follower when the leader is at a value: its violation is linear in it."""
+    data = mujoco.MjData(model)
+    data.joint("ab").qpos = value
+    mujoco.mj_forward(model, data)
+    (error,) = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+    return -float(error)
+
+
+@pytest.mark.parametrize("axis", ["rotX", "rotY", "rotZ"])
+def test_angles_follow_with_an_offset_in_degrees(tmp_path, axis):
+    model, done = three(tmp_path, mimic(axis, gearing=2, offset=30), axis=axis)
+    assert settled(model, 0.4) == pytest.approx(-2 * 0.4 - math.radians(30), rel=1e-6)
+    left = {item.name for item in done.report.left_out}
+    assert {f"physxMimicJoint:{axis}:naturalFrequency", f"physxMimicJoint:{axis}:dampingRatio"} <= left
+
+
+def test_slides_follow_with_an_offset_in_stage_lengths(tmp_path):
+    model, _ = three(tmp_path, mimic(gearing=-1, offset=5), lead="Prismatic", follow="Prismatic", header=CM)
+    assert settled(model, 0.02) == pytest.approx(0.02 - 0.05, rel=1e-6)
+
+
+def test_a_hinge_follows_a_slide_in_degrees_per_stage_length(tmp_path):
+    model, _ = three(tmp_path, mimic(gearing=-3), lead="Prismatic", header=CM)
+    assert settled(model, 0.02) == pytest.approx(math.radians(3 * 2), rel=1e-6)  # 2 cm, 3° each
+
+
+def test_a_slide_follows_a_hinge_in_stage_lengths_per_degree(tmp_path):
+    model, _ = three(tmp_path, mimic(gearing=-0.5, offset=1), follow="Prismatic", header=CM)
+    assert settled(model, math.radians(10)) == pytest.approx((0.5 * 10 - 1) * 0.01, rel=1e-6)
+
+
+def test_gearing_is_one_unless_given(tmp_path):
+    text = "rel physxMimicJoint:rotX:referenceJoint = </bot/ab>"
+    model, _ = three(tmp_path, text)
+    assert settled(model, 0.3) == pytest.approx(-0.3)
+
+
+def test_an_axis_of_a_generic_joint_follows_and_is_followed(tmp_path):
+    lock = "\n".join(
+        f"float limit:{a}:physics:low = 1\n float limit:{a}:physics:high = -1"
+        for a in ("transX", "transY", "transZ", "rotX")
+    )
+    body = link("a") + link("b") + link("c") + hinge("ab", "a", "b", kind="", text=lock)
+    follow = f"{lock}\n{mimic('rotZ', gearing=2, of='rotY')}"
+    body += hinge("bc", "b", "c", kind="", apis="PhysxMimicJointAPI:rotZ", text=follow)
+    model, _ = converted(write(tmp_path, body))
+    follower, leader = model.eq_obj1id[0], model.eq_obj2id[0]
+    assert (model.joint(follower).name, model.joint(leader).name) == ("bc_rotZ", "ab_rotY")
+    np.testing.assert_allclose(model.eq_data[0][:2], [0, -2])
+
+
+def test_the_rule_holds_for_coordinates_of_reversed_joints(tmp_path):
+    """Both coordinates are body1's against body0, whichever of them is the child."""
+    body = link("a", apis="PhysicsArticulationRootAPI") + link("b") + link("c") + hinge("ab", "b", "a")
+    body += hinge("bc", "b", "c", apis="PhysxMimicJointAPI:rotX", text=mimic(gearing=2))
+    model, _ = converted(write(tmp_path, body))
+    assert settled(model, 0.4) == pytest.approx(-0.8)
+
+
+@pytest.mark.parametrize("reference", ["nobody", "bc", "weld"])
+def test_a_joint_that_follows_no_coordinate_is_left_out_and_named(tmp_path, reference):
+    body = link("a") + link("b") + link("c") + link("d") + hinge("ab", "a", "b") + hinge("weld", "a", "d", kind="Fixed")
+    body += hinge("bc", "b", "c", apis="PhysxMimicJointAPI:rotX", text=mimic(reference=reference))
+    model, done = converted(write(tmp_path, body))
+    assert model.neq == 0
+    assert any("/bot/bc" in warning for warning in done.report.warnings)

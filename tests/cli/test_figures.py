@@ -1,0 +1,83 @@
+"""What figures are printed under: equal labels mean equal definitions, and each says what it is of."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import pytest
+
+from wheelleg_exp.cli.printing.figures import print_contacts, print_figures
+from wheelleg_exp.definitions.rollout import CONTACTS, FIGURES
+from wheelleg_exp.jobs.figures import ContactFigures, StandFigures
+
+PLAYED = StandFigures(
+    episodes=8,
+    unfinished=1,
+    survival=6 / 7,
+    settle_s=1.0,
+    settled_episodes=6,
+    settled_steps=1440,
+    height_rmse_m=0.0021,
+    height_mean_m=0.072,
+    pitch_rms_deg=1.1,
+    pitch_mean_deg=0.9,
+    mean_return=24.6,
+    ended_by={"time_out": 6, "base_contact": 0, "leg_contact": 0, "base_contact and leg_contact": 1},
+)
+
+
+@pytest.fixture
+def printed(capsys):
+    def table(figures: StandFigures) -> dict[str, str]:
+        print_figures(figures)
+        lines = capsys.readouterr().out.splitlines()
+        at = lines[0].index("value")
+        return {line[:at].strip(): " ".join(line[at:].split()) for line in lines[1:]}
+
+    return table
+
+
+def test_each_figure_says_what_it_is_of(printed):
+    found = printed(PLAYED)
+    assert found["episodes"] == "8 the first of each environment"
+    assert found["still running"] == "1"
+    assert found["survived to the time-out"] == "85.7% 7 ended episodes"
+    assert found["base height, RMSE to target, after 1 s"] == "2.10 mm 1440 steps of 6 episodes"
+    assert found["pitch, mean, after 1 s"] == "0.90 deg 1440 steps of 6 episodes"
+    assert found["return, mean"] == "24.60 7 ended episodes"
+
+
+def test_what_leaves_out_another_time_has_another_label(printed):
+    play, agent = printed(PLAYED), printed(replace(PLAYED, settle_s=0.0))
+    apart = {label for label in play if label.startswith(("base height", "pitch"))}
+    assert len(apart) == 4
+    assert not apart & set(agent)
+    assert set(play) - apart == {label for label in agent if not label.endswith("from the start")}
+
+
+def test_endings_sum_to_the_ended_episodes(printed):
+    counts = [int(value) for label, value in printed(PLAYED).items() if label.startswith("ended by ")]
+    assert sum(counts) == PLAYED.ended
+
+
+def test_nothing_that_ended_or_settled_is_said_and_no_percentage(printed):
+    nan = float("nan")
+    none = replace(PLAYED, unfinished=8, survival=None, mean_return=None, settled_episodes=0, settled_steps=0)
+    found = printed(replace(none, height_rmse_m=nan, height_mean_m=nan, pitch_rms_deg=nan, pitch_mean_deg=nan))
+    assert found["survived to the time-out"] == "- 0 ended episodes"
+    assert found["base height, mean, after 1 s"] == "- no episode lasted that long"
+
+
+def test_contacts_say_of_which_steps_they_are(capsys):
+    print_contacts("feet", [ContactFigures("wheel", 2.0, 4.0, 0.5, 120)])
+    *words, columns, _ = capsys.readouterr().out.strip().splitlines()
+    title = " ".join(words)
+    assert "at the end of a step, of 120 steps of all episodes and environments" in title
+    assert "from 0.2 s after a reset on with a tilt below 0.2 rad" in title
+    assert columns.split("  ")[0] == "link"
+    assert "largest (N)" in columns
+
+
+def test_every_key_has_a_definition():
+    assert {field.name for field in fields(StandFigures)} == set(FIGURES)
+    assert {field.name for field in fields(ContactFigures)} - {"body"} == set(CONTACTS)

@@ -1,0 +1,121 @@
+"""What the commands print fits the screen: 100 columns, or the terminal's width."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from wheelleg_exp.cli.main import COMMANDS, main
+from wheelleg_exp.cli.printing import tables
+from wheelleg_exp.cli.printing.tables import hanging, print_blocks, print_table, wrapped
+
+COMMANDS_THAT_LIST = (
+    ["list", "tasks"],
+    ["list", "terms"],
+    ["list", "options"],
+    ["list", "groups"],
+    ["check", "--list"],
+    ["check", "--physics", "--all"],
+    ["check", "--physics", "task=stand", "~check"],
+    ["explain", "env.rewards.base_height"],
+    ["explain", "env.rewards.base_height.weight"],
+    ["explain", "reward@env.rewards"],
+    ["explain", "env.sim.integrator"],
+    ["explain", "agent"],
+    ["diff", "stand", "task=stand robot=explicit sim=fine reward@env.rewards=[alive] curriculum@env.curriculum=[]"],
+    ["compose"],
+    ["compose", "--provenance", "env.rewards.alive.weight=2"],
+    ["compose", "--shapes"],
+)
+LONG = "one two three " * 12
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """Pretend that standard output is a terminal of a width."""
+
+    def be(columns):
+        monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+        monkeypatch.setenv("COLUMNS", str(columns))
+
+    return be
+
+
+def widest(text):
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", text)
+    return max(len(line) for line in plain.splitlines())
+
+
+@pytest.mark.parametrize("words", COMMANDS_THAT_LIST, ids=" ".join)
+def test_no_line_is_wider_than_100_columns(words, capsys):
+    assert main(words) in (0, 1)
+    assert widest(capsys.readouterr().out) <= 100
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_help_is_wider_than_100_columns(name, capsys):
+    assert main([name, "--help"]) == 0
+    assert widest(capsys.readouterr().out) <= 100
+
+
+@pytest.mark.parametrize("columns", [60, 80, 200])
+def test_a_terminal_is_filled_and_not_overrun(columns, terminal, capsys):
+    terminal(columns)
+    for words in (["check", "--physics", "--all"], ["list", "terms", "reward"], ["--help"], ["explain", "agent"]):
+        assert main(words) == 0
+        text = capsys.readouterr().out
+        assert widest(text) <= max(columns, 70), words
+        if columns == 200 and words[0] == "list":
+            assert widest(text) > 100
+
+
+def test_a_table_that_fits_stays_a_table(capsys):
+    print_table(("a", "b"), [("x", 1), ("yy", None)])
+    assert capsys.readouterr().out == "a   b\nx   1\nyy\n"
+
+
+def test_a_wide_column_is_wrapped_in_its_place(capsys):
+    print_table(("name", "text", "end"), [("x", LONG.strip(), "z"), ("y", "short", "z")])
+    lines = capsys.readouterr().out.splitlines()
+    assert widest("\n".join(lines)) <= 100
+    assert lines[1].startswith("x     one two")
+    assert lines[1].endswith("z")
+    assert lines[2].startswith("      ")
+    assert lines[-1].split() == ["y", "short", "z"]
+
+
+def test_rows_that_cannot_be_a_table_are_blocks(capsys):
+    rows = [("rule", "a.key", "x" * 70, "y" * 70, "-"), ("other", "b.key", "", LONG.strip(), "z")]
+    print_table(("", "", "place", "what", "hint"), rows, heads=2)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:4] == ["rule  a.key", f"    place  {'x' * 70}", f"    what   {'y' * 70}", "other  b.key"]
+    assert lines[4].startswith("    what  one two")
+    assert lines[5].startswith("          ")
+    assert lines[-1] == "    hint  z"
+
+
+def test_a_block_has_a_line_for_each_cell(capsys):
+    print_blocks(("", "b", "cc"), [("name", "1", "2")])
+    assert capsys.readouterr().out == "name\n    b   1\n    cc  2\n"
+
+
+@pytest.mark.parametrize("width", [20, 33, 72])
+def test_wrapping_keeps_every_word_and_the_indent(width):
+    text = f"  {LONG}/a/long/path/that/is/longer/than/the/width/of/all.these_lines and the end"
+    lines = wrapped(text, width)
+    assert all(len(line) <= width for line in lines)
+    assert lines[0].startswith("  one")
+    assert "".join("".join(lines).split()) == "".join(text.split())
+
+
+def test_what_has_no_mark_is_not_broken():
+    assert wrapped("a " + "b" * 50, 20) == ["a", "b" * 50]
+
+
+def test_a_hanging_text_stands_beside_its_label():
+    first, *rest = hanging(LONG, 10, "  label").split("\n")
+    assert first.startswith("  label   one")
+    assert rest
+    assert all(line.startswith(" " * 10 + "o") or line.startswith(" " * 10 + "t") for line in rest)
+    assert tables.screen_width() == 100

@@ -1,0 +1,92 @@
+"""What stands twice where one alone can act: terms in lists, joints in action terms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.errors import ConfigError
+
+HEAD = "# @package _global_\n# A child.\n"
+
+
+def _told(*words: str, folder: Path | None = None) -> list[ConfigError]:
+    return check(compose(words, config_dirs=[folder] if folder else []))
+
+
+def _task(folder: Path, name: str, text: str) -> None:
+    (folder / "task").mkdir(exist_ok=True)
+    (folder / "task" / f"{name}.yaml").write_text(f"{HEAD}{text}task: {{name: {name}}}\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        ("reward@env.rewards=[alive,lin_vel_z,alive]", "env.rewards.alive"),
+        ("+reward@env.rewards=alive", "env.rewards.alive"),
+        ("action@env.actions=[leg_pos,leg_pos]", "env.actions.leg_pos"),
+        ("termination@env.terminations=[time_out,time_out]", "env.terminations.time_out"),
+        (
+            "observation@env.observations.policy.terms=[last_action,base_ang_vel,base_ang_vel]",
+            "env.observations.policy.terms.base_ang_vel",
+        ),
+    ],
+)
+def test_a_term_that_is_listed_twice_is_told(words, key):
+    (error,) = _told("task=stand", words)
+    assert (error.key, error.where) == (key, f"override {words}")
+
+
+@pytest.mark.parametrize(
+    "entry", ["/reward@env.rewards: [alive]", "override /reward@env.rewards: [lin_vel_z, alive, alive]"]
+)
+def test_a_term_that_a_child_lists_again_is_told_with_its_line(tmp_path, entry):
+    _task(tmp_path, "again", f"defaults:\n  - stand\n  - {entry}\n  - _self_\n")
+    (error,) = _told("task=again", folder=tmp_path)
+    assert error.key == "env.rewards.alive"
+    assert str(error.where).endswith("task/again.yaml:5")
+
+
+def test_a_term_that_was_taken_out_may_be_listed_again(tmp_path):
+    _task(tmp_path, "without", "defaults: [stand, _self_]\nenv: {rewards: {alive: null}}\n")
+    _task(tmp_path, "again", "defaults: [without, /reward@env.rewards: [alive], _self_]\n")
+    assert _told("task=again", folder=tmp_path) == []
+
+
+A = "wheelleg_exp.mdp.actions."
+AGAIN = {
+    "JointPositionAction": "leg_pos",
+    "RelativeJointPositionAction": "leg_pos",
+    "JointVelocityAction": None,
+    "JointEffortAction": None,
+}
+
+
+@pytest.mark.parametrize("kind", AGAIN)
+def test_a_joint_whose_target_two_actions_set_is_told(kind):
+    """A position and a velocity target of one joint may both be set: the drive adds their torques."""
+    errors = _told("task=stand", f"+env.actions.again={{_target_: {A}{kind}, joint_names: [l01]}}")
+    if AGAIN[kind] is None:
+        assert errors == []
+        return
+    (error,) = errors
+    assert error.key == "env.actions.again.joint_names"
+    assert "joint 'l01' is driven by both 'leg_pos' and 'again'" in error.message
+
+
+def test_whatever_builds_the_actions_refuses_it_in_the_same_words(make_env):
+    node = {"_target_": A + "JointPositionAction", "joint_names": [".*_hip"]}
+    with pytest.raises(ConfigError) as caught:
+        make_env(actions={"hips": node, "again": node})
+    assert caught.value.key == "env.actions.again.joint_names"
+    assert caught.value.message == "joint 'left_hip' is driven by both 'hips' and 'again'"
+
+
+def test_a_drive_without_a_number_for_one_of_its_joints_is_told(tmp_path):
+    _task(tmp_path, "gap", 'defaults: [stand, _self_]\nenv: {robot: {actuators: {legs: {damping: {".*01$": 0.3}}}}}\n')
+    (error,) = _told("task=gap", folder=tmp_path)
+    assert error.key == "env.robot.actuators.legs.damping"
+    assert error.message == "no value for joint l02, r02"

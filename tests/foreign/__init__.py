@@ -1,0 +1,1 @@
+"""Run directories, projects and repositories of somebody hostile: no command but ``replay`` runs their code."""

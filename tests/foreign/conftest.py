@@ -1,0 +1,83 @@
+"""One healthy run for all trials, and a place in which everything is watched."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from jobs.small import Trained, cache_of, trained_once
+
+from foreign.trial import SECRET, VARIABLE, Trial
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.jobs import play
+from wheelleg_exp.jobs.train import training
+from wheelleg_exp.report import drawings
+from wheelleg_exp.report.blocks import Plot
+from wheelleg_exp.run.directory import RunDirectory
+
+_LIMIT_S = 240
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(autouse=True)
+def _against_hanging() -> Iterator[None]:
+    def stuck(*_: object) -> None:
+        raise TimeoutError("a command does not end")
+
+    before = signal.signal(signal.SIGALRM, stuck)
+    signal.alarm(_LIMIT_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@functools.cache
+def _composed(words: tuple[str, ...], primary: str, folders: tuple[Path, ...]) -> object:
+    return compose(words, primary=primary, config_dirs=folders)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out what no trial looks at and what takes its time: drawings, and composing the stock configs again."""
+
+    def once(overrides=(), *, primary="train", config_dirs=()):
+        return _composed(tuple(overrides), primary, tuple(config_dirs))
+
+    monkeypatch.setattr(drawings, "_plot", lambda panel, prefix: Plot("", panel.title))
+    monkeypatch.setattr(play, "compose", once)
+    monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return trained_once(tmp_path_factory)
+
+
+@pytest.fixture
+def trial(
+    trained: Trained,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    quick: None,
+) -> Trial:
+    """A copy of the healthy run to plant something in, in a folder of its own."""
+    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+    monkeypatch.setenv(VARIABLE, SECRET)
+    run = tmp_path / "runs" / "stand" / trained.run.id
+    shutil.copytree(trained.run.path, run)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert training  # imported before anything is watched
+    return Trial(tmp_path, RunDirectory(run.resolve()), trained.run)

@@ -1,0 +1,146 @@
+"""Links, pipes, sockets and devices in a run directory, and names that a terminal obeys."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from foreign.trial import Trial
+from wheelleg_exp.run.directory import RunDirectory
+
+pytestmark = pytest.mark.train
+
+FILES = (
+    *(".lock", ".manifest.lock", "params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", ".hydra/overrides.yaml"),
+    *("source/git.json", "environment.txt", "iterations.jsonl", "model_2.pt", "recording.rrd", "report.html"),
+    *("asset/robot.xml", "asset/asset.json", "exported/policy.json", "events.out.tfevents.9"),
+)
+FOLDERS = ("params", ".hydra", "source", "asset", "exported", "play", "evaluation")
+COMMANDS = ("play", "resume", "inspect", "diff", "compare", "replay")
+
+
+def try_all(trial: Trial, name: str, what: str) -> None:
+    """No command follows what stands at a name of the run, and those that use the run say so."""
+    for command in COMMANDS:
+        trial.try_(command, 2, name, what)
+    trial.try_("verify", 1, f"{name} is {what}")
+    trial.try_("list", 0)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_link_to_a_file_is_not_followed(trial, name):
+    precious = trial.outside()
+    trial.replace(name, lambda path: path.symlink_to(precious))
+    trial.record()
+    try_all(trial, name, "a symbolic link")
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_a_link_to_a_folder_is_not_followed(trial, name):
+    precious = trial.outside()
+    trial.replace(name, lambda path: path.symlink_to(precious.parent))
+    trial.record()
+    try_all(trial, name, "a symbolic link")
+
+
+@pytest.mark.parametrize("target", ["/dev/zero", "/dev/stdin", "manifest.json", "nowhere", "."])
+def test_where_a_link_leads_does_not_matter(trial, target):
+    trial.replace("model_2.pt", lambda path: path.symlink_to(target))
+    trial.record()
+    try_all(trial, "model_2.pt", "a symbolic link")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_nobody_waits_for_a_pipe(trial, name):
+    trial.replace(name, os.mkfifo)
+    trial.record()
+    try_all(trial, name, "a pipe, a socket or a device")
+
+
+@pytest.mark.parametrize("name", ["params/env.yaml", "iterations.jsonl", "recording.rrd", "source/git.json"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+def test_a_report_says_so_and_reads_nothing_of_it(trial, name, make):
+    trial.replace(name, make)
+    trial.record()
+    trial.try_("report", 0, name)
+
+
+def test_a_socket_is_no_file(trial, monkeypatch):
+    monkeypatch.chdir(trial.run.path)  # such names are short
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind("model_9.pt")
+    monkeypatch.chdir(trial.root / "here")
+    try_all(trial, "model_9.pt", "a pipe, a socket or a device")
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+def test_a_manifest_that_is_no_file(trial, make):
+    trial.replace("manifest.json", make)
+    for command in ("play", "resume", "compare", "replay", "verify", "report"):
+        trial.try_(command, 2, "manifest.json")
+    trial.try_("inspect", 0)  # a recording in a folder that is no run
+    trial.try_("list", 0)
+
+
+def test_a_lock_empties_nothing_that_it_leads_to(trial):
+    """Whoever takes it, also where the run is not looked at before."""
+    from wheelleg_exp.errors import RunDirectoryError
+    from wheelleg_exp.run.lock import RunLock
+
+    precious = trial.outside()
+    trial.replace(".lock", lambda path: path.symlink_to(precious))
+    with pytest.raises(RunDirectoryError):
+        RunLock(trial.run).acquire()
+    assert precious.read_text()
+
+
+def test_a_checkpoint_named_on_the_command_line_may_be_a_link(trial):
+    """What the user names is the user's own."""
+    from jobs.small import wheelleg
+
+    link = trial.root / "here" / "best.pt"
+    link.symlink_to(trial.healthy.path / "model_2.pt")
+    words = trial.words("play")
+    assert wheelleg(*words, "--checkpoint", link).status == 0
+
+
+# --- names and texts that a terminal obeys ---
+
+ODD = "\x1b[2J\x9b31m\r\x07\u202e"
+
+
+def odd_name(folder: Path) -> Path:
+    return folder / f"a{ODD}b"
+
+
+PLANTS: dict[str, Callable[[Trial], None]] = {
+    "file": lambda trial: trial.write(f"play/{ODD}.rrd", b""),
+    "bytes": lambda trial: Path(os.fsdecode(os.fsencode(trial.run.path) + b"/\xff\xfe")).write_bytes(b""),
+    "task": lambda trial: trial.manifest(task=ODD),
+    "error": lambda trial: trial.manifest(status="failed", error={"type": ODD, "message": ODD}),
+    "status": lambda trial: trial.manifest(status=ODD),
+    "files": lambda trial: trial.manifest(files={ODD: {"sha256": ODD, "size": 1}}),
+    "results": lambda trial: trial.manifest(results={ODD: ODD}),
+    "resumes": lambda trial: trial.manifest(resumes=[{"when": ODD, "why": [ODD], "overrides": [ODD], "exact": False}]),
+    "config": lambda trial: trial.yaml("params/env.yaml", lambda env: env.update({ODD: ODD})),
+}
+
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_no_text_of_a_run_reaches_the_terminal_as_more_than_text(trial, plant):
+    plant(trial)
+    for command in ("list", "json", "verify", "compare", "diff", "inspect", "play"):
+        said = trial.try_(command, (0, 1, 2))
+        assert not {"\x1b", "\x9b", "\r", "\x07", "\u202e"} & set(said.out + said.err)
+
+
+def test_a_run_with_such_a_name_is_told_by_its_codes(trial):
+    moved = odd_name(trial.run.path.parent)
+    trial.run.path.rename(moved)
+    trial.run = RunDirectory(moved)
+    for command in ("list", "verify", "report", "play"):
+        trial.try_(command, (0, 1, 2), "\\x1b[2J\\x9b31m")

@@ -1,0 +1,208 @@
+"""Manifests, logs and the records of the source: whatever stands in them is a word of somebody's."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from foreign.trial import SECRET, VARIABLE
+from wheelleg_exp.files import write_json
+
+pytestmark = pytest.mark.train
+
+MANIFEST, GIT, LOG = "manifest.json", "source/git.json", "iterations.jsonl"
+READERS = ("verify", "report", "inspect", "diff", "play", "resume", "replay")
+DIGEST = {"sha256": "0" * 64, "size": 1}
+
+BROKEN = {
+    "deep brackets": "[" * 100_000,
+    "deep values": '{"format": 1, "a": ' + "[" * 500 + "]" * 500 + "}",
+    "a long number": '{"format": ' + "1" * 5000 + "}",
+    "a large number": '{"format": ' + "1" * 400 + "}",
+    "a list": "[1]",
+    "no text": b"\xff\xfe",
+    "nothing": "",
+}
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN)
+def test_a_manifest_that_is_none_is_told(trial, content):
+    trial.write(MANIFEST, content)
+    for command in READERS:
+        trial.try_(command, 2, MANIFEST)
+    trial.try_("list", 0, "damaged")
+
+
+def test_a_manifest_without_end_is_not_read(trial):
+    with (trial.run.path / MANIFEST).open("wb") as file:
+        file.truncate(1 << 40)
+    trial.try_("verify", 2, "more than")
+    trial.try_("list", 0, "damaged")
+
+
+KEYS = ("error", "ended", "process", "versions", "hardware", "threads", "environment_variables", "status", "task")
+KEYS += ("started", "results", "resumes", "additions", "files", "id", "command", "working_directory", "seeds")
+KEYS += (
+    "source",
+    "config_dirs",
+    "config_variables",
+    "replay_of",
+    "recording_unfinished",
+    "format",
+    "sha256",
+    "failure",
+)
+VALUES = (None, 7, "x", [], ["x"], [[]], {}, {"x": 1}, True, -1, "inf")
+ENTRIES = ({"when": 1}, {"before": 1}, {"overrides": 3}, {"changes": ["x"]}, {"why": "x"}, {"files_to_write": {"a": 1}})
+
+
+def test_every_key_of_a_manifest_may_hold_anything(trial):
+    whole = trial.healthy.manifest().data
+    entries = [*VALUES, *ENTRIES]
+    plants = [{key: value} for key in KEYS for value in VALUES]
+    plants += [{"results": {"non_finite": value}} for value in VALUES]
+    plants += [{key: [entry]} for key in ("resumes", "additions") for entry in entries]
+    for number, plant in enumerate(plants):
+        write_json(trial.root / "runs" / "stand" / f"2026-01-01_00-00-00_{number}" / MANIFEST, {**whole, **plant})
+    for command in ("list", "json"):
+        said = trial.try_(command, 0)
+        assert said.out.count("2026-01-01_00-00-00_") >= len(plants)
+
+
+@pytest.mark.parametrize("value", [None, 7, ["x"], {"x": 1}], ids=repr)
+def test_every_key_of_a_manifest_may_hold_anything_when_it_is_verified(trial, value):
+    for key in KEYS:
+        trial.manifest(**{key: value})
+        trial.try_("verify", (0, 1, 2))
+
+
+@pytest.mark.parametrize(
+    "name", ["../../../here/precious.yaml", "/etc/hostname", "a/../../b", "a\0b", "..", "a\\..\\b"]
+)
+def test_no_name_in_a_manifest_leads_outside(trial, name):
+    trial.outside()
+    moment = "2026-11-20T10:00:00.000000Z"
+    plants = [
+        {"files": {name: DIGEST}},
+        {"additions": [{"kind": "play", "when": moment, "files": {name: DIGEST}}]},
+        {"resumes": [{"when": moment, "files_to_write": {name: "written"}}]},
+        {"resumes": [{"when": moment, "before": {"files": {name: DIGEST}}}]},
+    ]
+    for plant in plants:
+        trial.manifest(**plant)
+        for command in ("verify", "resume", "play"):
+            trial.try_(command, 2, MANIFEST, "outside its directory")
+        trial.try_("list", 0, "damaged")
+
+
+@pytest.mark.parametrize("moment", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00", "x", "2026-01-01"])
+def test_times_that_are_none_are_told(trial, moment):
+    for changes in ({"started": moment}, {"ended": moment}):
+        trial.manifest(**changes)
+        trial.try_("list", 0)
+        trial.try_("json", 0)
+        trial.try_("verify", 2, "is no time")
+
+
+@pytest.mark.parametrize(
+    "process", [{"pid": -1}, {"pid": 10**300}, {"pid": "1"}, {"pid": 1, "host": []}, [1]], ids=repr
+)
+def test_a_process_may_be_anything(trial, process):
+    trial.manifest(status="running", ended=None, process=process)
+    for command in ("list", "verify"):
+        trial.try_(command, (0, 1, 2))
+
+
+def test_kept_variables_do_not_get_into_this_process(trial, monkeypatch):
+    monkeypatch.setenv("PATH", os.environ["PATH"])
+    kept = {"PATH": str(trial.run.path), "LD_PRELOAD": "evil.so", "A=B": "c", "": "x", VARIABLE: "theirs"}
+    trial.yaml(".hydra/config.yaml", lambda config: config["run"].update(name="${oc.env:PATH}"))
+    trial.record()
+    trial.manifest(config_variables=kept, environment_variables=kept)
+    for command in ("diff", "verify", "report"):
+        trial.try_(command, (0, 1))
+    assert (os.environ.get("LD_PRELOAD"), os.environ[VARIABLE]) == (None, SECRET)
+
+
+def test_what_a_run_says_it_replays_is_no_path(trial):
+    secret = trial.outside()
+    for of in (str(secret.parent), "..", "latest", "../here"):
+        trial.manifest(replay_of=of)
+        trial.try_("report", 0)
+
+
+# --- the log ---
+
+LINES = {
+    "deep": b'{"iteration": 3, "digests": {}, "scalars": {"a": ' + b"[" * 100_000 + b"\n",
+    "deeper": b'{"iteration": 3, "digests": {}, "scalars": {"a": ' + b"[" * 300 + b"]" * 300 + b"}}\n",
+    "numbers": b'{"iteration": 1' + b"0" * 5000 + b"}\n",
+    "endless": b'{"iteration": 1e999, "digests": {}, "scalars": {"Perf/collection_time": "x"}}\n',
+    "texts": b'{"iteration": 3, "digests": {"parameters": []}, "scalars": {"Train/mean_reward": {"a": []}}}\n',
+    "no mapping": b"[]\n7\nnull\n",
+}
+
+
+@pytest.mark.parametrize("line", LINES.values(), ids=LINES)
+def test_a_line_of_the_log_may_be_anything(trial, line):
+    trial.write(LOG, trial.run.iterations.read_bytes() + line)
+    trial.record()
+    trial.try_("list", 0)
+    for command in ("verify", "report", "compare"):
+        trial.try_(command, (0, 1))
+
+
+@pytest.mark.parametrize("value", ["x", None, [], {"a": 1}, True, 10**300], ids=repr)
+def test_scalars_may_be_anything(trial, value):
+    lines = [json.loads(text) for text in trial.run.iterations.read_text().splitlines()]
+    for line in lines:
+        line["scalars"] = dict.fromkeys(line["scalars"], value)
+    trial.write(LOG, "".join(json.dumps(line) + "\n" for line in lines))
+    trial.record()
+    for command in ("list", "json", "verify", "report", "compare"):
+        trial.try_(command, (0, 1))
+
+
+# --- the record of the source ---
+
+RECORDS = [
+    {"patch": "../../../here/precious.yaml", "patch_sha256": "0" * 64},
+    {"commit": "--upload-pack=touch ../ran"},
+    {"tree": "x; touch ../ran"},
+    {"folders": ["../../.."]},
+    {"folders": 3},
+    {"folders": [{}]},
+    {"others": 7},
+    {"others": [7]},
+    {"others": [{"folders": ["/etc"]}]},
+    {"root": []},
+    {"refused": ["x"]},
+    {"submodules": [{}]},
+    {"format": 2},
+]
+
+
+@pytest.mark.parametrize("change", RECORDS, ids=lambda change: json.dumps(change)[:40])
+def test_a_record_of_the_source_may_hold_anything(trial, change):
+    trial.outside()
+    record = json.loads((trial.run.path / GIT).read_text())
+    trial.write(GIT, json.dumps({**record, **change}))
+    trial.record()
+    trial.try_("replay", 2, GIT)
+    trial.try_("diff", (0, 1, 2))
+    for command in ("verify", "report"):
+        trial.try_(command, (0, 1))
+
+
+def test_no_repository_that_a_run_names_is_asked_at_a_resume(trial):
+    """As one that lies in the run, whose settings name programs."""
+    from wheelleg_exp.jobs.resume.differences import _roots
+
+    for place in (trial.run.path / "evil", trial.root / "here" / "theirs"):
+        place.mkdir()
+        record = json.loads((trial.run.path / GIT).read_text())
+        named = [{**record, "root": str(place), "folders": ["."], "others": []} for _ in range(2)]
+        trial.write(GIT, json.dumps({**named[0], "others": named[1:]}))
+        assert place not in _roots(trial.run, [])

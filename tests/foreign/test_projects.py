@@ -1,0 +1,179 @@
+"""Projects: whose code a command runs, and who may name them."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from jobs.small import wheelleg
+
+from foreign.trial import Trial
+from wheelleg_exp import packages as projects
+from wheelleg_exp.trusted_folders import trust
+
+pytestmark = pytest.mark.train
+
+DECLARED = '[project.entry-points."wheelleg_exp.packages"]\nx = "evil"\n'
+
+
+def project(folder: Path, canary: Path) -> Path:
+    """A project whose package makes the canary when it is imported; returns its configs."""
+    files = {
+        "pyproject.toml": DECLARED,
+        "evil/__init__.py": f"from pathlib import Path\nPath({str(canary)!r}).touch()\n",
+        "evil/terms.py": "def f(env):\n    return 1.0\n",
+        "configs/reward/evil.yaml": "evil: {_target_: evil.terms.f, weight: 1.0}\n",
+    }
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(textwrap.dedent(text))
+    return folder / "configs"
+
+
+@pytest.fixture(autouse=True)
+def _forgotten() -> Iterator[None]:
+    before = dict(projects._joined)
+    yield
+    projects._joined.clear()
+    projects._joined.update(before)
+
+
+@pytest.fixture
+def asking(trial: Trial) -> Trial:
+    """A run with a term of a project."""
+    change = {"_target_": "evil.terms.f", "weight": 1.0}
+    trial.yaml("params/env.yaml", lambda env: env["rewards"].update(evil=change))
+    trial.record()
+    return trial
+
+
+NAMES = {
+    "absolute": lambda trial: str(trial.run.path / "configs"),
+    "relative": lambda trial: os.path.relpath(trial.run.path / "configs"),
+    "of the process": lambda _: "/proc/self/cwd/../runs/configs",
+    "around": lambda trial: f"{trial.run.path}/../{trial.run.path.name}/configs",
+}
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+@pytest.mark.parametrize("command", ["resume", "play", "report"])
+def test_a_project_in_the_run_is_not_used(asking, name, command):
+    project(asking.run.path, asking.canary)
+    word = name(asking)
+    asking.manifest(config_dirs=[word])
+    if command == "report":
+        asking.try_(command, 0)
+    else:
+        asking.try_(command, 2, "target 'evil.terms.f' is outside the allowed packages")
+
+
+def test_what_to_write_is_said(asking):
+    configs = project(asking.root / "theirs", asking.canary)
+    asking.manifest(config_dirs=[str(configs)])
+    told = f"what the run was made with is not used unasked: {configs}"
+    asking.try_("resume", 2, told, "--config-dir with the place where that folder is now, if it is yours")
+
+
+def test_a_project_beside_the_run_that_its_command_line_names_is_not_used(asking):
+    configs = project(asking.root / "theirs", asking.canary)
+    command = ["wheelleg", "train", "--config-dir", str(configs), f"--config-dir={configs.parent}"]
+    asking.manifest(config_dirs=None, command=command, working_directory=str(asking.root))
+    asking.try_("resume", 2, "is not used unasked")
+
+
+@pytest.mark.parametrize("folder", ["gone", "\0", "x" * 5000, "", "/dev/null", "\n"])
+def test_a_folder_that_is_none_is_told(asking, folder):
+    asking.manifest(config_dirs=[folder])
+    asking.try_("resume", 2, "evil.terms.f")
+
+
+def test_a_link_into_the_run_is_as_the_run(asking):
+    """Of a folder that is remembered what counts is where it leads."""
+    configs = project(asking.run.path, asking.canary)
+    link = asking.root / "mine"
+    link.symlink_to(asking.root / "elsewhere")
+    trust([link])
+    link.unlink()
+    link.symlink_to(configs)
+    asking.manifest(config_dirs=[str(link)])
+    asking.try_("resume", 2, "is not used unasked")
+
+
+def test_the_users_own_project_is_found_again_and_may_be_named(asking):
+    configs = project(asking.root / "own", asking.canary)
+    asking.manifest(config_dirs=[str(configs)])
+    trust([configs])
+    said = wheelleg(*asking.words("resume"))
+    assert "outside the allowed packages" not in said.err
+    assert asking.canary.exists()
+
+
+@pytest.mark.parametrize("command", ["play", "report", "resume", "inspect", "diff", "verify"])
+def test_who_stands_in_a_run_does_not_stand_in_its_project(asking, command, monkeypatch):
+    project(asking.run.path, asking.canary)
+    monkeypatch.chdir(asking.run.path / "params")
+    asking.try_(command, (0, 1, 2))
+    monkeypatch.chdir(asking.run.path)
+    asking.try_(command, (0, 1, 2))
+
+
+# --- projects that one stands in ---
+
+PYPROJECTS = {
+    "deep": DECLARED + "a = " + "[" * 100_000,
+    "a long number": DECLARED + "a = " + "1" * 5000,
+    "a package of others": DECLARED.replace("evil", "../../evil"),
+    "a module of Python": DECLARED.replace("evil", "os"),
+}
+
+
+@pytest.mark.parametrize("text", PYPROJECTS.values(), ids=PYPROJECTS)
+def test_a_declaration_may_be_anything(trial, text, monkeypatch):
+    folder = trial.root / "theirs"
+    folder.mkdir()
+    (folder / "pyproject.toml").write_text(text)
+    monkeypatch.chdir(folder)
+    trial.try_("list", 2, "pyproject.toml")
+    trial.try_("play", 0)
+
+
+def test_nobody_waits_for_a_declaration(trial, monkeypatch):
+    folder = trial.root / "theirs" / "configs"
+    folder.mkdir(parents=True)
+    os.mkfifo(folder.parent / "pyproject.toml")
+    monkeypatch.chdir(folder)
+    trial.try_("list", 0)
+    assert wheelleg("list", "tasks", "--config-dir", ".").status == 0
+
+
+def bomb() -> str:
+    """Return a small text that stands for 9 ** 8 values."""
+    lines = [f"{c}: &{c} [{', '.join([f'*{p}'] * 9)}]\n" for p, c in itertools.pairwise("abcdefghi")]
+    return "a: &a [x, x]\n" + "".join(lines)
+
+
+FILES = {
+    "a pipe": os.mkfifo,
+    "deep": lambda path: path.write_text("a: " + "[" * 100_000),
+    "deep mappings": lambda path: path.write_text("".join(" " * i + "a:\n" for i in range(3000))),
+    "a bomb": lambda path: path.write_text(bomb()),
+    "a tag": lambda path: path.write_text("a: !!python/object/apply:os.system ['touch ../ran']\n"),
+    "no text": lambda path: path.write_bytes(b"\xff\xfe"),
+}
+COMMANDS = [("list", "tasks"), ("compose", "task=evil"), ("check", "task=evil"), ("explain", "a", "task=evil")]
+
+
+@pytest.mark.parametrize("make", FILES.values(), ids=FILES)
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
+def test_a_config_of_a_project_may_be_anything(trial, make, words):
+    configs = project(trial.root / "theirs", trial.canary)
+    (configs / "task").mkdir()
+    make(configs / "task" / "evil.yaml")
+    said = wheelleg(*words, "--config-dir", configs)
+    assert said.status in (0, 2), said.err
+    assert "--debug" not in said.err, said.err
+    assert not trial.canary.exists()

@@ -1,0 +1,303 @@
+"""Settings of a run: parameters, Hydra's own files, the robot."""
+
+from __future__ import annotations
+
+import json
+import sys
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from foreign.trial import VARIABLE, Trial
+from wheelleg_exp.files import write_yaml
+
+pytestmark = pytest.mark.train
+
+ENV, AGENT, CONFIG = "params/env.yaml", "params/agent.yaml", ".hydra/config.yaml"
+TERM = "env.rewards.base_height"
+
+
+def in_term(value: Any) -> Callable[[Any], Any]:
+    """Return a change that gives a reward a value as its target height."""
+    return lambda env: env["rewards"]["base_height"].update(target_height=value)
+
+
+@pytest.fixture
+def read(trial: Trial) -> str:
+    """A call that reads a pickle, which makes the canary."""
+
+    class Canary:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return (open, (str(trial.canary), "w"))
+
+    path = trial.run.path / "array.npy"
+    np.save(path, np.array([Canary()], dtype=object), allow_pickle=True)
+    return f"{{_target_: numpy.load, file: '{path}', allow_pickle: true}}"
+
+
+# --- parameters ---
+
+
+@pytest.mark.parametrize("command", ["play", "resume", "diff", "compare"])
+@pytest.mark.parametrize("text", ["${oc.create:%s}", "${oc.decode:%s}", "${trial:}", "${oc.env:%s}", "a ${oc.env:%s}"])
+def test_a_text_in_the_parameters_is_not_resolved(trial, read, text, command, monkeypatch):
+    OmegaConf.register_new_resolver("trial", lambda: trial.canary.touch(), replace=True)
+    value = text.replace("%s", VARIABLE if "env" in text else read)
+    trial.yaml(ENV, in_term(value))
+    trial.record()
+    trial.try_(command, 1 if command == "compare" else 2, f"{TERM}.target_height: holds '${{'", ENV)
+    OmegaConf.clear_resolver("trial")
+
+
+def test_a_key_in_the_parameters_is_not_resolved(trial):
+    trial.yaml(AGENT, lambda agent: agent.update({"${oc.env:TRIAL_VARIABLE}": 1}))
+    trial.record()
+    trial.try_("play", 2, "holds '${'", AGENT)
+
+
+def test_a_report_shows_such_texts_as_they_are(trial):
+    trial.yaml(ENV, in_term(f"${{oc.env:{VARIABLE}}}"))
+    trial.record()
+    trial.try_("report", 0, f"${{oc.env:{VARIABLE}}}")
+
+
+TARGETS = [
+    {"_target_": "numpy.load", "file": "/dev/zero"},
+    {"_target_": "shutil.copyfile", "src": "/etc/hostname", "dst": "../ran"},
+    {"_target_": "torch.load", "f": "x", "weights_only": False},
+    {"_target_": "joblib.load", "filename": "x"},
+    {"_target_": "os.system", "command": "touch ../ran"},
+    {"_target_": "builtins.exec", "object": "open('../ran', 'w')"},
+    {"_target_": "wheelleg_exp.mdp.observations.torch.load", "f": "x"},
+    {"_target_": "wheelleg_exp.files.write_text", "path": "../ran", "text": ""},
+    {"_target_": "wheelleg_exp.config.composing.compose.compose"},
+]
+
+
+@pytest.mark.parametrize("command", ["play", "resume"])
+@pytest.mark.parametrize("node", TARGETS, ids=lambda node: node["_target_"])
+def test_no_target_outside_the_allowed_packages_is_called(trial, node, command):
+    trial.yaml(ENV, in_term(node))
+    trial.record()
+    trial.try_(command, 2, node["_target_"].rpartition(".")[0], f"{TERM}.target_height")
+
+
+@pytest.mark.parametrize("key", ["_partial_", "_args_", "_recursive_", "_convert_"])
+def test_no_special_key_of_hydra_gets_around_that(trial, key):
+    node = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", key: True}
+    trial.yaml(ENV, lambda env: env["rewards"]["base_height"].update(asset_cfg=node))
+    trial.record()
+    trial.try_("play", 2, f"Hydra's '{key}' does not work here")
+
+
+@pytest.mark.parametrize("command", ["play", "resume"])
+@pytest.mark.parametrize("name", ["os:system", "os.system", "rsl_rl.utils.utils:importlib.import_module", "evil:Net"])
+@pytest.mark.parametrize("section", ["actor", "algorithm"])
+def test_no_class_of_an_agent_is_imported_from_elsewhere(trial, name, section, command):
+    trial.write("evil.py", f"open({str(trial.canary)!r}, 'w')\nclass Net: pass\n")
+    sys.path.insert(0, str(trial.run.path))
+    trial.yaml(AGENT, lambda agent: agent[section].update(class_name=name))
+    trial.record()
+    try:
+        trial.try_(command, 2, f"agent.{section}.class_name: class '{name}' is outside the allowed packages")
+    finally:
+        sys.path.remove(str(trial.run.path))
+
+
+def test_no_function_of_a_symmetry_is_imported_from_elsewhere(trial):
+    symmetry = {"use_data_augmentation": True, "data_augmentation_func": "os:system"}
+    trial.yaml(AGENT, lambda agent: agent["algorithm"].update(symmetry_cfg=symmetry))
+    trial.record()
+    trial.try_("play", 2, "class 'os:system' is outside the allowed packages")
+
+
+BROKEN = {
+    "a tag": "a: !!python/object/apply:os.system ['touch ../ran']\n",
+    "deep brackets": "a: " + "[" * 100_000,
+    "deep mappings": "".join(" " * i + "a:\n" for i in range(400)),
+    "an alias": "a: &a [x, x]\nb: [*a, *a]\n",
+    "itself": "&a {a: *a}\n",
+    "a long number": "num_envs: " + "1" * 5000 + "\n",
+    "a thirteenth month": "num_envs: 2020-13-45\n",
+    "a list": "- 1\n",
+    "bytes": b"\xff\xfe\x00",
+    "a zero": "a: 'b\0'\n",
+    "much": "a: '" + "x" * (1 << 22) + "'\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN)
+def test_parameters_that_are_no_plain_yaml_are_told(trial, content):
+    trial.write(ENV, content)
+    trial.record()
+    for command in ("play", "resume", "diff"):
+        trial.try_(command, 2, ENV)
+    trial.try_("verify", 1, ENV)
+    trial.try_("report", 0, "env.yaml")
+    trial.try_("list", 0)
+
+
+@pytest.mark.parametrize("value", [None, 5, "x", [], [1], {}, {"a": 1}, True, 1e999])
+def test_sections_of_another_kind_are_told(trial, value):
+    for section in ("sim", "scene", "robot", "rewards", "observations", "events", "num_envs", "actions"):
+        kept = (trial.run.path / ENV).read_text()
+        trial.yaml(ENV, lambda env, section=section: env.update({section: value}))
+        trial.record()
+        trial.try_("play", (0, 2))
+        trial.write(ENV, kept)
+
+
+# --- Hydra's own files ---
+
+
+ASKING = ("${oc.env:TRIAL_VARIABLE}", "${oc.env:TRIAL_VARIABLE,x}", "${oc.decode:${oc.env:TRIAL_VARIABLE}}")
+
+
+@pytest.mark.parametrize("text", ASKING)
+def test_no_variable_of_this_machine_gets_into_anything(trial, text):
+    trial.yaml(CONFIG, lambda config: config["run"].update(name=text, note=text))
+    trial.yaml(CONFIG, lambda config: config["recording"].update(interval=text))
+    trial.record()
+    missing = f"asks for the environment variable {VARIABLE}, which was not kept with the run"
+    told = [CONFIG, missing] if ",x" not in text else []
+    trial.try_("resume", 2, *told)
+    trial.try_("diff", (0, 1))
+    trial.try_("verify", (0, 1))
+    trial.try_("compare", (0, 1))
+    trial.try_("report", 0)
+
+
+def test_a_resolver_of_this_process_is_not_called(trial):
+    OmegaConf.register_new_resolver("trial", lambda: trial.canary.touch(), replace=True)
+    trial.yaml(CONFIG, lambda config: config["run"].update(name="${trial:}"))
+    trial.record()
+    trial.try_("resume", 2, CONFIG, "trial")
+    for command in ("diff", "verify", "compare", "report"):
+        trial.try_(command, (0, 1))
+    OmegaConf.clear_resolver("trial")
+
+
+def test_interpolations_that_double_each_other_come_to_an_end(trial):
+    bomb = {"x0": "0123456789", **{f"x{i}": f"${{run.x{i - 1}}}" * 2 for i in range(1, 16)}, "name": "${run.x15}"}
+    trial.yaml(CONFIG, lambda config: config["run"].update(bomb))
+    trial.record()
+    trial.try_("resume", 2, CONFIG, "more than 10000 interpolations")
+    for command in ("diff", "verify", "report"):
+        trial.try_(command, (0, 1))
+
+
+@pytest.mark.parametrize("text", ["${" * 5000, "${oc.decode:" + "[" * 5000 + "}", "${a" + "${b}" * 40_000 + "}"])
+def test_interpolations_without_end_are_told(trial, text):
+    trial.yaml(CONFIG, lambda config: config["run"].update(name=text))
+    trial.record()
+    trial.try_("resume", 2, CONFIG)
+    trial.try_("verify", (0, 1))
+
+
+@pytest.mark.parametrize("content", [*list(BROKEN.values())[:6], "a list: [", "- 1\n"])
+def test_a_config_that_is_none_is_told(trial, content):
+    trial.write(CONFIG, content)
+    trial.record()
+    trial.try_("resume", 2, CONFIG)
+    for command in ("verify", "report", "inspect"):
+        trial.try_(command, (0, 1))
+
+
+def test_a_config_without_its_sections_is_told(trial):
+    for key in ("recording", "run", "seed", "task"):
+        kept = (trial.run.path / CONFIG).read_text()
+        trial.yaml(CONFIG, lambda config, key=key: config.pop(key))
+        trial.record()
+        trial.try_("resume", 2, key)
+        trial.write(CONFIG, kept)
+
+
+WORDS = [
+    "hydra.searchpath=[pkg://trial_module.configs]",
+    "hydra.searchpath=[file:///dev]",
+    "run.name=${oc.env:TRIAL_VARIABLE}",
+    "task=../../here/precious",
+    "+reward@env.rewards=../../../here/precious",
+    "[" * 5000,
+    "x" * 100_000,
+]
+
+
+@pytest.mark.parametrize("word", WORDS, ids=lambda word: word[:30])
+def test_no_recorded_word_leads_hydra_anywhere(trial, word, monkeypatch):
+    trial.outside()
+    module = trial.root / "modules" / "trial_module"
+    module.mkdir(parents=True)
+    (module / "__init__.py").write_text(f"open({str(trial.canary)!r}, 'w')\n")
+    (module / "configs").mkdir()
+    monkeypatch.syspath_prepend(module.parent)
+    trial.write(".hydra/overrides.yaml", json.dumps([word]))
+    trial.record()
+    trial.try_("report", 0, "override")
+    trial.try_("diff", (0, 1))
+    assert "trial_module" not in sys.modules
+
+
+def test_no_recorded_task_or_folder_leads_a_report_to_files_of_the_user(trial):
+    secret = trial.root / "here" / "task"
+    secret.mkdir()
+    (secret / "private.yaml").write_text("# @package _global_\ndefaults: [/task/stand, _self_]\nprecious: {deep: 1}\n")
+    trial.leaks.append("precious")
+    sources = [{"path": str(secret.parent), "schema": "file", "provider": "config-dir"}]
+    for choice in ("private", "../here/task/private", f"{secret}/private", "stand hydra.searchpath=[pkg://os]"):
+        runtime = {"choices": {"task": choice}, "config_sources": sources}
+        write_yaml(trial.run.hydra / "hydra.yaml", {"hydra": {"runtime": runtime}})
+        trial.record()
+        trial.try_("report", 0, "The task cannot be composed here")
+
+
+# --- the robot ---
+
+PARTS = {
+    "include": '<include file="../../../../here/precious.yaml"/>',
+    "mesh": '<asset><mesh name="m" file="/etc/hostname"/></asset>',
+    "folder": '<compiler meshdir="../../../../here"/>',
+    "model": '<asset><model name="m" file="a.xml"/></asset>',
+    "plugin": '<extension><plugin plugin="evil"/></extension>',
+    "copies": '<worldbody><replicate count="1000000000"><geom size="1"/></replicate></worldbody>',
+    "a picture": '<asset><texture name="t" type="2d" builtin="flat" width="90000" height="90000"/></asset>',
+    "memory": '<size memory="900T"/>',
+    "no xml": "<<<",
+}
+
+
+@pytest.mark.parametrize("part", PARTS.values(), ids=PARTS)
+def test_a_robot_reads_no_other_files_and_takes_no_memory(trial, part):
+    trial.outside()
+    path = trial.run.asset / "robot.xml"
+    trial.write("asset/robot.xml", path.read_text().replace("<worldbody>", f"{part}<worldbody>", 1))
+    trial.record()
+    trial.try_("play", 2, "asset/robot.xml")
+    trial.try_("resume", 2, "asset/robot.xml")
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", "[" * 5000, '{"model_sha256": 1, "sources": []}', "\xff"])
+@pytest.mark.parametrize("name", ["asset/asset.json", "asset/report.json"])
+def test_what_is_said_of_the_robot_may_be_anything(trial, name, content):
+    trial.write(name, content.encode("latin-1"))
+    trial.record()
+    trial.try_("resume", 2, name)
+    trial.try_("play", (0, 2))
+    trial.try_("diff", (0, 1, 2))
+    trial.try_("verify", (0, 1))
+    trial.try_("report", 0)
+
+
+def test_a_package_in_the_run_is_not_found(trial):
+    """As one that lies where Python looks when one stands there."""
+    text = f"open({str(trial.canary)!r}, 'w')\n"
+    for name in ("yaml", "onnx", "hydra_plugins", "sitecustomize", "evil"):
+        trial.write(f"{name}/__init__.py", text)
+    trial.yaml(ENV, in_term({"_target_": "evil.terms.f"}))
+    trial.record()
+    trial.try_("play", 2, "evil.terms.f")
+    assert textwrap

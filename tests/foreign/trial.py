@@ -1,0 +1,159 @@
+"""A run in which something is planted, and what must not happen when a command is given it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from jobs.small import Words, wheelleg
+
+from wheelleg_exp.files import write_text
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.inventory import inventory
+from wheelleg_exp.run.seal import sealed_text
+
+VARIABLE, SECRET = "TRIAL_VARIABLE", "hunter2-of-this-machine"
+_LOCKS = (".lock", ".manifest.lock")
+_SMALL = 1 << 20
+
+State = dict[str, tuple[Any, ...]]
+
+
+def state(root: Path, without: Path | None = None) -> State:
+    """Return kind, size and content of everything below a folder; nothing is followed or waited for."""
+    found: State = {}
+    for folder, folders, names in os.walk(root):
+        folders[:] = [name for name in folders if Path(folder, name) != without]
+        for path in (Path(folder, name) for name in [*folders, *names]):
+            facts = path.lstat()
+            content: Any = None
+            if stat.S_ISLNK(facts.st_mode):
+                content = str(path.readlink())
+            elif stat.S_ISREG(facts.st_mode) and facts.st_size < _SMALL:
+                content = hashlib.sha256(path.read_bytes()).hexdigest()
+            size = facts.st_size if stat.S_ISREG(facts.st_mode) else 0
+            found[str(path.relative_to(root))] = (stat.S_IFMT(facts.st_mode), size, content)
+    return found
+
+
+@dataclass
+class Trial:
+    """One planted run.
+
+    Attributes:
+        root: the folder in which all happens; ``here`` in it is where the user stands.
+        run: the planted run.
+        healthy: the run that it was copied from.
+        leaks: texts that must not turn up in what is said or written.
+    """
+
+    root: Path
+    run: RunDirectory
+    healthy: RunDirectory
+    leaks: list[str] = field(default_factory=lambda: [SECRET])
+
+    @property
+    def canary(self) -> Path:
+        """What planted code makes when it runs."""
+        return self.root / "ran"
+
+    def outside(self, text: str = "precious: 1\n") -> Path:
+        """Return a file of the user's own, whose text is nobody's business."""
+        path = self.root / "here" / "precious.yaml"
+        path.write_text(text)
+        self.leaks.append("precious:")
+        return path
+
+    # --- planting ---
+
+    def write(self, name: str, content: str | bytes) -> None:
+        """Write a file of the run."""
+        path = self.run.path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+
+    def yaml(self, name: str, change: Callable[[Any], Any]) -> None:
+        """Change a YAML file of the run."""
+        path = self.run.path / name
+        value = yaml.safe_load(path.read_text())
+        change(value)
+        path.write_text(yaml.safe_dump(value, sort_keys=False))
+
+    def manifest(self, **changes: Any) -> None:
+        """Write the healthy run's manifest with changes, sealed; the files are those that are here now."""
+        data = {**self.healthy.manifest().data, "files": inventory(self.run.path)}
+        write_text(self.run.path / "manifest.json", sealed_text({**data, **changes}))
+
+    def replace(self, name: str, make: Callable[[Path], Any]) -> None:
+        """Put something else where a file or folder of the run stands."""
+        path = self.run.path / name
+        if path.exists():
+            path.rename(self.root / f"taken_{name.replace('/', '_')}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        make(path)
+
+    def record(self) -> None:
+        """Let the manifest record the files as they are now, as whoever planted them would."""
+        self.manifest()
+
+    # --- trying ---
+
+    def words(self, command: str) -> list[str | Path]:
+        """Return the command line of a command on the run."""
+        run, runs = self.run.path, self.root / "runs"
+        return {
+            "play": ["play", run, "env.num_envs=2", "recording.enabled=false"],
+            "resume": ["resume", run, "agent.max_iterations=9"],
+            "report": ["report", run, "--no-pictures"],
+            "verify": ["verify", run],
+            "compare": ["verify", run, self.healthy.path],
+            "inspect": ["inspect", run],
+            "diff": ["diff", run, self.healthy.path],
+            "list": ["list", "runs", "--root", runs],
+            "json": ["list", "runs", "--root", runs, "--json"],
+            "replay": ["replay", run, "--root", runs],
+        }[command]
+
+    def try_(self, command: str, status: int | Collection[int], *told: str) -> Words:
+        """Give a command the run; hold what it does against what it may do.
+
+        Args:
+            command: a key of ``words``.
+            status: the exit status, or those that are allowed.
+            told: texts that the answer, or the report, holds.
+        """
+        before, inside = state(self.root, self.run.path), state(self.run.path)
+        said = wheelleg(*self.words(command))
+        report = self.run.path / "report.html"
+        page = report.read_text() if command == "report" and said.status == 0 else ""
+        answer = f"{said.out}\n{said.err}\n{page}"
+        assert not self.canary.exists(), f"code ran: {said.err}"
+        allowed = {status} if isinstance(status, int) else set(status)
+        assert said.status in allowed, (said.status, said.err, said.out[-2000:])
+        assert "Traceback" not in said.err
+        assert "--debug" not in said.err, said.err
+        if said.status == 2:
+            assert said.err.count("wheelleg: error: ") == 1, said.err
+        for text in told:
+            assert text in answer, (text, said.err, said.out[-2000:])
+        for text in (*self.leaks, "\x1b[", "\x9b"):
+            assert text not in answer, text
+        assert state(self.root, self.run.path) == before
+        self._require_kept(command, said.status, inside)
+        return said
+
+    def _require_kept(self, command: str, status: int, before: State) -> None:
+        """No file of the run has changed, but for what the command is there to add."""
+        after = state(self.run.path)
+        added = {"report": ("report.html", "manifest.json"), "play": ("play", "manifest.json")}.get(command, ())
+        own = (*_LOCKS, *(added if status == 0 else ()))
+        changed = [name for name in {*before, *after} if before.get(name) != after.get(name)]
+        assert [name for name in changed if Path(name).parts[0] not in own] == []
+        for name in (name for name in changed if after.get(name)):
+            assert SECRET.encode() not in (self.run.path / name).read_bytes() if Path(name).suffix else True

@@ -1,0 +1,183 @@
+"""A training whose numbers fail: status 3, whose they were, what they came from, and how it goes on."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+
+from jobs.small import TINY, Trained, cache_of, copied, wheelleg
+from wheelleg_exp.mdp import rewards
+from wheelleg_exp.run.directory import FAILURE, RunDirectory
+
+pytestmark = pytest.mark.train
+
+WORDS = [*TINY, "agent.max_iterations=4", "agent.save_interval=50", "recording.enabled=false"]
+
+
+def spoil(patch: pytest.MonkeyPatch, calls: range, rows: slice = slice(None)) -> None:
+    """Let the reward for being alive be NaN at some of its calls."""
+    function, number = rewards.is_alive, itertools.count()
+
+    @functools.wraps(function)
+    def spoiled(env):
+        found = function(env)
+        if next(number) in calls:
+            found[rows] = math.nan
+        return found
+
+    patch.setattr(rewards, "is_alive", spoiled)
+
+
+@pytest.fixture(scope="module")
+def failing(tmp_path_factory) -> Trained:
+    """A training of which iterations 0 and 1 were whole."""
+    root = tmp_path_factory.mktemp("failing") / "runs"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        spoil(patch, range(48, 10**9))
+        said = wheelleg("train", *WORDS, f"run.root={root}")
+    (path,) = (root / "stand").iterdir()
+    return Trained(RunDirectory.open(path, root), said)
+
+
+@pytest.fixture
+def failed(failing, tmp_path) -> RunDirectory:
+    """A copy of its run."""
+    return copied(failing, tmp_path)
+
+
+def test_it_ends_with_status_3_and_names_the_term_and_the_iteration(failing):
+    assert failing.said.status == 3
+    assert "error: env.rewards.alive: its numbers were not finite" in failing.said.err
+    assert "by control step 49, in iteration 2" in failing.said.err
+    assert FAILURE in failing.said.err
+    assert "Traceback" not in failing.said.err
+
+
+def test_what_it_failed_with_can_be_loaded_and_read(failing):
+    with np.load(failing.run.path / FAILURE, allow_pickle=False) as arrays:
+        about = json.loads(str(arrays["about"]))
+        kept = dict(arrays)
+    assert (about["key"], about["iteration"]) == ("env.rewards.alive", 2)
+    column = about["reward_terms"].index("alive")
+    assert np.isnan(kept["rewards"][:, column]).all()
+    assert np.isfinite(np.delete(kept["rewards"], column, axis=1)).all()
+    assert kept["env_ids"].tolist() == list(range(16))
+    assert np.isfinite(kept["state"]).all()
+    assert kept["action"].shape == (16, 6)
+    assert kept["model.body_mass"].shape[0] == 16
+
+
+def test_the_manifest_and_the_list_tell_it(failing):
+    manifest = failing.run.manifest().data
+    assert manifest["status"] == "failed"
+    assert manifest["failure"]["key"] == "env.rewards.alive"
+    assert FAILURE in manifest["files"]
+    listed = json.loads(wheelleg("list", "runs", "--root", failing.run.root, "--json").out)
+    (run,) = listed if isinstance(listed, list) else listed["runs"]
+    assert run["failure"] == manifest["failure"]
+    assert run["problem"].startswith("env.rewards.alive") or "env.rewards.alive" in run["problem"]
+
+
+def test_the_checkpoint_of_the_last_whole_iteration_is_kept(failing):
+    assert [path.name for path in failing.run.checkpoints()] == ["model_0.pt", "model_1.pt"]
+    assert failing.run.manifest().results["checkpoint"] == "model_1.pt"
+
+
+def test_verify_finds_it_sound_and_a_lost_or_changed_file_wrong(failing, failed):
+    said = wheelleg("verify", failing.run.path)
+    assert said.status == 0, said.out
+    assert "env.rewards.alive in iteration 2" in said.out
+    np.savez(failed.path / FAILURE, about=np.array(json.dumps({"key": "env.sim", "iteration": 2})))
+    assert wheelleg("verify", failed.path).status == 1
+    (failed.path / FAILURE).unlink()
+    assert wheelleg("verify", failed.path).status == 1
+
+
+def test_a_resume_goes_on_from_there_as_if_it_had_not_failed(failed, tmp_path):
+    straight = wheelleg("train", *WORDS, f"run.root={tmp_path / 'straight'}")
+    assert straight.status == 0, straight.err
+    (other,) = (tmp_path / "straight" / "stand").iterdir()
+    resumed = wheelleg("resume", failed.path)
+    assert resumed.status == 0, resumed.err
+    assert not (failed.path / FAILURE).exists()
+    assert (failed.path / "model_3.pt").read_bytes() == (other / "model_3.pt").read_bytes()
+    manifest = failed.manifest().data
+    assert "failure" not in manifest
+    assert manifest["resumes"][0]["before"]["failure"]["key"] == "env.rewards.alive"
+    assert wheelleg("verify", failed.path).status == 0
+
+
+def test_a_learning_rate_that_blows_up_fails_with_the_algorithms_key(tmp_path):
+    said = wheelleg("train", *WORDS, "agent.algorithm.learning_rate=1e30", f"run.root={tmp_path}")
+    assert said.status == 3
+    assert "error: agent.algorithm: the actor's " in said.err
+    assert "in the update of iteration 0" in said.err
+    (path,) = (tmp_path / "stand").iterdir()
+    assert not list(path.glob("model_*.pt"))
+    with np.load(path / FAILURE, allow_pickle=False) as arrays:
+        assert arrays["learning_rate"] == pytest.approx(1e30)
+
+
+def test_a_single_episode_that_ends_so_is_told_at_the_end_and_in_the_list(tmp_path, monkeypatch):
+    spoil(monkeypatch, range(5, 6), rows=slice(3, 4))
+    said = wheelleg("train", *WORDS, f"run.root={tmp_path}")
+    note = "episodes that ended because a number was not finite: env.rewards.alive 1"
+    assert said.status == 0
+    assert note in said.out
+    assert note in wheelleg("list", "runs", "--root", tmp_path).out.replace("\n    ", " ")
+    (path,) = (tmp_path / "stand").iterdir()
+    assert RunDirectory(path).manifest().results["non_finite"] == {"env.rewards.alive": 1}
+    shutil.rmtree(path / "exported")
+    page = tmp_path / "report.html"
+    assert wheelleg("report", path, "-o", page).status == 0
+    assert note in page.read_text(encoding="utf-8")
+
+
+def test_a_play_whose_rewards_are_none_says_so_and_has_no_return(run, monkeypatch):
+    spoil(monkeypatch, range(10**9))
+    said = wheelleg("play", run.path, "recording.enabled=false", "--json")
+    assert said.status == 3
+    figures = json.loads(said.out)["figures"]
+    assert figures["mean_return"] is None
+    assert figures["non_finite"] == {"env.rewards.alive": 16}
+    assert "error: env.rewards.alive: " in said.err
+
+
+def test_a_play_of_which_one_episode_ends_so_leaves_it_out_and_says_so(run, monkeypatch):
+    spoil(monkeypatch, range(3, 4), rows=slice(3, 4))
+    said = wheelleg("play", run.path, "recording.enabled=false", "play.settle_s=0")
+    assert said.status == 0, said.err
+    assert "ended by numbers that are not finite: env.rewards.alive  1" in said.out
+
+
+def test_a_policy_whose_actions_are_none_fails_its_play(run, monkeypatch):
+    from wheelleg_exp.jobs import play as module
+
+    load = module.load_policy
+
+    def spoiled(*words):
+        policy = load(*words)
+        return lambda observations: policy(observations) * math.nan
+
+    monkeypatch.setattr(module, "load_policy", spoiled)
+    said = wheelleg("play", run.path, "recording.enabled=false")
+    assert said.status == 3
+    assert "error: agent.actor: the policy's actions are not finite in 16 of 16 environments" in said.err
+    assert not run.play.exists() or not list(run.play.iterdir())
+
+
+@pytest.mark.parametrize("agent", ["zero-agent", "random-agent"])
+def test_an_agent_whose_rewards_are_none_says_so(agent, tmp_path, monkeypatch):
+    spoil(monkeypatch, range(10**9))
+    words = [*TINY, "recording.enabled=false", f"run.root={tmp_path}", "--steps", "5"]
+    said = wheelleg(agent, *words)
+    assert said.status == 3
+    assert "error: env.rewards.alive: " in said.err
+    assert "ended by numbers that are not finite: env.rewards.alive" in said.out

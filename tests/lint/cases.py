@@ -1,0 +1,114 @@
+"""A robot and a config with round numbers, to vary in tests of the rules.
+
+The robot: 1 kg, gravity 10, two wheels of 0.1 m radius 0.5 m apart; 0.8 kg ride on the axle at 0.5 m with an inertia
+of 0.4 kg·m² about it, so that m g h = 4 N·m and the pendulum's rate is sqrt(4 / 0.4) = sqrt(10).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import replace
+from typing import Any
+
+from wheelleg_exp.lint.case import Case
+from wheelleg_exp.lint.examine import RULES
+from wheelleg_exp.lint.findings import Finding
+from wheelleg_exp.lint.robot_facts import Balance, Drive, Joint, RobotFacts
+
+LEG_DRIVE = Drive("legs", stiffness=40.0, damping=2.0, effort=8.0, velocity=10.0)
+WHEEL_DRIVE = Drive("wheels", stiffness=0.0, damping=1.0, effort=0.4, velocity=20.0)
+LEG = Joint(
+    default=0.5,
+    default_velocity=0.0,
+    low=-1.0,
+    high=1.5,
+    armature=0.01,
+    inertia=0.04,
+    effective=0.1,
+    hold=2.0,
+    drive=LEG_DRIVE,
+)
+WHEEL = Joint(
+    default=0.0,
+    default_velocity=0.0,
+    low=-math.inf,
+    high=math.inf,
+    armature=0.001,
+    inertia=0.002,
+    effective=0.02,
+    hold=0.0,
+    drive=WHEEL_DRIVE,
+)
+FACTS = RobotFacts(
+    mass=1.0,
+    gravity=10.0,
+    joints={"hip": LEG, "left": WHEEL, "right": WHEEL},
+    wheels=("left", "right"),
+    wheel_radius=0.1,
+    track=0.5,
+    standing_height=0.4,
+    clearance=0.0,
+    friction=0.8,
+    balance=Balance(mass=0.8, height=0.5, inertia=0.4, pole=2.0, pendulum=math.sqrt(10.0)),
+)
+
+_MDP = "wheelleg_exp.mdp."
+CONFIG: dict[str, Any] = {
+    "env": {
+        "num_envs": 8,
+        "episode_length_s": 10.0,
+        "decimation": 2,
+        "sim": {"dt": 0.01, "integrator": "implicitfast"},
+        "scene": {"terrain": {"static_friction": 0.6, "dynamic_friction": 0.4}},
+        "robot": {"friction_source": "static", "init_state": {"pos": [0.0, 0.0, 0.4]}},
+        "commands": {},
+        "actions": {},
+        "observations": {},
+        "events": {},
+        "rewards": {},
+        "terminations": {"time_out": {"_target_": _MDP + "terminations.time_out", "time_out": True}},
+        "curriculum": {},
+    },
+    "agent": {
+        "num_steps_per_env": 10,
+        "max_iterations": 20,
+        "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
+        "algorithm": {"num_mini_batches": 4, "gamma": 0.995},
+        "actor": {},
+        "critic": {},
+    },
+}
+
+
+def term(target: str, **settings: Any) -> dict[str, Any]:
+    """A node of one of the library's terms."""
+    return {"_target_": _MDP + target, **settings}
+
+
+def joints(*names: str) -> dict[str, Any]:
+    """An entity of joints."""
+    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": list(names)}
+
+
+def case(facts: RobotFacts = FACTS, **sections: Any) -> Case:
+    """The round case with sections of ``env`` (or ``agent``'s ``algorithm``, ``actor``, ...) changed."""
+    config = copy.deepcopy(CONFIG)
+    for name, value in sections.items():
+        place = config["agent"] if name in config["agent"] else config["env"]
+        place[name] = {**place[name], **value} if isinstance(place.get(name), dict) else value
+    return Case(config, facts)
+
+
+def with_joint(name: str, **changes: Any) -> RobotFacts:
+    """The round robot with one joint changed; ``drive`` takes the changes of its drive."""
+    joint = FACTS.joints[name]
+    if "drive" in changes:
+        assert joint.drive is not None
+        changes["drive"] = replace(joint.drive, **changes["drive"])
+    return replace(FACTS, joints={**FACTS.joints, name: replace(joint, **changes)})
+
+
+def found(rule: str, looked_at: Case) -> list[Finding]:
+    """What one rule finds."""
+    return RULES[rule](looked_at)

@@ -1,0 +1,259 @@
+"""What a rule recommends satisfies the rule: whoever writes what a hint says is not told again."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from lint.cases import CONFIG, FACTS, LEG, WHEEL, case, joints, term
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.tree import split_path
+from wheelleg_exp.lint.case import Case
+from wheelleg_exp.lint.examine import RULES
+from wheelleg_exp.lint.findings import Finding, above, at_least, at_most, below
+from wheelleg_exp.lint.robot_facts import RobotFacts
+
+# Sizes that many a rounding to two digits would push over a bound.
+SIZES = (0.1234, 0.3333, 0.5, 0.7777, 0.9949, 1.0, 1.005, 1.2499, 1.449, 1.7321, 2.5001, 3.1416, 6.6666, 9.951)
+
+
+def robot(x: float = 1.0, **changes: Any) -> RobotFacts:
+    """The round robot with its lengths, efforts and rates times ``x``."""
+    assert LEG.drive is not None
+    assert WHEEL.drive is not None
+    leg = replace(LEG, hold=2.0 * x, drive=replace(LEG.drive, effort=8.0 * x))
+    wheel = replace(WHEEL, drive=replace(WHEEL.drive, effort=0.4 * x, velocity=20.0 * x))
+    balance = replace(FACTS.balance, pole=2.0 * x, pendulum=3.0 * x, height=0.5 * x)
+    found = replace(FACTS, balance=balance, standing_height=0.4 * x, mass=x)
+    found = replace(found, joints={"hip": leg, "left": wheel, "right": wheel})
+    return replace(found, **changes)
+
+
+def drives(x: float, **leg: Any) -> RobotFacts:
+    """The robot with other drives in its leg."""
+    found = robot(x)
+    hip = found.joints["hip"]
+    assert hip.drive is not None
+    return replace(found, joints={**found.joints, "hip": replace(hip, drive=replace(hip.drive, **leg))})
+
+
+def act(target: str, *names: str, **settings: Any) -> dict[str, Any]:
+    return {"act": term(f"actions.{target}", joint_names=list(names), **settings)}
+
+
+def track(size: float, std: float, weight: float = 1.0) -> dict[str, Any]:
+    ranges = {"lin_vel_x": [-size, size], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
+    node = term("rewards.track_lin_vel_xy_exp", weight=weight, std=std, command_name="v")
+    alive = term("rewards.is_alive", weight=1.0)
+    wheels = act("JointVelocityAction", "left", "right", scale=4.0)
+    command = term("commands.UniformVelocityCommand", ranges=ranges, rel_standing_envs=0.0)
+    return {"commands": {"v": command}, "actions": wheels, "rewards": {"alive": alive, "t": node}}
+
+
+def reward(name: str, **settings: Any) -> dict[str, Any]:
+    node = {"alive": term("rewards.is_alive", weight=5.0), "r": term(f"rewards.{name}", **settings)}
+    return {"rewards": node}
+
+
+def event(name: str, **settings: Any) -> dict[str, Any]:
+    return {"events": {"e": term(f"events.{name}", **{"mode": "reset", **settings})}}
+
+
+def observed(name: str, corrupt: bool = False, **settings: Any) -> dict[str, Any]:
+    group = {"enable_corruption": corrupt, "terms": {"o": term(f"observations.{name}", **settings)}}
+    return {"observations": {"policy": group}}
+
+
+def noise(kind: str, **settings: Any) -> dict[str, Any]:
+    return {"_target_": f"wheelleg_exp.mdp.noise.{kind}", **settings}
+
+
+def push(x: float, share: float) -> dict[str, Any]:
+    return event("push_by_setting_velocity", velocity_range={"x": [-share * x, share * x]})
+
+
+def tilt(limit: float, x: float) -> dict[str, Any]:
+    base = event("reset_root_state_uniform", pose_range={"pitch": [-0.1 * x, 0.1 * x]}, velocity_range={})
+    return {"terminations": {**TIME_OUT, "t": term("terminations.bad_orientation", limit_angle=limit)}, **base}
+
+
+TIME_OUT = CONFIG["env"]["terminations"]
+STILL = {"force_range": [0.0, 0.0], "torque_range": [0.0, 0.0]}
+
+# rule -> cases with a finding, for a size x
+CASES: dict[str, list[Callable[[float], Case]]] = {
+    "action_scale": [
+        lambda x: case(robot(x), actions=act("JointPositionAction", "hip", scale=5.0 * x)),
+        lambda x: case(drives(x, stiffness=1.0), actions=act("JointPositionAction", "hip", scale=30.0 * x)),
+        lambda x: case(drives(x, effort=999.0), actions=act("JointPositionAction", "hip", scale=1e-4 * x)),
+        lambda x: case(robot(x), actions=act("JointVelocityAction", "left", "right", scale=40.0 * x)),
+    ],
+    "command_reach": [lambda x: case(robot(x), **track(x * 3.0, 0.1))],
+    "contact_threshold": [
+        lambda x: case(robot(x), terminations={"c": term("terminations.illegal_contact", threshold=3.0 * x)}),
+        lambda x: case(robot(x), **reward("no_contact_count", weight=-1.0, threshold=9.0 * x, sensor_cfg={})),
+    ],
+    "control_rate": [lambda x: case(robot(x), decimation=60), lambda x: case(robot(30.0 * x), decimation=8)],
+    "cumulative_randomisation": [lambda x: case(**event("randomize_rigid_body_com", com_range={"x": [-x, x]}))],
+    "discount_horizon": [
+        lambda x: case(episode_length_s=3.0 * x, algorithm={"gamma": 0.9999}),
+        lambda x: case(robot(x), algorithm={"gamma": 0.5}),
+    ],
+    "drive_bandwidth": [
+        lambda x: case(drives(x, stiffness=0.01 * x)),
+        lambda x: case(robot(30.0 * x), **{}),
+    ],
+    "effort_against_load": [
+        lambda x: case(drives(x, effort=0.5 * x)),
+        lambda x: case(drives(x, stiffness=0.5 * x)),
+    ],
+    "effort_against_traction": [lambda x: case(replace(robot(40.0), mass=x, friction=0.1))],
+    "episode_end": [
+        lambda x: case(robot(x), episode_length_s=0.5 / x),
+        lambda x: case(
+            robot(x),
+            terminations={**TIME_OUT, "h": term("terminations.root_height_below_minimum", minimum_height=x)},
+        ),
+        lambda x: case(**tilt(0.01 * x, x)),
+        lambda x: case(**tilt(4.0, x)),
+    ],
+    "event_never_fires": [
+        lambda x: case(episode_length_s=x, **event("push_by_adding_velocity", mode="interval",
+                                                   interval_range_s=[x, 2 * x], velocity_range={})),
+    ],
+    "noise_against_signal": [
+        lambda x: case(robot(x), **observed("joint_vel", True, noise=noise("UniformNoise", n_min=-99.0 * x))),
+        lambda x: case(robot(x), **observed("joint_vel", True, noise=noise("GaussianNoise", std=99.0 * x))),
+    ],
+    "noop_curriculum": [
+        lambda x: case(
+            **reward("is_alive", weight=1.0),
+            curriculum={"c": term("curriculums.modify_reward_weight", term_name="r", weight=2.0, num_steps=999)},
+        )
+    ],
+    "noop_restitution": [
+        lambda x: case(**event("randomize_rigid_body_material", restitution_range=[0.0, x],
+                               static_friction_range=[0.5, 1.0], dynamic_friction_range=[0.5, 1.0]))
+    ],
+    "observation_scale": [
+        lambda x: case(robot(x), **observed("joint_vel", scale=99.0)),
+        lambda x: case(robot(x), **observed("joint_vel", scale=1e-6)),
+    ],
+    "push_size": [lambda x: case(robot(x), **push(x, 9.0)), lambda x: case(robot(x), **push(1.0 / x, 1e-3))],
+    "reward_too_small": [
+        lambda x: case(robot(x), **reward("base_height_l2", weight=-0.01, target_height=0.4 * x)),
+        lambda x: case(robot(x), **reward("lin_vel_z_l2", weight=-1e-3)),
+        lambda x: case(robot(x), **track(x, 0.6 * x, weight=0.01)),
+        lambda x: case(robot(x), **reward("joint_deviation_l1", weight=1e-3 * x, asset_cfg=joints("hip"))),
+    ],
+    "spawn_height": [
+        lambda x: case(robot(x, clearance=0.3 * x), robot={"init_state": {"pos": [0.1, 0.0, 1.23456 * x]}}),
+        lambda x: case(robot(x, clearance=-0.01 * x), robot={"init_state": {"pos": [0.1, 0.0, 1.23456 * x]}}),
+    ],
+    "target_height": [lambda x: case(robot(x), **reward("base_height_l2", weight=-1.0, target_height=x))],
+    "tracking_std": [lambda x: case(**track(x, 2.0 * x)), lambda x: case(**track(0.0, 2.0 + x))],
+    "wrench_size": [
+        lambda x: case(robot(x), **event("set_permanent_body_wrench", **{**STILL, "force_range": [-9 * x, 9 * x]})),
+        lambda x: case(robot(x), **event("set_permanent_body_wrench", **{**STILL, "torque_range": [0.0, 9 * x]})),
+    ],
+}  # fmt: skip
+# Rules whose hints name no number: what to do is another kind of thing.
+WITHOUT = {
+    "action_clip_never_acts", "armature_ratio", "falling_pays", "gains_against_time_step", "noop_joint_reset",
+    "ppo_batch", "unbounded_observation", "zero_width_range",
+}  # fmt: skip
+
+
+def changed(looked_at: Case, advice: Mapping[str, Any]) -> Case:
+    """The case with settings changed as a user would; what is read from the robot's model follows."""
+    config, facts = copy.deepcopy(looked_at.config), looked_at.facts
+    for key, value in advice.items():
+        path = split_path(key)
+        if path[:3] == ("env", "robot", "actuators"):
+            facts = replace(facts, joints={n: _driven(j, path[3], path[4], value) for n, j in facts.joints.items()})
+            continue
+        if path == ("env", "robot", "init_state", "pos"):
+            height = looked_at.env["robot"]["init_state"]["pos"][2]
+            facts = replace(facts, clearance=facts.clearance + value[2] - height)
+        node: Any = config
+        for part in path[:-1]:
+            node = node[part]
+        node[path[-1]] = value
+    return Case(config, facts)
+
+
+def _driven(joint: Any, group: str, field: str, value: float) -> Any:
+    drive = {"effort_limit": "effort", "velocity_limit": "velocity"}.get(field, field)
+    return replace(joint, drive=replace(joint.drive, **{drive: value})) if joint.drive.group == group else joint
+
+
+def keys(findings: list[Finding]) -> set[tuple[str, str]]:
+    return {(finding.rule, finding.key) for finding in findings}
+
+
+@pytest.mark.parametrize(("rule", "number"), [(name, i) for name in CASES for i in range(len(CASES[name]))])
+def test_what_a_rule_recommends_silences_its_finding(rule, number):
+    advised = 0
+    for size in SIZES:
+        looked_at = CASES[rule][number](size)
+        findings = RULES[rule](looked_at)
+        for finding in findings:
+            for advice in finding.advice:
+                advised += 1
+                after = RULES[rule](changed(looked_at, advice))
+                assert (rule, finding.key) not in keys(after), (size, finding.hint, advice)
+    assert advised > len(SIZES) // 2, "the case finds nothing, or recommends nothing"
+
+
+def test_every_rule_recommends_numbers_that_are_tried_or_none():
+    assert set(CASES) | WITHOUT == set(RULES)
+    assert not set(CASES) & WITHOUT
+
+
+@pytest.mark.parametrize("rule", CASES)
+def test_what_a_hint_prints_is_what_is_recommended(rule):
+    for make in CASES[rule]:
+        for finding in RULES[rule](make(1.2499)):
+            values = [v for advice in finding.advice for v in advice.values() if isinstance(v, (int, float))]
+            for value in values:
+                assert isinstance(value, bool) or f"{abs(value):g}" in finding.hint or rule == "noop_curriculum"
+            if re.search(r"\d", re.sub(r"reset_\w+|1 %|n²", "", finding.hint)):
+                assert finding.advice, finding.hint
+
+
+def test_no_number_that_is_recommended_brings_the_next_finding_of_the_same_rule():
+    """A unit of 30 rad is too much for the torque; what is recommended fits the limits as well."""
+    looked_at = CASES["action_scale"][1](1.0)
+    (finding,) = RULES["action_scale"](looked_at)
+    assert "N·m" in finding.message
+    assert RULES["action_scale"](changed(looked_at, finding.advice[0])) == []
+
+
+def test_all_that_is_recommended_on_the_stock_task_can_be_written(capsys):
+    def findings(*words):
+        main(["check", "--physics", "--json", "task=stand", "~check", *words])
+        return json.loads(capsys.readouterr().out)["findings"]
+
+    before = findings()
+    advised = [f for f in before if f["advice"] and "init_state" not in f["key"] and "push" not in f["key"]]
+    assert len(advised) > 8
+    words = [f"++{key}={value}".replace(" ", "") for f in advised for key, value in f["advice"][0].items()]
+    after = {(f["rule"], f["key"]) for f in findings(*words)}
+    assert not after & {(f["rule"], f["key"]) for f in advised}
+
+
+@pytest.mark.parametrize("value", [0.03, 0.0301, 12.0, 12.3, 0.996667, 99.9, 1e-9 / 3])
+def test_rounding_keeps_the_bound(value):
+    for digits in (2, 3):
+        assert at_most(value, digits) <= value <= at_least(value, digits)
+        assert below(value, digits) < value < above(value, digits)
+        for rounded in (at_most, at_least, below, above):
+            assert rounded(value, digits) == pytest.approx(value, rel=0.11)
+            assert float(f"{rounded(value, digits):g}") == rounded(value, digits)
+    assert at_least(0.03) == at_most(0.03) == 0.03

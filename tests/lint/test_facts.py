@@ -1,0 +1,185 @@
+"""Facts of a compiled robot, against hand-computed bodies and published figures of the stock robot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.lint.collider_depth import lowest_point
+from wheelleg_exp.lint.examine import robot_facts
+from wheelleg_exp.lint.robot_facts import RobotFacts, measure
+from wheelleg_exp.managers import SceneManager
+
+# A bar of 2 kg, 0.4 m over an axle with two wheels of 0.5 kg; a hip halfway up carries a bob.
+ROBOT = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="bar" pos="0 0 0.5">
+      <freejoint/>
+      <inertial pos="0 0 0" mass="2" diaginertia="0.02 0.03 0.02"/>
+      <geom type="box" size="0.1 0.1 0.05" pos="0 0 0.2"/>
+      <body name="bob" pos="0 0 -0.2">
+        <joint name="hip" axis="0 1 0" range="-1 1" armature="0.7"/>
+        <inertial pos="0.1 0 0" mass="1" diaginertia="0.001 0.002 0.001"/>
+      </body>
+      <body name="left_wheel" pos="0 0.3 -0.4">
+        <joint name="left" axis="0 1 0"/>
+        <inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>
+        <geom type="cylinder" size="0.1 0.02" euler="1.5707963267948966 0 0" friction="0.9"/>
+      </body>
+      <body name="right_wheel" pos="0 -0.3 -0.4">
+        <joint name="right" axis="0 1 0"/>
+        <inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>
+        <geom type="cylinder" size="0.1 0.02" euler="1.5707963267948966 0 0" friction="0.9"/>
+      </body>
+      <body name="fan" pos="0 0 0.2">
+        <joint name="fan" axis="0 0 1"/>
+        <inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/>
+        <geom type="sphere" size="0.01"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def drive(names: str, kind: str = "ImplicitActuator", **gains: Any) -> dict[str, Any]:
+    values = {"stiffness": 0.0, "damping": 1.0, "effort_limit": 3.0, "velocity_limit": 20.0, **gains}
+    return {"_target_": f"wheelleg_exp.sim.actuators.{kind}", "joint_names_expr": [names], **values}
+
+
+@pytest.fixture(scope="module")
+def facts(tmp_path_factory: pytest.TempPathFactory) -> RobotFacts:
+    """The bar on wheels, 0.02 m above the ground, its bob level."""
+    file = tmp_path_factory.mktemp("robot") / "robot.xml"
+    file.write_text(ROBOT)
+    env = dict(compose().config["env"])
+    init = {"pos": [0, 0, 0.52], "rot": [1, 0, 0, 0], "joint_pos": {"hip": 0.0}, "joint_vel": {"hip": 0.5}}
+    actuators = {"wheels": drive("left|right"), "hip": drive("hip", "IdealPDActuator", stiffness=5.0)}
+    env["robot"] = {**env["robot"], "init_state": init, "joint_order": None, "actuators": actuators}
+    env["sim"] = {**env["sim"], "gravity": [0.0, 0.0, -10.0]}
+    env["scene"] = {**env["scene"], "sensors": {}}
+    scene = SceneManager(env, file, 1).scene
+    return measure(scene.spec.compile(), scene.robot)
+
+
+def test_masses_heights_and_wheels(facts):
+    assert facts.mass == pytest.approx(4.0, abs=1e-5)
+    assert facts.wheels == ("left", "right")
+    assert facts.wheel_radius == pytest.approx(0.1)
+    assert facts.track == pytest.approx(0.6)
+    assert facts.standing_height == pytest.approx(0.5)
+    assert facts.clearance == pytest.approx(0.02)
+    assert facts.wheel_load == pytest.approx(20.0, abs=1e-4)
+    assert facts.top_speed == pytest.approx(2.0)
+    assert facts.friction == pytest.approx((0.9 + 0.5) / 2)  # averaged with the ground's 0.5
+
+
+def test_a_joint_carries_the_inertia_that_hangs_on_it(facts):
+    hip = facts.joints["hip"]
+    assert hip.inertia == pytest.approx(0.002 + 1 * 0.1**2)
+    assert hip.armature == pytest.approx(0.7)
+    assert (hip.low, hip.high, hip.default_velocity, hip.limited) == (-1.0, 1.0, 0.5, True)
+    assert facts.joints["left"].inertia == pytest.approx(0.003)
+    assert not facts.joints["left"].limited
+
+
+def test_a_free_wheel_meets_a_torque_with_its_own_inertia_against_the_rest(facts):
+    # In the air the wheel turns against all else: 1 / (1/I + 1/rest), a little less than its own 0.003.
+    assert 0.0029 < facts.joints["left"].effective < 0.003
+
+
+def test_a_level_bob_is_held_by_its_weight_times_its_arm(facts):
+    assert facts.joints["hip"].hold == pytest.approx(-1 * 10 * 0.1)
+    assert facts.joints["left"].hold == pytest.approx(0.0, abs=1e-9)
+
+
+def test_drives(facts):
+    hip, left = facts.joints["hip"].drive, facts.joints["left"].drive
+    assert (hip.group, hip.stiffness, hip.explicit) == ("hip", 5.0, True)
+    assert (left.group, left.damping, left.effort, left.velocity, left.explicit) == ("wheels", 1.0, 3.0, 20.0, False)
+    assert facts.joints["fan"].drive is None
+
+
+def test_the_pendulum_over_the_axle(facts):
+    balance = facts.balance
+    # Over the axle: 2 kg at 0.4 m, 1 kg at (0.1, 0.2) m, and the fan's next to nothing.
+    assert balance.mass == pytest.approx(3.0, abs=1e-5)
+    height = math.hypot(0.1, 2 * 0.4 + 0.2) / 3
+    assert balance.height == pytest.approx(height, abs=1e-5)
+    inertia = 0.03 + 2 * 0.4**2 + 0.002 + 1 * (0.1**2 + 0.2**2)
+    assert balance.inertia == pytest.approx(inertia, abs=1e-5)
+    drop = 3 * 10 * height
+    assert balance.pendulum == pytest.approx(math.sqrt(drop / inertia), rel=1e-4)
+    rolling = inertia + 2 * 3 * 0.1 * height + 3 * 0.1**2 + 2 * (0.5 * 0.1**2 + 0.003)
+    assert balance.pole == pytest.approx(math.sqrt(drop / rolling), rel=1e-4)
+
+
+def test_the_stock_robot_has_its_published_figures():
+    found = robot_facts(compose())
+    assert found.mass == pytest.approx(0.5)
+    assert found.standing_height == pytest.approx(0.06995, abs=1e-5)
+    assert found.clearance == pytest.approx(0.015, abs=1e-4)
+    assert found.wheel_radius == pytest.approx(0.02)
+    assert found.track == pytest.approx(0.112)
+    assert found.balance.mass == pytest.approx(0.38)
+    assert found.balance.height == pytest.approx(0.0441, abs=1e-4)
+    assert found.balance.inertia == pytest.approx(1.03e-3, rel=0.01)
+    assert found.balance.pole == pytest.approx(9.25, abs=0.01)
+    assert found.joints["l03"].inertia == pytest.approx(1.2e-5, rel=1e-3)
+    # The knee: a wheel carries half the weight, its own and half the shank's taken off, on an arm of 42.5 mm · sin 53°.
+    arm = 0.0425 * math.sin(1.885 - 0.9599)
+    load = (0.25 - 0.06) * 9.81 * arm - 0.02 * 9.81 * arm / 2
+    assert abs(found.joints["l02"].hold) == pytest.approx(load, rel=0.01)
+
+
+def test_a_robot_without_wheels_carries_its_weight_alone(facts):
+    assert replace(facts, wheels=()).wheel_load == pytest.approx(40.0, abs=1e-4)
+    assert replace(facts, wheels=()).top_speed == 0.0
+
+
+SHAPES = {
+    "sphere": ('type="sphere" size="0.2"', 0.2),
+    "capsule, turned by 60 degrees": ('type="capsule" size="0.1 0.4" euler="60 0 0"', 0.1 + 0.4 * 0.5),
+    "cylinder on its side": ('type="cylinder" size="0.3 0.05" euler="90 0 0"', 0.3),
+    "cylinder, turned by 60 degrees": (
+        'type="cylinder" size="0.3 0.05" euler="60 0 0"',
+        0.3 * math.sqrt(3) / 2 + 0.05 * 0.5,
+    ),
+    "box on its edge": ('type="box" size="0.1 0.2 0.2" euler="45 0 0"', 0.2 * math.sqrt(2)),
+    "ellipsoid on its side": ('type="ellipsoid" size="0.1 0.2 0.3" euler="90 0 0"', 0.2),
+    "mesh": ('type="mesh" mesh="wedge"', 0.25),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_how_far_down_a_shape_reaches(name):
+    text, reach = SHAPES[name]
+    wedge = "0 0 -0.25  1 0 0  0 1 0  0 0 0.5"
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><asset><mesh name="wedge" vertex="{wedge}"/></asset><worldbody><body pos="0 0 1">'
+        f'<freejoint/><geom {text}/><geom type="sphere" size="0.9" contype="0" conaffinity="0"/></body></worldbody>'
+        "</mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert lowest_point(model, data, [1]) == pytest.approx(1 - reach, abs=1e-6)
+
+
+def test_a_body_without_shapes_reaches_nowhere():
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    assert lowest_point(model, mujoco.MjData(model), [0]) == np.inf
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield

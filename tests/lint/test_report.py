@@ -1,0 +1,156 @@
+"""``wheelleg check --physics`` on the stock tasks: what it finds, what is silenced, and how it is told."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.schema import PHYSICS_RULES
+from wheelleg_exp.lint.examine import RULES
+from wheelleg_exp.paths import configs_dir
+
+TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
+# What an expert would say of the Isaac Lab project's numbers, and where.
+AT_LEAST = {
+    ("noop_joint_reset", "env.events.reset_robot_joints.velocity_range"),
+    ("unbounded_observation", "env.observations.policy.terms.joint_pos_rel"),
+    ("unbounded_observation", "env.observations.critic.terms.joint_pos_rel"),
+    ("tracking_std", "env.rewards.track_lin_vel_xy.std"),
+    ("armature_ratio", "env.robot.actuators.wheels.armature"),
+    ("armature_ratio", "env.robot.actuators.legs.armature"),
+    ("effort_against_traction", "env.robot.actuators.wheels.effort_limit"),
+    ("event_never_fires", "env.events.push_robot.interval_range_s"),
+    ("push_size", "env.events.push_robot.velocity_range"),
+    ("reward_too_small", "env.rewards.base_height.weight"),
+    ("spawn_height", "env.robot.init_state.pos"),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def physics(capsys, *words):
+    """Exit status and JSON of a check of the numbers."""
+    status = main(["check", "--physics", "--json", *words])
+    text = capsys.readouterr().out
+    assert "Infinity" not in text
+    return status, json.loads(text)
+
+
+def test_without_its_silences_the_stock_task_has_what_an_expert_would_say(capsys):
+    status, report = physics(capsys, "robot=article", "task=stand", "~check")
+    assert status == 1
+    found = {(finding["rule"], finding["key"]): finding for finding in report["findings"]}
+    assert set(found) >= AT_LEAST
+    wheel = found["armature_ratio", "env.robot.actuators.wheels.armature"]["figures"]
+    assert round(wheel["pitch_ratio"]) == 49
+    assert round(wheel["translation_kg"]) == 125
+    assert (
+        found["unbounded_observation", "env.observations.policy.terms.joint_pos_rel"]["figures"]["largest_rad"] == 225
+    )
+    traction = found["effort_against_traction", "env.robot.actuators.wheels.effort_limit"]["figures"]
+    assert traction["slip"] == pytest.approx(0.85 * 0.5 * 9.81 * 0.02 / 2, rel=1e-3)
+    assert all(finding["where"] for finding in report["findings"])
+
+
+def test_driving_with_the_wide_std_is_found_as_what_standing_still_earns(capsys):
+    command = "env.commands.base_velocity.ranges.lin_vel_x=[-0.3,0.3]"
+    _, report = physics(capsys, "task=stand", "~check", command)
+    (finding,) = [f for f in report["findings"] if f["rule"] == "tracking_std"]
+    assert finding["figures"]["still"] == pytest.approx(0.89, abs=0.005)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_finding_on_a_stock_task_is_silenced_with_a_reason(task, capsys):
+    status, report = physics(capsys, f"task={task}")
+    assert status == 0, report["findings"]
+    assert report["findings"] == []
+    assert report["unused_silences"] == []
+    assert all(len(finding["reason"]) > 20 for finding in report["silenced"])
+
+
+def test_a_silence_that_silences_nothing_is_told(capsys):
+    assert main(["check", "--physics", "robot=physical"]) == 0
+    assert "check.silence.armature_ratio silences nothing here" in capsys.readouterr().out
+
+
+def test_one_finding_is_silenced_by_its_name(capsys):
+    wrong = "agent.algorithm.num_mini_batches=7"
+    assert physics(capsys, wrong)[0] == 1
+    status, report = physics(capsys, wrong, "++check.silence.ppo_batch=rest is dropped")
+    assert status == 0
+    assert [f["reason"] for f in report["silenced"] if f["rule"] == "ppo_batch"] == ["rest is dropped"]
+
+
+def test_mistakes_come_before_the_numbers(capsys):
+    assert main(["check", "--physics", "env.num_envs=0"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "env.num_envs: 0 is out of range" in captured.err
+
+
+def test_people_get_the_robot_the_rewards_and_each_finding_with_its_place_and_hint(capsys):
+    assert main(["check", "--physics", "agent.algorithm.num_mini_batches=7"]) == 1
+    text = capsys.readouterr().out
+    assert "standing height" in text
+    assert "base_height" in text
+    block = text[text.index("ppo_batch") :].split("\n\n")[0]
+    assert block.splitlines() == [
+        "ppo_batch  agent.algorithm.num_mini_batches",
+        "    place  override agent.algorithm.num_mini_batches=7",
+        "    what   12288 samples in 7 mini-batches of 1755 leave 3 unused",
+        "    hint   a number of environments or steps that the mini-batches divide",
+    ]
+    assert text.splitlines()[-1] == "1 finding, 23 silenced (--all shows them)"
+
+
+def test_what_is_silenced_is_counted_and_shown_when_all_is_asked_for(capsys):
+    assert main(["check", "--physics"]) == 0
+    counted = capsys.readouterr().out
+    assert "spawn_height" not in counted
+    assert counted.endswith("0 findings, 23 silenced (--all shows them)\n")
+    assert main(["check", "--physics", "--all"]) == 0
+    told = capsys.readouterr().out
+    assert "spawn_height  env.robot.init_state.pos\n" in told
+    assert "    silenced  a drop of 15 mm, so that the first thing to learn is landing\n" in told
+    assert told.endswith("0 findings, 23 silenced\n")
+
+
+def test_rules_are_listed_with_a_line_for_each(capsys):
+    assert main(["check", "--list"]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines()[1:] if not line.startswith(" ")]
+    assert [line.split()[0] for line in lines] == list(PHYSICS_RULES)
+    assert main(["check", "--list", "--json"]) == 0
+    assert [row["rule"] for row in json.loads(capsys.readouterr().out)] == list(PHYSICS_RULES)
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_a_rule_gives_its_reasoning_and_its_source_and_has_a_test(name):
+    rule = RULES[name]
+    assert "Source: " in " ".join(rule.text.split())
+    assert len(rule.text.splitlines()) > 2
+    assert len(inspect.getsource(rule.function).splitlines()) < 60
+    tests = [path.read_text() for path in Path(__file__).parent.glob("test_rules_*.py")]
+    assert any(f'found("{name}"' in text for text in tests)
+
+
+@pytest.mark.slow
+def test_python_may_run_without_docstrings():
+    code = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(['check', '--physics', 'task=stand']))"
+    done = subprocess.run([sys.executable, "-OO", "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_schema_names_every_rule():
+    assert list(RULES) == sorted(PHYSICS_RULES)

@@ -1,0 +1,212 @@
+"""Actions, commands, disturbances, the start and the end of episodes, and the figures of PPO."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from lint.cases import FACTS, case, found, term, with_joint
+
+POSITION, VELOCITY = "actions.JointPositionAction", "actions.JointVelocityAction"
+
+
+def act(target, names, **settings):
+    return {"actions": {"act": term(target, joint_names=names, **settings)}}
+
+
+@pytest.mark.parametrize(
+    ("action", "facts", "figures"),
+    [
+        # one unit of 0.25 rad · 40 N·m/rad = 10 N·m, of 8
+        (act(POSITION, ["hip"], scale=0.25), FACTS, {"torque": 10.0}),
+        # 1.1 rad, and the upper limit is 1.0 from the default; a softer drive so that the torque fits
+        (act(POSITION, ["hip"], scale=1.1), with_joint("hip", drive={"stiffness": 1.0}), {"unit": 1.1, "room": 1.0}),
+        # less than a hundredth of a range of 2.5 rad
+        (act(POSITION, ["hip"], scale=0.02), FACTS, {"unit": 0.02, "span": 2.5}),
+        (act(POSITION, ["left"], scale=0.1), FACTS, {"stiffness": 0.0}),
+        (act("actions.RelativeJointPositionAction", ["left"], scale=0.1), FACTS, {"stiffness": 0.0}),
+        (act(VELOCITY, ["left"], scale=21.0), FACTS, {"unit": 21.0, "limit": 20.0}),
+        (act(VELOCITY, ["left"], scale=5.0), with_joint("left", drive={"damping": 0.0}), {"damping": 0.0}),
+        (act(VELOCITY, ["left", "right"], scale={"left": 5.0, "right": 30.0}), FACTS, {"unit": 30.0, "limit": 20.0}),
+    ],
+    ids=["torque", "limit", "tiny", "no stiffness", "no stiffness, relative", "speed", "no damping", "one of two"],
+)
+def test_an_action_whose_unit_does_not_fit_is_found(action, facts, figures):
+    (finding,) = found("action_scale", case(facts, **action))
+    assert finding.key == "env.actions.act.scale"
+    assert finding.figures == pytest.approx(figures)
+
+
+@pytest.mark.parametrize("action", [act(POSITION, ["hip"], scale=0.19), act(VELOCITY, ["left", "right"], scale=5.0)])
+def test_an_action_whose_unit_fits_is_fine(action):
+    assert found("action_scale", case(**action)) == []
+
+
+@pytest.mark.parametrize(
+    ("action", "acts"),
+    [
+        (act(POSITION, ["hip"], clip={".*": [-100, 100]}), False),
+        (act(POSITION, ["hip"], clip={".*": [-1.0, 1.5]}), False),
+        (act(POSITION, ["hip"], clip={".*": [-0.9, 100]}), True),
+        (act(VELOCITY, ["left"], clip={"left": [-20, 20]}), False),
+        (act(VELOCITY, ["left"], clip={"left": [-19, 20]}), True),
+        (act(POSITION, ["hip"]), True),
+    ],
+)
+def test_a_clip_beyond_what_the_joint_reaches_never_acts(action, acts):
+    assert bool(found("action_clip_never_acts", case(**action))) != acts
+
+
+def command(**ranges):
+    return {"commands": {"velocity": term("commands.UniformVelocityCommand", ranges=ranges)}}
+
+
+@pytest.mark.parametrize(
+    ("ranges", "axis", "limit"),
+    [
+        ({"lin_vel_x": [-0.5, 2.1]}, "lin_vel_x", 2.0),  # 20 rad/s · 0.1 m
+        ({"lin_vel_x": [-1, 1], "lin_vel_y": [-0.1, 0.1]}, "lin_vel_y", 0.0),
+        ({"lin_vel_x": [-1, 1], "ang_vel_z": [-9, 9]}, "ang_vel_z", 8.0),  # 2 · 2 m/s / 0.5 m
+    ],
+)
+def test_a_command_that_the_wheels_cannot_give_is_found(ranges, axis, limit):
+    (finding,) = found("command_reach", case(**command(**ranges)))
+    assert finding.key == f"env.commands.velocity.ranges.{axis}"
+    assert finding.figures["limit"] == pytest.approx(limit)
+
+
+def test_a_command_within_reach_is_fine():
+    ranges = {"lin_vel_x": [-2, 2], "lin_vel_y": [0, 0], "ang_vel_z": [-8, 8], "heading": None}
+    assert found("command_reach", case(**command(**ranges))) == []
+
+
+@pytest.mark.parametrize(
+    ("clearance", "figures"),
+    [
+        (-0.01, {"clearance_m": -0.01}),
+        (0.05, {"clearance_m": 0.05, "landing_m_s": 1.0}),  # sqrt(2 · 10 · 0.05)
+    ],
+)
+def test_a_start_inside_or_above_the_ground_is_found(clearance, figures):
+    (finding,) = found("spawn_height", case(replace(FACTS, clearance=clearance)))
+    assert finding.figures == pytest.approx(figures)
+    assert f"{0.4 - clearance:.4g} m" in finding.hint
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.039, -5e-5])
+def test_a_start_on_the_ground_is_fine(clearance):
+    assert found("spawn_height", case(replace(FACTS, clearance=clearance))) == []
+
+
+def test_a_height_that_the_default_pose_does_not_have_is_found():
+    def target(height):
+        return case(rewards={"h": term("rewards.base_height_l2", weight=-1.0, target_height=height)})
+
+    (finding,) = found("target_height", target(0.37))
+    assert finding.figures == {"target_m": 0.37, "standing_m": 0.4}
+    assert found("target_height", target(0.381)) == []
+
+
+@pytest.mark.parametrize(
+    ("section", "target", "limit"),
+    [
+        ("terminations", "terminations.illegal_contact", 1.0),  # a tenth of 10 N
+        ("rewards", "rewards.undesired_contacts", 1.0),
+        ("rewards", "rewards.no_contact_count", 2.5),  # half of a wheel's 5 N
+    ],
+)
+def test_a_threshold_too_large_for_the_weight_is_found(section, target, limit):
+    def contact(threshold):
+        more = {"weight": -1.0} if section == "rewards" else {}
+        return case(**{section: {"c": term(target, threshold=threshold, sensor_cfg={}, **more)}})
+
+    (finding,) = found("contact_threshold", contact(limit + 0.1))
+    assert finding.key == f"env.{section}.c.threshold"
+    assert found("contact_threshold", contact(limit - 0.1)) == []
+
+
+def test_an_episode_without_a_time_out_is_found():
+    (finding,) = found("episode_end", case(terminations={"time_out": term("terminations.time_out")}))
+    assert finding.key == "env.terminations"
+    assert found("episode_end", case()) == []
+
+
+def test_an_episode_shorter_than_a_fall_is_found():
+    (finding,) = found("episode_end", case(episode_length_s=2.4))  # five time constants are 2.5 s
+    assert finding.key == "env.episode_length_s"
+    assert found("episode_end", case(episode_length_s=2.6)) == []
+
+
+@pytest.mark.parametrize(("limit", "ends"), [(0.4, True), (0.39, False)])
+def test_a_height_limit_above_the_standing_height_ends_every_episode(limit, ends):
+    node = {"low": term("terminations.root_height_below_minimum", minimum_height=limit)}
+    assert bool(found("episode_end", case(terminations=node))) == ends
+
+
+@pytest.mark.parametrize(("limit", "wrong"), [(0.5, True), (0.51, False), (math.pi, True), (3.0, False)])
+def test_a_tilt_limit_lies_between_the_drawn_tilt_and_upside_down(limit, wrong):
+    pose = {"roll": [-0.3, 0.3], "pitch": [-0.4, 0.1]}  # hypot(0.3, 0.4) = 0.5
+    events = {"base": term("events.reset_root_state_uniform", mode="reset", pose_range=pose, velocity_range={})}
+    node = {"tilt": term("terminations.bad_orientation", limit_angle=limit)}
+    assert bool(found("episode_end", case(terminations=node, events=events))) == wrong
+
+
+def push(x, y=0.0, facts=FACTS):
+    node = term("events.push_by_setting_velocity", mode="interval", interval_range_s=[1, 2])
+    node["velocity_range"] = {"x": [-x, x], "y": [-y, y]}
+    return case(facts, events={"push": node})
+
+
+def test_a_push_is_held_against_the_capture_point():
+    # wheels: 0.4 N·m / 0.02 kg·m² · 0.1 m = 2 m/s², less than 0.8 · 10; over sqrt(10)/s: 0.6325 m/s
+    (finding,) = found("push_size", push(0.8))
+    assert finding.figures["limit"] == pytest.approx(2.0 / math.sqrt(10.0))
+    assert "more than it can take" in finding.message
+    assert found("push_size", push(0.7)) == []  # 1.1 times the figure, which is on the safe side
+    assert found("push_size", push(0.3, 4.0)) == []  # sideways the track holds it
+
+
+def test_a_push_below_a_fifth_of_the_limit_tests_nothing():
+    (finding,) = found("push_size", push(0.1))
+    assert finding.figures["ratio"] == pytest.approx(0.1 / (2.0 / math.sqrt(10.0)))
+    assert found("push_size", push(0.13)) == []
+
+
+def test_traction_limits_the_push_that_a_strong_drive_could_catch():
+    strong = replace(with_joint("left", drive={"effort": 9.0}))
+    strong = replace(strong, joints={**strong.joints, "right": strong.joints["left"]})
+    (finding,) = found("push_size", push(4.0, facts=strong))
+    assert finding.figures["limit"] == pytest.approx(8.0 / math.sqrt(10.0))  # friction 0.8
+
+
+def wrench(force, torque):
+    node = term("events.set_permanent_body_wrench", mode="reset", force_range=[-force, 0], torque_range=[0, torque])
+    return case(events={"wrench": node})
+
+
+def test_a_wrench_that_leans_the_robot_over_is_found():
+    # atan(1/10) = 5.71°, asin(0.4/4) = 5.74°
+    (finding,) = found("wrench_size", wrench(1.0, 0.4))
+    assert finding.figures["force_lean_rad"] == pytest.approx(math.atan(0.1))
+    assert finding.figures["torque_lean_rad"] == pytest.approx(math.asin(0.1))
+    assert found("wrench_size", wrench(1.0, 0.2)) == []
+
+
+def test_a_batch_that_does_not_divide_is_found():
+    (finding,) = found("ppo_batch", case(algorithm={"num_mini_batches": 3}))  # 8 · 10 = 80
+    assert finding.figures == {"batch": 80, "mini_batches": 3, "unused": 2}
+    assert found("ppo_batch", case()) == []
+
+
+def test_a_discount_beyond_the_episode_is_found():
+    (finding,) = found("discount_horizon", case(algorithm={"gamma": 0.999}))  # 1000 steps of 500
+    assert finding.figures["horizon_s"] == pytest.approx(20.0)
+    assert found("discount_horizon", case(algorithm={"gamma": 0.997})) == []  # 333
+
+
+def test_a_discount_short_of_a_fall_is_found():
+    (finding,) = found("discount_horizon", case(algorithm={"gamma": 0.99}))  # 2 s; five time constants are 2.5 s
+    assert finding.figures["time_constant_s"] == pytest.approx(0.5)
+    assert found("discount_horizon", case()) == []  # 4 s

@@ -1,0 +1,116 @@
+"""Randomisation that does nothing, or not what it says."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from lint.cases import case, found, joints, term, with_joint
+
+SCALE = "events.reset_joints_by_scale"
+
+
+def reset(position, velocity, **more):
+    node = term(SCALE, mode="reset", position_range=position, velocity_range=velocity, **more)
+    return {"events": {"joints": node}}
+
+
+def test_a_scaled_velocity_of_zero_is_no_randomisation():
+    (finding,) = found("noop_joint_reset", case(**reset([1.0, 1.0], [-0.2, 0.2])))
+    assert finding.key == "env.events.joints.velocity_range"
+    assert "U(-0.2, 0.2)" in finding.message
+    assert "every joint" in finding.message
+
+
+def test_a_scaled_position_of_zero_is_no_randomisation_on_the_joints_at_zero():
+    (finding,) = found("noop_joint_reset", case(**reset([0.5, 1.5], [0.0, 0.0])))
+    assert finding.key == "env.events.joints.position_range"
+    assert finding.figures["joints"] == 2  # the wheels; the hip's default is 0.5
+    assert "left, right" in finding.message
+
+
+def test_a_scaled_default_that_is_not_zero_is_randomised():
+    spinning = with_joint("hip", default_velocity=1.0)
+    node = reset([0.5, 1.5], [0.5, 1.5], asset_cfg=joints("hip"))
+    assert found("noop_joint_reset", case(spinning, **node)) == []
+
+
+def test_an_offset_randomises_zero_as_well():
+    node = term("events.reset_joints_by_offset", mode="reset", position_range=[-1, 1], velocity_range=[-1, 1])
+    assert found("noop_joint_reset", case(events={"joints": node})) == []
+
+
+def test_a_range_without_width_is_found():
+    events = {
+        "joints": reset([1.0, 1.0], [-0.2, 0.2])["events"]["joints"],
+        "push": term("events.push_by_adding_velocity", mode="interval", velocity_range={"x": [0.1, 0.1]}),
+        "mass": term("events.randomize_rigid_body_mass", mode="startup", mass_distribution_params=[0.1, 0.1]),
+    }
+    assert [finding.key for finding in found("zero_width_range", case(events=events))] == [
+        "env.events.joints.position_range",
+        "env.events.push.velocity_range",
+        "env.events.mass.mass_distribution_params",
+    ]
+
+
+def test_a_command_that_never_changes_is_found():
+    still = term("commands.UniformVelocityCommand", ranges={"lin_vel_x": [0, 0], "heading": None})
+    (finding,) = found("zero_width_range", case(commands={"velocity": still}))
+    assert finding.key == "env.commands.velocity.ranges"
+
+
+def test_one_axis_with_a_width_and_a_fixed_period_are_fine():
+    moving = term(
+        "commands.UniformVelocityCommand",
+        ranges={"lin_vel_x": [-1, 1], "lin_vel_y": [0, 0]},
+        resampling_time_range=[2.5, 2.5],
+    )
+    node = term(
+        "events.reset_root_state_uniform", mode="reset", pose_range={"x": [0, 0], "y": [0, 1]}, velocity_range={}
+    )
+    assert found("zero_width_range", case(commands={"velocity": moving}, events={"base": node})) == []
+
+
+def push(low, **more):
+    node = term(
+        "events.push_by_adding_velocity", mode="interval", interval_range_s=[low, 20.0], velocity_range={}, **more
+    )
+    return case(events={"push": node})
+
+
+def test_an_interval_as_long_as_an_episode_never_fires():
+    (finding,) = found("event_never_fires", push(10.0))
+    assert finding.figures == {"shortest_s": 10.0, "episode_s": 10.0}
+
+
+def test_a_shorter_interval_and_a_global_timer_fire():
+    assert found("event_never_fires", push(9.9)) == []
+    assert found("event_never_fires", push(10.0, is_global_time=True)) == []
+
+
+def shift(mode, target="events.randomize_rigid_body_com"):
+    return case(events={"com": term(target, mode=mode, com_range={"x": [-0.003, 0.001]})})
+
+
+def test_a_centre_of_mass_that_walks_away_is_found_under_either_name():
+    # 100 draws of ±3 mm: variance 100 · 3²/3 = 300 mm²
+    (finding,) = found("cumulative_randomisation", shift("reset"))
+    assert finding.figures["spread_after_100_m"] == pytest.approx(math.sqrt(300) / 1e3)
+    assert found("cumulative_randomisation", shift("interval", "events.randomize_rigid_body_com_cumulative"))
+
+
+def test_a_centre_of_mass_drawn_once_is_fine():
+    assert found("cumulative_randomisation", shift("startup")) == []
+
+
+def material(restitution):
+    ranges = {"static_friction_range": [0.5, 1.0], "dynamic_friction_range": [0.5, 1.0]}
+    node = term("events.randomize_rigid_body_material", mode="startup", restitution_range=restitution, **ranges)
+    return case(events={"material": node})
+
+
+def test_drawn_restitution_has_no_effect():
+    (finding,) = found("noop_restitution", material([0.0, 0.05]))
+    assert finding.figures == {"low": 0.0, "high": 0.05}
+    assert found("noop_restitution", material([0.0, 0.0])) == []

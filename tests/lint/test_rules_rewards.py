@@ -1,0 +1,166 @@
+"""What rewards can teach."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lint.cases import case, found, joints, term
+from wheelleg_exp.lint.reward_tolerances import contributions
+from wheelleg_exp.lint.rules_rewards import still_score
+
+TRACK = "rewards.track_lin_vel_xy_exp"
+
+
+def command(x=0.0, yaw=0.0, standing=0.0):
+    ranges = {"lin_vel_x": [-x, x], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-yaw, yaw]}
+    return {"velocity": term("commands.UniformVelocityCommand", ranges=ranges, rel_standing_envs=standing)}
+
+
+def track(std, target=TRACK, weight=1.0):
+    return {"track": term(target, weight=weight, std=std, command_name="velocity")}
+
+
+@pytest.mark.parametrize(("speed", "std"), [(0.3, 0.5), (0.3, 0.1), (0.6, 0.25), (0.5, 0.15)])
+def test_what_standing_still_earns_is_the_mean_over_commands(speed, std):
+    commands = np.linspace(-speed, speed, 200_001)
+    assert still_score(speed, std) == pytest.approx(float(np.exp(-((commands / std) ** 2)).mean()), abs=1e-4)
+
+
+def test_a_std_as_wide_as_the_commands_is_found():
+    # sqrt(pi)/2 · erf(0.6) · 5/3 = 0.8919; with 40 % standing 0.8919 + 0.4 · 0.1081 = 0.935
+    (finding,) = found("tracking_std", case(commands=command(0.3, standing=0.4), rewards=track(0.5)))
+    assert finding.figures["still"] == pytest.approx(0.8919, abs=1e-4)
+    assert "0.89" in finding.message
+    assert "0.94" in finding.message
+
+
+def test_the_std_of_a_yaw_rate_is_held_against_yaw_commands():
+    node = track(0.5, "rewards.track_ang_vel_z_exp")
+    (finding,) = found("tracking_std", case(commands=command(0.01, yaw=0.5), rewards=node))
+    assert finding.figures["still"] == pytest.approx(0.7468, abs=1e-4)
+
+
+def test_a_narrow_std_is_fine():
+    assert found("tracking_std", case(commands=command(0.3), rewards=track(0.15))) == []  # 0.44
+
+
+def wheels(scale):
+    node = term("actions.JointVelocityAction", joint_names=["left", "right"], scale=scale)
+    return {"commands": command(), "actions": {"wheels": node}}
+
+
+def test_where_nothing_is_commanded_a_drift_must_not_earn_the_reward():
+    # one unit of action is 5 rad/s · 0.1 m = 0.5 m/s; exp(-(0.5/1)²) = 0.7788
+    (finding,) = found("tracking_std", case(**wheels(5.0), rewards=track(1.0, weight=0.0)))
+    assert finding.figures["drift"] == pytest.approx(0.5)
+    assert finding.figures["drifting"] == pytest.approx(math.exp(-0.25))
+    assert "its weight is 0" in finding.message
+
+
+def test_where_nothing_is_commanded_a_std_below_the_drift_is_fine():
+    assert found("tracking_std", case(**wheels(5.0), rewards=track(0.4))) == []  # exp(-1.5625) = 0.21
+    # turning with one unit: 2 · 0.5 m/s over a track of 0.5 m is 2 rad/s
+    assert found("tracking_std", case(**wheels(5.0), rewards=track(2.0, "rewards.track_ang_vel_z_exp"))) == []
+    assert found("tracking_std", case(**wheels(5.0), rewards=track(2.5, "rewards.track_ang_vel_z_exp")))
+
+
+ALIVE = {"alive": term("rewards.is_alive", weight=5.0)}
+
+
+def height(weight):
+    return {**ALIVE, "height": term("rewards.base_height_l2", weight=weight, target_height=0.4)}
+
+
+def test_a_term_that_costs_less_than_a_hundredth_is_found():
+    # off by a tenth of 0.4 m: 0.0016 · 20 = 0.032 of 5 in a second, 0.64 %
+    (finding,) = found("reward_too_small", case(rewards=height(-20.0)))
+    assert finding.key == "env.rewards.height.weight"
+    assert finding.figures["share"] == pytest.approx(0.0064)
+    assert "-32" in finding.hint  # 5 · 0.01 / 0.0016 = 31.25
+
+
+def test_a_term_that_costs_more_is_fine():
+    assert found("reward_too_small", case(rewards=height(-32.0))) == []
+
+
+def test_failures_and_unknown_terms_are_not_too_small():
+    rewards = {
+        **ALIVE,
+        "fall": term("rewards.is_terminated", weight=-0.001),
+        "x": term("rewards.joint_acc_l2", weight=-1e-9),
+    }
+    assert found("reward_too_small", case(rewards=rewards)) == []
+
+
+# At the tolerances: 0.1 rad; a tenth of the height 0.4 m, of sqrt(10 · 0.4) = 2 m/s, of sqrt(10/0.4) = 5 rad/s.
+VALUES = {
+    "rewards.base_height_l2": ({"target_height": 0.4}, 0.04**2),
+    "rewards.lin_vel_z_l2": ({}, 0.2**2),
+    "rewards.ang_vel_xy_l2": ({}, 0.5**2),
+    "rewards.pitch_orientation_l2": ({}, math.sin(0.1) ** 2),
+    "rewards.flat_orientation_l2": ({}, math.sin(0.1) ** 2),
+    "rewards.joint_deviation_l1": ({"asset_cfg": joints("hip", "left")}, 0.2),
+    "rewards.joint_symmetry_l1": ({"left_cfg": joints("left"), "right_cfg": joints("right")}, 0.1),
+    "rewards.joint_torques_l2": ({}, 0.8**2 + 2 * 0.04**2),
+    "rewards.no_contact_count": ({"threshold": 1.0, "sensor_cfg": {}}, 1.0),
+    "rewards.is_alive": ({}, 1.0),
+}
+
+
+@pytest.mark.parametrize("target", VALUES)
+def test_what_a_reward_adds_in_an_episode_at_its_tolerance(target):
+    settings, value = VALUES[target]
+    looked_at = case(rewards={"x": term(target, weight=-2.0, **settings)})
+    (item,) = contributions(looked_at)
+    # a control step of 0.02 s, 500 in an episode of 10 s
+    assert item.per_step(looked_at.step_dt) == pytest.approx(-2.0 * value * 0.02)
+    assert item.per_episode(looked_at) == pytest.approx(-2.0 * value * 10.0)
+
+
+def test_a_failure_comes_once():
+    looked_at = case(rewards={"fall": term("rewards.is_terminated", weight=-200.0)})
+    assert contributions(looked_at)[0].per_episode(looked_at) == pytest.approx(-200.0 * 0.02)
+
+
+def test_an_action_rate_counts_half_a_unit_on_each_action():
+    looked_at = case(**wheels(1.0), rewards={"rate": term("rewards.action_rate_l2", weight=-1.0)})
+    assert contributions(looked_at)[0].per_episode(looked_at) == pytest.approx(-2 * 0.25 * 10.0)
+
+
+def living(alive, fall):
+    rewards = {
+        "alive": term("rewards.is_alive", weight=alive),
+        "tilt": term("rewards.joint_deviation_l1", weight=-10.0, asset_cfg=joints("hip")),
+        "fall": term("rewards.is_terminated", weight=fall),
+    }
+    return case(rewards=rewards)
+
+
+def test_falling_at_once_pays_where_going_on_costs_more():
+    # a second costs 10 · 0.1 - 0.5 = 0.5; over 200 steps of the discount -100, in the units of a failure
+    (finding,) = found("falling_pays", living(0.5, -99.0))
+    assert finding.figures == {"living_per_s": -0.5, "failing": -99.0, "steps": pytest.approx(200.0)}
+
+
+def test_a_dearer_failure_or_a_living_that_earns_is_fine():
+    assert found("falling_pays", living(0.5, -101.0)) == []
+    assert found("falling_pays", living(1.1, -1.0)) == []
+
+
+def curriculum(weight, num_steps):
+    node = term("curriculums.modify_reward_weight", term_name="alive", weight=weight, num_steps=num_steps)
+    return case(rewards=ALIVE, curriculum={"later": node})
+
+
+def test_a_change_to_the_same_weight_changes_nothing():
+    (finding,) = found("noop_curriculum", curriculum(5.0, 100))
+    assert finding.key == "env.curriculum.later.weight"
+
+
+def test_a_change_after_the_end_of_training_never_comes():
+    (finding,) = found("noop_curriculum", curriculum(1.0, 200))  # 20 iterations of 10 steps
+    assert finding.figures == {"num_steps": 200, "total_steps": 200}
+    assert found("noop_curriculum", curriculum(1.0, 199)) == []

@@ -1,0 +1,230 @@
+"""What terms return: a wrong shape, type or place is told once, with the term's key, its line and what to write."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from managers import spies
+from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError
+from wheelleg_exp.managers import ActionTerm, CommandTerm, Env
+from wheelleg_exp.mdp.modifiers import Modifier
+
+HERE = "managers.test_returned."
+N = 4
+STILL = torch.zeros(N, 4)
+
+
+def raw(env: Env) -> Any:
+    """Return what the test says, as it is."""
+    return spies.VALUES["raw"](env)
+
+
+def raw_of(env: Env, env_ids: torch.Tensor | None) -> Any:
+    """Do the same as an event or a curriculum."""
+    return spies.VALUES["raw"](env)
+
+
+class RawCommand(CommandTerm):
+    def __init__(self, env: Env, generator: torch.Generator) -> None:
+        super().__init__(env, (1.0, 2.0), ["far", "fast"], generator)
+
+    @property
+    def command(self) -> torch.Tensor:
+        return spies.VALUES["raw"](self._env)
+
+    def errors(self) -> torch.Tensor:
+        return spies.VALUES["errors"](self._env)
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        pass
+
+
+class RawAction(ActionTerm):
+    def __init__(self, env: Env) -> None:
+        self.raw_actions, self.processed_actions = torch.zeros(env.num_envs, 2), torch.zeros(env.num_envs, 2)
+        vars(self).update(spies.VALUES["raw"](env))
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        raise KeyError("wheels")
+
+
+class RawNoise:
+    def __call__(self, value: torch.Tensor, generator: torch.Generator) -> Any:
+        return spies.VALUES["raw"](value)
+
+
+class RawModifier(Modifier):
+    def __call__(self, value: torch.Tensor) -> Any:
+        return spies.VALUES["raw"](value)
+
+
+def observed(**fields: Any) -> dict[str, Any]:
+    node = {"_target_": "wheelleg_exp.mdp.observations.base_ang_vel", **fields}
+    return {"observations": {"policy": {"enable_corruption": True, "terms": {"t": node}}}}
+
+
+ROW = {"_target_": HERE + "raw"}
+SECTIONS = {
+    "rewards": ({"rewards": {"t": {**ROW, "weight": 1.0}}}, "env.rewards.t"),
+    "terminations": ({"terminations": {"t": ROW}}, "env.terminations.t"),
+    "observations": ({"observations": {"policy": {"terms": {"t": ROW}}}}, "env.observations.policy.terms.t"),
+    "events": ({"events": {"t": {"_target_": HERE + "raw_of", "mode": "reset"}}}, "env.events.t"),
+    "curriculum": ({"curriculum": {"t": {"_target_": HERE + "raw_of"}}}, "env.curriculum.t"),
+    "commands": ({"commands": {"t": {"_target_": HERE + "RawCommand"}}}, "env.commands.t"),
+    "actions": ({"actions": {"t": {"_target_": HERE + "RawAction"}}}, "env.actions.t"),
+    "noise": (observed(noise={"_target_": HERE + "RawNoise"}), "env.observations.policy.terms.t.noise"),
+    "modifiers": (
+        observed(modifiers=[{"_target_": HERE + "RawModifier"}]),
+        "env.observations.policy.terms.t.modifiers[0]",
+    ),
+}  # fmt: skip
+NUMBERS = "a real tensor of shape (4,), a number for each environment"
+FLAGS = "a bool tensor of shape (4,), a true or false for each environment"
+ROWS = "a float32 tensor of shape (4, width), a row of numbers for each environment"
+THREE = "a float32 tensor of shape (4, 3), a row of numbers for each environment"
+
+# section, what is returned -> what is told of it, what is expected
+WRONG: dict[tuple[str, str], tuple[Any, str, str]] = {
+    ("rewards", "a number"): (lambda _: 1.5, "returns float 1.5", f"{NUMBERS}: torch.full((env.num_envs,), value)"),
+    ("rewards", "nothing"): (lambda _: None, "returns nothing", f"{NUMBERS}: a return statement may be missing"),
+    ("rewards", "a list"): (lambda _: [1] * N, "returns list [1, 1, 1, 1]", f"{NUMBERS}: torch.tensor(value)"),
+    ("rewards", "an array"): (lambda _: np.ones(N), "a numpy array", f"{NUMBERS}: torch.from_numpy(value)"),
+    ("rewards", "two"): (lambda _: (torch.ones(N), torch.ones(N)), "returns a tuple", NUMBERS),
+    ("rewards", "a column"): (lambda _: torch.ones(N, 1), "returns shape (4, 1)", f"{NUMBERS}: value.squeeze(1)"),
+    ("rewards", "one"): (lambda _: torch.tensor(1.0), "returns shape ()", f"{NUMBERS}: value.expand(env.num_envs)"),
+    ("rewards", "too few"): (lambda _: torch.ones(3), "returns shape (3,)", NUMBERS),
+    ("rewards", "complex"): (lambda _: torch.ones(N) * 1j, "complex64 numbers", f"{NUMBERS}: value.real"),
+    ("rewards", "elsewhere"): (lambda _: torch.ones(N, device="meta"), "on meta", f"{NUMBERS}: value.to('cpu')"),
+    ("rewards", "a gradient"): (lambda _: torch.ones(N, requires_grad=True), "gradient", f"{NUMBERS}: value.detach()"),
+    ("terminations", "numbers"): (lambda _: torch.ones(N), "float32 numbers", f"{FLAGS}: a comparison, such as"),
+    ("terminations", "whole numbers"): (lambda _: torch.ones(N).long(), "int64 numbers", FLAGS),
+    ("terminations", "a bool"): (lambda _: False, "returns bool False", FLAGS),
+    ("terminations", "a column"): (lambda _: torch.ones(N, 1).bool(), "shape (4, 1)", f"{FLAGS}: value.squeeze(1)"),
+    ("terminations", "nothing"): (lambda _: None, "returns nothing", FLAGS),
+    ("observations", "one a robot"): (lambda _: torch.ones(N), "shape (4,)", f"{ROWS}: value.unsqueeze(1)"),
+    ("observations", "matrices"): (lambda _: torch.ones(N, 2, 3), "shape (4, 2, 3)", f"{ROWS}: value.flatten(1)"),
+    ("observations", "no column"): (lambda _: torch.ones(N, 0), "shape (4, 0)", ROWS),
+    ("observations", "doubles"): (lambda _: torch.ones(N, 2).double(), "float64 numbers", f"{ROWS}: value.float()"),
+    ("observations", "flags"): (lambda _: torch.ones(N, 2).bool(), "bool numbers", f"{ROWS}: value.float()"),
+    ("observations", "nothing"): (lambda _: None, "returns nothing", ROWS),
+    ("events", "a tensor"): (lambda _: torch.ones(N), "a tensor of shape (4,), which nobody reads", "no return value"),
+    ("curriculum", "text"): (lambda _: "easy", "returns str 'easy'", "a number, numbers by name, or None"),
+    ("curriculum", "a vector"): (lambda _: torch.ones(N), "a tensor of shape (4,)", "a number, numbers by name"),
+    ("curriculum", "text by name"): (lambda _: {"a": "x"}, "returns str 'x' in a mapping", "a number, numbers by name"),
+    ("commands", "one a robot"): (lambda _: torch.ones(N), "the command of", f"{ROWS}: value.unsqueeze(1)"),
+    ("commands", "nothing"): (lambda _: None, "returns nothing", ROWS),
+    ("actions", "no width"): (lambda _: {}, "action_dim of", "a whole number of at least 1"),
+    ("actions", "a width of 0"): (lambda _: {"action_dim": 0}, "is 0", "a whole number of at least 1"),
+    ("actions", "a width of -1"): (lambda _: {"action_dim": -1}, "is -1", "a whole number of at least 1"),
+    ("actions", "a float"): (lambda _: {"action_dim": 2.0}, "is 2.0", "a whole number of at least 1"),
+    ("actions", "no actions"): (lambda _: {"action_dim": 2, "raw_actions": None}, "raw_actions of", ROWS),
+    ("noise", "a number"): (lambda _: 0.1, "returns float 0.1", THREE),
+    ("noise", "one column"): (lambda value: value[:, :1], "returns shape (4, 1)", THREE),
+    ("noise", "doubles"): (lambda value: value.double(), "float64 numbers", f"{THREE}: value.float()"),
+    ("modifiers", "nothing"): (lambda _: None, "returns nothing", THREE),
+    ("modifiers", "one column"): (lambda value: value[:, :1], "returns shape (4, 1)", THREE),
+}  # fmt: skip
+
+
+def _run(make_env, section):
+    sections, key = SECTIONS[section]
+    env = make_env(**sections)
+    env.reset()
+    if section == "commands":
+        env.command_manager.get_command("t")
+    env.step(torch.zeros(N, env.action_manager.total_action_dim))
+    return key
+
+
+def _told(make_env, section) -> ConfigError:
+    with pytest.raises(ConfigError) as caught:
+        _run(make_env, section)
+    error = caught.value
+    assert error.key == SECTIONS[section][1]
+    assert error.where is not None
+    assert error.where.split(":")[0].endswith("managers/test_returned.py")
+    return error
+
+
+@pytest.mark.parametrize("returned", WRONG, ids=" returns ".join)
+def test_what_a_term_returns_wrongly_is_told_with_what_to_write(returned, make_env):
+    value, told, expected = WRONG[returned]
+    section = returned[0]
+    spies.VALUES.update(raw=value, errors=lambda _: torch.zeros(2, N))
+    error = _told(make_env, section)
+    assert told in error.message
+    assert expected in str(error.expected)
+
+
+@pytest.mark.parametrize(
+    ("section", "value"),
+    [
+        ("rewards", lambda _: torch.ones(N, dtype=torch.bool)),
+        ("rewards", lambda _: torch.ones(N, dtype=torch.float64)),
+        ("terminations", lambda _: torch.zeros(N, dtype=torch.bool)),
+        ("observations", lambda _: torch.ones(N, 7)),
+        ("events", lambda _: None),
+        ("curriculum", lambda _: None),
+        ("curriculum", lambda _: {"a": 1, "b": torch.tensor(2.0), "c": np.float32(1.0)}),
+        ("commands", lambda _: torch.ones(N, 2)),
+        ("noise", lambda value: value + 1.0),
+        ("modifiers", lambda value: value * 2.0),
+    ],
+)
+def test_what_a_manager_can_use_is_taken(section, value, make_env):
+    spies.VALUES.update(raw=value, errors=lambda _: torch.zeros(2, N))
+    _run(make_env, section)
+
+
+def test_a_shape_that_changes_later_is_told(make_env):
+    spies.VALUES.update(raw=lambda env: torch.ones(N, 2 + env.common_step_counter))
+    error = _told(make_env, "observations")
+    assert error.message.endswith("returns shape (4, 3), and (4, 2) before")
+
+
+@pytest.mark.parametrize("errors", [0.0, torch.zeros(N), torch.zeros(3, N)])
+def test_errors_of_a_command_have_a_row_for_each_metric(errors, make_env):
+    spies.VALUES.update(raw=lambda _: torch.zeros(N, 2), errors=lambda _: errors)
+    with pytest.raises(ConfigError) as caught:
+        _run(make_env, "commands")
+    assert caught.value.key == "env.commands.t"
+    assert "a tensor of shape (2, 4), a row for each of far, fast" in str(caught.value.expected)
+
+
+@pytest.mark.parametrize(
+    "section", ["rewards", "terminations", "observations", "events", "curriculum", "noise", "modifiers"]
+)
+def test_what_a_terms_code_raises_is_told_with_its_key_and_the_line(section, make_env):
+    spies.VALUES.update(raw=lambda _: {}["missing"])
+    error = _told(make_env, section)
+    assert "raises KeyError: 'missing'" in error.message
+
+
+def test_actions_that_raise_are_told_with_their_key(make_env):
+    spies.VALUES.update(raw=lambda _: {"action_dim": 2})
+    error = _told(make_env, "actions")
+    assert "raises KeyError: 'wheels'" in error.message
+
+
+def test_a_term_that_has_worked_and_raises_later_is_a_failed_run(make_env):
+    spies.VALUES.update(raw=lambda _: torch.ones(N))
+    env = make_env(**SECTIONS["rewards"][0])
+    env.reset()
+    env.step(STILL)
+    spies.VALUES.update(raw=lambda _: 1 // 0)
+    with pytest.raises(SimulationFailure) as caught:
+        env.step(STILL)
+    assert caught.value.key == "env.rewards.t"
+    assert "ZeroDivisionError" in caught.value.message
+
+
+def test_a_class_whose_making_fails_is_told_with_its_key(make_env):
+    spies.VALUES.update(raw=lambda env: env.nothing)
+    with pytest.raises(WheellegError) as caught:
+        make_env(**SECTIONS["actions"][0])
+    assert caught.value.key == "env.actions.t"
+    assert "AttributeError" in caught.value.message

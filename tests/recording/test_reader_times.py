@@ -1,0 +1,88 @@
+"""Times that Python has no type for: parts of a microsecond, and what is further away than its years go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+from inspection.synthetic import Writer
+
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.inspection.questions.summary import summarize
+from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.recording.reading.plain import plain
+from wheelleg_exp.recording.reading.reader import Recording
+
+NS = [1, 1_000_000_001, 2_000_000_002]
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A recording of another tool, whose clock has nanoseconds."""
+    writer = Writer(tmp_path / "r.rrd")
+    times = [
+        rr.TimeColumn("step", sequence=[1, 2, 3]),
+        rr.TimeColumn("sim_time", duration=np.array(NS, "timedelta64[ns]")),
+        rr.TimeColumn("when", timestamp=np.array([1, 2, 2**63 - 1], "datetime64[ns]")),
+    ]
+    columns = [*rr.TextLog.columns(text=["push", "fell", "end"], level=["INFO", "WARN", "INFO"])]
+    writer.stream.send_columns("log/episodes", times, columns)
+    writer.stream.send_columns("base/height", times, rr.Scalars.columns(scalars=[1.0, 2.0, 3.0]))
+    writer.static("__properties/wheelleg", made=np.array([7], "datetime64[ns]"), took=np.array([9], "timedelta64[ns]"))
+    writer.static("documents/a", made=np.array([7], "datetime64[ns]"))
+    return writer.close()
+
+
+def test_events_have_their_times_to_the_nanosecond(path):
+    events = Recording(path).events()
+    assert [event.time_s for event in events] == [value * 1e-9 for value in NS]
+    assert [(event.step, event.text, event.level) for event in events] == [
+        (1, "push", "INFO"),
+        (2, "fell", "WARN"),
+        (3, "end", "INFO"),
+    ]
+
+
+def test_properties_that_are_times_are_read(path):
+    recording = Recording(path)
+    assert recording.properties["wheelleg"] == {"made": 7, "took": 9}
+    assert summarize(recording).properties["wheelleg"]["made"] == 7
+
+
+def test_every_action_that_prints_reads_them(path, capsys):
+    for words in ([], ["--json"], ["--names"], ["--stats", "--term", "base.height"], ["--where", "base.height > 1"]):
+        assert main(["inspect", str(path), *words]) == 0, capsys.readouterr().err
+    assert main(["inspect", str(path), "--compare", str(path)]) == 0
+
+
+def test_a_digest_takes_times_in(path):
+    assert {"base/height", "documents/a", "log/episodes"} <= entity_digests(path, without=()).keys()
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        (pa.duration("ns"), [1, None, 2**63 - 1]),
+        (pa.timestamp("ns", tz="UTC"), [1, -(2**63)]),
+        (pa.timestamp("s"), [2**62]),
+        (pa.time64("ns"), [1]),
+        (pa.date32(), [2**31 - 1]),
+        (pa.list_(pa.duration("ns")), [[1, 2], None]),
+        (pa.large_list(pa.duration("ns")), [[1], []]),
+        (pa.list_(pa.timestamp("ns"), 2), [[1, 2]]),
+        (pa.struct([("at", pa.timestamp("ns"))]), [{"at": 1}, None]),
+        (pa.list_(pa.string()), [["a"], None]),
+        (pa.float64(), [1.5]),
+    ],
+    ids=str,
+)
+def test_every_kind_of_time_becomes_a_number(kind, values):
+    assert plain(pa.array(values, kind)) == values
+    assert plain(pa.chunked_array([pa.array(values, kind)])) == values
+
+
+def test_a_time_within_a_type_that_has_no_plain_form_is_nothing():
+    times = pa.array([1], pa.duration("ns"))
+    union = pa.UnionArray.from_dense(pa.array([0], pa.int8()), pa.array([0], pa.int32()), [times])
+    assert plain(union) == [None]

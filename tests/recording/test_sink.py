@@ -1,0 +1,214 @@
+"""The file that a recording grows into, held against what rerun's own stream writes of the same."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+import rerun.blueprint as rrb
+
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
+from wheelleg_exp.recording.programs import rerun_program
+from wheelleg_exp.recording.reading import messages
+from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.writing.encoding import Ids, timeline
+from wheelleg_exp.recording.writing.finishing import finish
+from wheelleg_exp.recording.writing.sink import APPLICATION, Sink
+
+STEPS = np.array([1, 2, 3])
+TIMES = [
+    timeline("step", pa.array(STEPS)),
+    timeline("sim_time", pa.array(STEPS * 1_000_001, pa.int64()).view(pa.duration("ns"))),
+]
+RERUNS_TIMES = [
+    rr.TimeColumn("step", sequence=STEPS),
+    rr.TimeColumn("sim_time", duration=(STEPS * 1_000_001).astype("timedelta64[ns]")),
+]
+STATIC = {
+    "/": [rr.ViewCoordinates.RIGHT_HAND_Z_UP],
+    "world/base": [
+        rr.Boxes3D(half_sizes=[[1, 2, 3]], colors=[(1, 2, 3)], fill_mode="solid"),
+        rr.Transform3D(translation=[1, 0, 0]),
+        rr.CoordinateFrame("tf#/world/base"),
+    ],
+    "world/mesh": [rr.Mesh3D(vertex_positions=np.eye(3), triangle_indices=[[0, 1, 2]])],
+    rr.escape_entity_path_part("a b/ü"): [rr.TextDocument("text", media_type=rr.MediaType.MARKDOWN)],
+    "rewards": [rr.AnyValues(terms=["a", "ü"], weights=[1.0, -0.5], many=[1, 2], none=[])],
+    "base": [rr.SeriesLines(names=["x"], colors=[(9, 9, 9)]), rr.SeriesPoints(marker_sizes=[4.0])],
+}
+
+
+def columns():
+    return {
+        "base/height": rr.Scalars.columns(scalars=[0.1, 0.2, 0.3]),
+        "contacts": rr.Scalars.columns(scalars=np.arange(6.0)).partition([2, 2, 2]),
+        "arrows": rr.Arrows3D.columns(vectors=np.ones((3, 3))).partition([0, 1, 2]),
+        "world/base": rr.Transform3D.columns(translation=np.eye(3), quaternion=np.ones((3, 4))),
+        "log/events": rr.TextLog.columns(text=["a", "b", "c"], level=["INFO", "WARN", "INFO"]),
+    }
+
+
+def layout():
+    return rrb.Blueprint(rrb.Horizontal(rrb.Spatial3DView(origin="/"), rrb.TimeSeriesView(origin="base")))
+
+
+def written(path: Path) -> Path:
+    sink = Sink(path, recording_id="r", name="ü")
+    sink.property("wheelleg", {"seed": 3, "words": ["a"]})
+    for entity, archetypes in STATIC.items():
+        sink.static(entity, *archetypes)
+    for entity, found in columns().items():
+        sink.columns(entity, TIMES, found)
+    sink.blueprint(layout())
+    sink.close()
+    assert sink.unfinished is None
+    return path
+
+
+def written_by_rerun(path: Path) -> Path:
+    stream = rr.RecordingStream(APPLICATION, recording_id="r", send_properties=False)
+    stream.save(path)
+    stream.send_recording_name("ü")
+    stream.send_property("wheelleg", rr.AnyValues(seed=3, words=["a"]))
+    for entity, archetypes in STATIC.items():
+        stream.log(entity, *archetypes, static=True)
+    for entity, found in columns().items():
+        stream.send_columns(entity, RERUNS_TIMES, found)
+    stream.send_blueprint(layout())
+    stream.flush()
+    stream.disconnect()
+    assert finish(path) is None
+    return path
+
+
+def rerun(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([rerun_program(), "rrd", *words], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("both")
+    return written(folder / "ours.rrd"), written_by_rerun(folder / "reruns.rrd")
+
+
+def test_a_file_holds_what_reruns_own_stream_writes(both):
+    ours, reruns = both
+    assert entity_digests(ours, without=()) == entity_digests(reruns, without=())
+    assert Recording(ours).properties == Recording(reruns).properties
+    done = rerun("compare", "--unordered", str(ours), str(reruns))
+    assert done.returncode == 0, done.stderr
+
+
+def test_rerun_finds_nothing_wrong_with_it(both):
+    done = rerun("verify", str(both[0]))
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_layout_is_the_one_that_rerun_writes(both):
+    def rows(path: Path) -> list[tuple[str, dict[str, pa.Array]]]:
+        file, found = messages.File(path), []
+        for span in messages.spans(file):
+            if span.kind == messages.ROWS:
+                decoded = messages.decode_rows(span.payload(file))
+                if decoded.store[0] == messages.BLUEPRINT:
+                    names = [n for n in decoded.batch.schema.names if ":" in n]
+                    values = {name: str(decoded.batch.column(name).type) for name in names}
+                    found.append((decoded.entity.split("/")[0], values))
+        return sorted(found, key=str)
+
+    assert rows(both[0]) == rows(both[1])
+    kinds = [[span.kind for span in messages.spans(messages.File(path))] for path in both]
+    assert [found.count(messages.BLUEPRINT_ACTIVATION) for found in kinds] == [1, 1]
+
+
+def test_identities_rise_within_a_file_and_differ_between_two():
+    ids = Ids()
+    found = np.concatenate([ids.take(3), ids.take(), ids.take(2)]).tolist()
+    assert found == sorted(found)
+    assert len({tuple(row) for row in found}) == 6
+    assert Ids().take()[0, 1] != found[0][1]
+
+
+def test_columns_of_different_lengths_are_refused(tmp_path):
+    sink = Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+    with pytest.raises(ValueError, match="length"):
+        sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0]))
+    sink.abandon()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_there_is_not_touched(tmp_path):
+    (tmp_path / "r.rrd").write_bytes(b"mine")
+    with pytest.raises(RunDirectoryError, match="exists and is not overwritten"):
+        Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+    assert (tmp_path / "r.rrd").read_bytes() == b"mine"
+
+
+def test_what_was_flushed_is_in_the_file_and_what_was_not_is_not(tmp_path):
+    sink = Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+    sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0, 3.0]))
+    assert "a" not in Recording(tmp_path / "r.rrd").entities()
+    sink.flush()
+    recording = Recording(tmp_path / "r.rrd")
+    assert recording.values("a").ravel().tolist() == [1.0, 2.0, 3.0]
+    assert not recording.health.is_closed
+    sink.close()
+    assert Recording(tmp_path / "r.rrd").health.is_whole
+
+
+def test_a_disk_that_is_full_is_told_and_what_was_whole_stays(tmp_path, monkeypatch):
+    sink = Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+    real = os.write
+
+    def write(descriptor: int, data: memoryview) -> int:
+        if len(data) < 100:
+            raise OSError(28, "No space left on device")
+        return real(descriptor, data[:100])
+
+    monkeypatch.setattr("wheelleg_exp.recording.writing.sink.os.write", write)
+    sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0, 3.0]))
+    with pytest.raises(SimulationFailure, match=r"r\.rrd': no space left on device; expected room"):
+        sink.flush()
+    sink.close()
+    assert sink.unfinished is None
+    assert Recording(tmp_path / "r.rrd").entities() == []
+
+
+def threads() -> int:
+    return sum(1 for _ in Path("/proc/self/task").iterdir())
+
+
+def resident() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
+def test_closed_recordings_leave_no_thread_and_no_memory(tmp_path, monkeypatch):
+    """A stream of rerun's leaves two threads and up to 3 MB each time."""
+    monkeypatch.setattr("wheelleg_exp.recording.writing.sink.finish", lambda path: None)
+    values = np.zeros(20_000)
+    times = [timeline("step", pa.array(np.arange(len(values))))]
+
+    def record(number: int) -> None:
+        sink = Sink(tmp_path / f"{number}.rrd", recording_id=f"r{number}", name="n")
+        for i in range(10):
+            sink.columns(f"a/{i}", times, rr.Scalars.columns(scalars=values))
+        sink.blueprint(layout())
+        sink.close()
+
+    for number in range(3):
+        record(number)
+    gc.collect()
+    before = threads(), resident()
+    for number in range(3, 23):
+        record(number)
+    gc.collect()
+    assert threads() == before[0]
+    assert resident() - before[1] < 10e6

@@ -1,0 +1,65 @@
+"""What the machine's memory cannot hold is refused by its key, before it is asked for."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from wheelleg_exp import memory
+from wheelleg_exp.errors import ConfigError, SimulationFailure
+
+TOO_MUCH = {
+    "env.num_envs=1000000000000": ("env.num_envs", "1,000,000,000,000 environments take"),
+    "env.num_envs=100000000000000000000": ("env.num_envs", "environments take"),
+    "agent.num_steps_per_env=1000000000": ("agent.num_steps_per_env", "times 1000000000 steps take"),
+    "agent.actor.hidden_dims=[10000000,10000000]": ("agent.actor.hidden_dims", "weights and what trains them take"),
+    "agent.critic.hidden_dims=[3000000,1000000]": ("agent.critic.hidden_dims", "weights and what trains them take"),
+    "env.observations.policy.history_length=1000000000": (
+        "env.observations.policy.terms.base_ang_vel",
+        "histories of 1000000000 steps",
+    ),
+}
+
+
+@pytest.mark.parametrize("override", TOO_MUCH)
+def test_what_cannot_fit_names_its_key_and_both_sizes(override, make_trainer):
+    key, told = TOO_MUCH[override]
+    before = time.monotonic()
+    with pytest.raises(ConfigError) as caught:
+        make_trainer(override)
+    assert time.monotonic() - before < 120.0
+    assert caught.value.key == key
+    assert told in caught.value.message
+    assert caught.value.message.endswith(" of memory at least")
+    assert "of this machine" in str(caught.value.expected)
+
+
+@pytest.mark.parametrize(("there", "fits"), [(999, False), (1000, True)])
+def test_the_need_is_held_against_what_is_there(there, fits, monkeypatch):
+    monkeypatch.setattr(memory, "machine_memory", lambda: there)
+    if fits:
+        memory.require_memory(1000, "a.key", "ten things")
+        return
+    with pytest.raises(ConfigError, match=r"a\.key: ten things take 0\.001 MB of memory at least"):
+        memory.require_memory(1000, "a.key", "ten things")
+
+
+def test_a_containers_limit_counts(monkeypatch, tmp_path):
+    limit = tmp_path / "memory.max"
+    monkeypatch.setattr(memory, "_LIMIT", limit)
+    whole = memory.machine_memory()
+    assert whole > 1e8
+    limit.write_text("max\n")
+    assert memory.machine_memory() == whole
+    limit.write_text("1000000\n")
+    assert memory.machine_memory() == 1_000_000
+
+
+def test_a_learning_rate_that_blows_the_networks_up_is_told_with_a_key(make_trainer):
+    trainer = make_trainer("agent.algorithm.learning_rate=1e30", "agent.algorithm.schedule=fixed")
+    with pytest.raises(SimulationFailure) as caught:
+        list(trainer.learn(until=3))
+    text = str(caught.value)
+    assert text.startswith("agent")
+    assert "iteration 0" in text

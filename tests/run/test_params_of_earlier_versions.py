@@ -1,0 +1,36 @@
+"""Parameters of runs that earlier versions made still build the environment that they were made with."""
+
+from __future__ import annotations
+
+import copy
+
+from sim.small_envs import ASSETS, env_config
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.run.params import present_form
+
+
+def earlier():
+    """Return a config as it was before engines and grounds had keys of their own."""
+    config = env_config()
+    for key in ("engine", "device"):
+        del config["sim"][key]
+    ground = config["scene"].pop("terrain")
+    del ground["_target_"]
+    config["scene"]["ground"] = ground
+    config["scene"]["sensors"]["contact"]["_target_"] = "wheelleg_exp.sim.contact.ContactSensor"
+    return config
+
+
+def test_they_build_the_same_model():
+    old = earlier()
+    kept = copy.deepcopy(old)
+    built = ManagerBasedRLEnv(present_form(old), ASSETS / "rover.xml", 0)
+    now = ManagerBasedRLEnv(env_config(), ASSETS / "rover.xml", 0)
+    assert built.scene.model_digest() == now.scene.model_digest()
+    assert built.state_dict().keys() == now.state_dict().keys()
+    assert old == kept
+
+
+def test_present_ones_stay_as_they_are():
+    assert present_form(env_config()) == env_config()

@@ -1,0 +1,108 @@
+"""Which files differ between two recorded sources: named, whatever is committed and whatever is not."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from wheelleg_exp.run.source.snapshot import snapshot_source
+from wheelleg_exp.run.source_changes import changes_in_words
+
+
+@pytest.fixture
+def record(tmp_path):
+    """Record a source, each time in a new folder."""
+    count = iter(range(100))
+    return lambda root, **keywords: snapshot_source([root], tmp_path / f"source_{next(count)}", **keywords)
+
+
+@pytest.fixture
+def folder(tmp_path, git):
+    """A folder without git."""
+    path = tmp_path / "plain"
+    (path / "pet").mkdir(parents=True)
+    for name in ("a.py", "b.py", "c.py"):
+        (path / "pet" / name).write_text(f"{name} = 1\n")
+    return path
+
+
+def test_in_a_folder_without_git_every_kind_of_change_is_named(folder, record):
+    was = record(folder)
+    (folder / "pet" / "a.py").write_text("other\n")
+    (folder / "pet" / "b.py").unlink()
+    (folder / "pet" / "d.py").write_text("new\n")
+    (folder / "pet" / "c.py").chmod(0o755)
+    now = record(folder)
+    assert was["tree"] != now["tree"]
+    assert changes_in_words(was, now, []) == (f"{folder}: changed pet/a.py, pet/c.py; added pet/d.py; removed pet/b.py")
+    assert changes_in_words(was, was, []) == f"{folder}: no file differs"
+
+
+def test_uncommitted_changes_of_one_commit_are_named_without_a_repository(repository, record):
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    (repository / "mine.py").write_text("1\n")
+    was = record(repository)
+    (repository / "package" / "code.py").write_text("x = 1\n")  # as committed
+    (repository / "mine.py").unlink()
+    (repository / "gone.txt").unlink()
+    now = record(repository)
+    assert changes_in_words(was, now, []) == (f"{repository}: changed package/code.py; removed gone.txt, mine.py")
+
+
+def test_what_has_been_committed_since_is_named_where_a_repository_holds_both(repository, record, git, tmp_path):
+    (repository / "package" / "code.py").write_text("x = 2\n")
+    (repository / "draft.py").write_text("1\n")
+    was = record(repository)
+    (repository / "draft.py").write_text("2\n")
+    git(repository, "add", "-A")
+    git(repository, "rm", "-q", "--cached", "gone.txt")
+    git(repository, "commit", "-q", "-m", "second")
+    (repository / "gone.txt").unlink()
+    (repository / "later.py").write_text("3\n")
+    now = record(repository)
+    said = changes_in_words(was, now, [tmp_path, repository])
+    assert said == f"{repository}: changed draft.py; added later.py; removed gone.txt"
+    assert "no repository here holds both" in changes_in_words(was, now, [tmp_path])
+
+
+def test_many_files_are_cut(folder, record):
+    was = record(folder)
+    for index in range(9):
+        (folder / f"{index}.py").write_text("x")
+    assert changes_in_words(was, record(folder), []).endswith("added 0.py, 1.py, 2.py and 6 more")
+
+
+@pytest.mark.parametrize("damage", [{"contents": None}, {"contents": {"a": 1}}, {"contents": [], "base": "--output=x"}])
+def test_a_record_that_does_not_say_is_told(folder, record, damage):
+    was = record(folder)
+    assert "not recorded" in changes_in_words({**was, **damage}, was, [])
+
+
+def test_a_base_that_is_no_id_never_reaches_git(folder, record, monkeypatch):
+    was = record(folder)
+    assert "cannot be told" in changes_in_words({**was, "base": f"--output={folder / 'x'}"}, was, [folder])
+    assert not (folder / "x").exists()
+
+
+def test_the_file_that_this_process_prints_to_is_no_source(folder, record):
+    was = record(folder)
+    with (folder / "told.txt").open("w") as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            now = record(folder)
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+    assert now["tree"] == was["tree"]
+    assert "added told.txt" in changes_in_words(was, record(folder), [])
+
+
+def test_logs_are_no_source_of_a_folder_without_git_unless_it_says_so(folder, record):
+    was = record(folder)
+    for name in ("train.log", "nohup.out", "pet/MUJOCO_LOG.TXT"):
+        (folder / name).write_text("step 1\n")
+    assert record(folder)["tree"] == was["tree"]
+    (folder / ".gitignore").write_text("!train.log\n")
+    assert changes_in_words(was, record(folder), []).endswith("added .gitignore, train.log")

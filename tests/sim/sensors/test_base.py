@@ -1,0 +1,70 @@
+"""A sensor of a user's own, through the base class alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+
+pytestmark = pytest.mark.usefixtures("allow_test_terms")
+MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
+
+
+def _env(make_env, **settings):
+    sensors = {"height": {"_target_": "managers.spies.Altimeter", **settings}}
+    env = make_env(scene={"sensors": sensors})
+    env.reset()
+    return env, env.scene["height"]
+
+
+def test_it_is_a_member_of_the_scene_with_a_stream_of_its_own(make_env):
+    env, sensor = _env(make_env)
+    assert list(env.scene) == ["robot", "height"]
+    assert sensor.key == "env.scene.sensors.height"
+    assert sensor.key in env.streams.state_dict()["generators"]
+
+
+def test_it_measures_after_every_physics_step_and_is_refreshed_after_resets(make_env):
+    env, sensor = _env(make_env)
+    env.step(torch.zeros(4, 4))
+    assert sensor.measured.tolist() == [2] * 4
+    height = env.scene.robot.data.root_pos_w[:, 2]
+    torch.testing.assert_close(sensor.height, height, atol=0.01, rtol=0)
+    env.reset(env_ids=torch.tensor([2]))
+    assert sensor.measured.tolist() == [2, 2, 0, 2]
+    assert float(sensor.height[2]) == float(env.scene.robot.data.root_pos_w[2, 2])
+
+
+def test_its_rhythm_runs_in_each_environment_by_itself(make_env):
+    """0.03 s at a physics step of 0.01 s: the first step of an episode is measured, then every third."""
+    env, sensor = _env(make_env, update_period=0.03)
+    counts = []
+    for _ in range(4):  # two physics steps each
+        env.step(torch.zeros(4, 4))
+        counts.append(sensor.measured.tolist())
+    assert [row[0] for row in counts] == [1, 2, 2, 3]
+    env.reset(env_ids=torch.tensor([1]))
+    env.step(torch.zeros(4, 4))
+    assert sensor.measured.tolist() == [4, 1, 4, 4]
+
+
+@pytest.mark.parametrize("period", [0.0, 0.03])
+def test_it_goes_on_from_its_saved_state(make_env, period):
+    env, sensor = _env(make_env, update_period=period)
+    for _ in range(4):
+        env.step(torch.zeros(4, 4))
+    other, same = _env(make_env, update_period=period)
+    other.load_state_dict(env.state_dict())
+    for _ in range(5):
+        env.step(torch.ones(4, 4))
+        other.step(torch.ones(4, 4))
+        assert torch.equal(sensor.height, same.height)
+        assert torch.equal(sensor.measured, same.measured)
+
+
+def test_a_negative_period_and_what_is_no_sensor_are_refused(make_env):
+    with pytest.raises(ConfigError, match=r"env\.scene\.sensors\.height.*update_period"):
+        _env(make_env, update_period=-1.0)
+    with pytest.raises(ConfigError, match="is no SensorBase"):
+        make_env(scene={"sensors": {"x": {"_target_": "managers.spies.Step", "height": 1.0, **MATERIAL}}})

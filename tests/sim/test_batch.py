@@ -1,0 +1,242 @@
+"""N simulations: freshness, writes between steps, instability, restoring."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.sim.batch import BatchEngine
+
+XML = """
+<mujoco><option timestep=".005" integrator="implicitfast"/>
+  <worldbody>
+    <geom type="plane" size="0 0 1"/>
+    <body name="box" pos="0 0 .3"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/>
+      <body name="arm" pos="0 0 .1"><joint name="hinge" axis="0 1 0"/><geom type="capsule" size=".02"
+        fromto="0 0 0 .2 0 0" mass=".3"/></body>
+    </body>
+  </worldbody>
+  <actuator><motor name="m" joint="hinge"/></actuator>
+  <sensor><framepos name="p" objtype="body" objname="arm"/></sensor>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(XML)
+
+
+@pytest.fixture
+def sim(model) -> BatchEngine:
+    return BatchEngine(model, 3, nthread=1)
+
+
+def _reference(sim: BatchEngine, i: int) -> mujoco.MjData:
+    """Return a plain MjData with the state of one simulation, after kinematics and velocities."""
+    data = mujoco.MjData(sim.model)
+    mujoco.mj_setState(sim.model, data, sim.state[i].numpy(), mujoco.mjtState.mjSTATE_INTEGRATION)
+    mujoco.mj_fwdPosition(sim.model, data)
+    mujoco.mj_fwdVelocity(sim.model, data)
+    mujoco.mj_sensorPos(sim.model, data)
+    return data
+
+
+def test_derived_fields_describe_the_new_state_after_a_step(sim):
+    xpos, cvel, sensors = sim.derived("xpos"), sim.derived("cvel"), sim.view("sensordata")
+    sim.view("qvel")[:, 3] = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    for _ in range(3):
+        sim.step()
+    for i in range(3):
+        data = _reference(sim, i)
+        np.testing.assert_allclose(xpos[i], data.xpos, atol=1e-15)
+        np.testing.assert_allclose(cvel[i], data.cvel, atol=1e-12)
+        np.testing.assert_allclose(sensors[i], data.sensordata, atol=1e-15)
+
+
+def test_a_field_asked_for_late_is_filled_at_once(sim):
+    sim.step()
+    np.testing.assert_allclose(sim.derived("xipos")[1], _reference(sim, 1).xipos, atol=1e-15)
+
+
+def test_stepping_is_bitwise_a_plain_loop(sim, model):
+    data = mujoco.MjData(model)
+    sim.derived("xpos")
+    for k in range(200):
+        sim.view("ctrl")[1, 0] = np.sin(k / 10)
+        data.ctrl[0] = np.sin(k / 10)
+        sim.step()
+        mujoco.mj_step(model, data)
+    assert np.array_equal(sim.view("qpos")[1].numpy(), data.qpos)
+    assert np.array_equal(sim.view("qvel")[1].numpy(), data.qvel)
+
+
+def test_a_write_to_the_state_is_honoured_by_the_next_step(sim, model):
+    sim.step()
+    sim.view("qvel")[2, 0] = 4.0
+    sim.step()
+    assert float(sim.view("qpos")[2, 0]) == pytest.approx(4.0 * model.opt.timestep)
+    assert float(sim.view("qpos")[1, 0]) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_forward_refreshes_only_the_rows_asked_for(sim):
+    xpos = sim.derived("xpos")
+    sim.view("qpos")[:, 0] = 5.0
+    sim.forward(torch.tensor([1]))
+    assert xpos[:, 1, 0].tolist() == [0.0, 5.0, 0.0]
+
+
+def test_extra_forward_calls_change_no_trajectory(model):
+    plain, busy = BatchEngine(model, 1, 1), BatchEngine(model, 1, 1)
+    for _ in range(100):
+        plain.step()
+        busy.step()
+        busy.forward()
+        busy.derived("xipos")
+    assert torch.equal(plain.state, busy.state)
+
+
+def test_a_reset_zeroes_controls_and_applied_forces_of_the_rows_asked_for(sim):
+    sim.view("ctrl")[:] = 1.0
+    sim.view("xfrc_applied")[:] = 1.0
+    sim.step()
+    sim.reset(torch.tensor([0, 2]))
+    assert sim.view("ctrl")[:, 0].tolist() == [0.0, 1.0, 0.0]
+    assert sim.view("xfrc_applied").abs().sum(dim=(1, 2)).tolist() == [0.0, 18.0, 0.0]
+    assert sim.view("qacc_warmstart").abs().sum(dim=1).gt(0).tolist() == [False, True, False]
+    assert sim.view("time").tolist() == [0.0, sim.model.opt.timestep, 0.0]
+
+
+def test_a_reset_leaves_positions_and_velocities_to_the_events(sim):
+    sim.view("qvel")[:, 0] = 1.0
+    for _ in range(5):
+        sim.step()
+    motion = sim.view("qpos").clone(), sim.view("qvel").clone()
+    sim.reset(torch.tensor([0, 2]))
+    assert torch.equal(sim.view("qpos"), motion[0])
+    assert torch.equal(sim.view("qvel"), motion[1])
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e20])
+def test_a_broken_simulation_is_reported_until_its_reset(sim, bad, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there
+    assert not sim.unstable().any()
+    sim.view("qvel")[1, 0] = bad
+    sim.step()
+    assert sim.unstable().tolist() == [False, True, False]
+    sim.step()
+    assert sim.unstable().tolist() == [False, True, False]
+    sim.reset(torch.tensor([1]))
+    assert not sim.unstable().any()
+
+
+def test_a_broken_control_is_reported(sim, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    sim.view("ctrl")[2, 0] = float("nan")
+    sim.step()
+    assert sim.unstable().tolist() == [False, False, True]
+
+
+def test_per_simulation_mass_changes_only_its_row(model):
+    sim = BatchEngine(model, 2, 1)
+    mass = sim.expand("body_mass")
+    mass[1, 1] = 3.0
+    sim.set_const()
+    sim.view("xfrc_applied")[:, 1, 0] = 6.0
+    sim.step()
+    # With the hinge's axis across, a force along x also turns the arm; compare with models edited one by one.
+    for row, value in enumerate((1.0, 3.0)):
+        own = mujoco.MjModel.from_xml_string(XML)
+        own.body_mass[1] = value
+        mujoco.mj_setConst(own, mujoco.MjData(own))
+        data = mujoco.MjData(own)
+        data.xfrc_applied[1, 0] = 6.0
+        mujoco.mj_step(own, data)
+        assert np.array_equal(sim.view("qvel")[row].numpy(), data.qvel)
+
+
+def test_set_const_leaves_the_state_alone(sim):
+    for _ in range(20):
+        sim.step()
+    before = sim.state.clone()
+    sim.expand("body_ipos")[:, 1, 0] += 0.01
+    sim.set_const()
+    assert torch.equal(sim.state, before)
+
+
+def _randomised(model: mujoco.MjModel, threads: int) -> BatchEngine:
+    sim = BatchEngine(model, 4, threads)
+    sim.derived("xpos")
+    return sim
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_restored_simulation_continues_to_the_bit(model, threads):
+    first = _randomised(model, 1)
+    gen = torch.Generator().manual_seed(0)
+    first.expand("body_mass")[:, 1] *= 1 + torch.rand(4, generator=gen, dtype=torch.float64)
+    first.expand("body_ipos")[:, 1, 0] += 0.02
+    first.set_const()
+    first.expand("geom_friction")[:, :, 0] = 0.3
+    for _ in range(150):
+        first.step()
+    saved = first.state_dict()
+    second = _randomised(model, threads)
+    second.load_state_dict(saved)
+    assert torch.equal(second.derived("xpos"), first.derived("xpos"))
+    for _ in range(150):
+        first.step()
+        second.step()
+    assert torch.equal(first.state, second.state)
+
+
+def test_a_saved_state_does_not_move_with_the_simulation(sim):
+    saved = sim.state_dict()
+    before = saved["state"].clone()
+    sim.step()
+    assert torch.equal(saved["state"], before)
+
+
+# --- rays ---
+
+
+def _down(*points):
+    origins = torch.tensor(points).expand(3, -1, -1)
+    return origins, torch.tensor([0.0, 0.0, -1.0]).expand_as(origins)
+
+
+def test_a_ray_goes_as_far_as_the_geometry_says(sim):
+    sim.view("qpos")[:, 2] = torch.tensor([0.3, 0.5, 5.0], dtype=torch.float64)  # the box's middle
+    origins, down = _down((0.0, 0.05, 2.0), (3.0, 0.0, 2.0))
+    distances = sim.ray(origins, down)
+    torch.testing.assert_close(distances[:, 1], torch.full((3,), 2.0, dtype=torch.float64))
+    torch.testing.assert_close(distances[:, 0], torch.tensor([1.6, 1.4, 2.0], dtype=torch.float64))
+    slanted = torch.tensor([0.0, 3.0, -4.0]).expand(3, 1, 3)
+    assert sim.ray(origins[:, 1:], slanted)[:, 0].tolist() == pytest.approx([0.5, 0.5, 0.5])
+
+
+def test_a_ray_that_meets_nothing_says_so_and_groups_choose_what_stops_it(sim):
+    origins, down = _down((0.0, 0.0, 2.0))
+    assert sim.ray(origins, -down).tolist() == [[-1.0]] * 3
+    assert sim.ray(origins, down, geom_groups=[3]).tolist() == [[-1.0]] * 3
+    assert (sim.ray(origins, down, geom_groups=[0]) > 0).all()
+
+
+def test_rays_leave_the_trajectory_alone(model):
+    plain, looked = BatchEngine(model, 1, 1), BatchEngine(model, 1, 1)
+    for engine in (plain, looked):
+        engine.derived("xpos")
+    for _ in range(20):
+        plain.step()
+        looked.step()
+        looked.ray(*(part[:1] for part in _down((0.0, 0.0, 2.0))))
+    assert torch.equal(plain.state, looked.state)
+
+
+def test_a_constant_is_a_copy_of_the_models_field(sim, model):
+    mass = sim.constant("body_mass")
+    assert mass.tolist() == model.body_mass.tolist()
+    mass.zero_()
+    assert model.body_mass.sum() > 0

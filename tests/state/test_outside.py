@@ -1,0 +1,122 @@
+"""What a term changes outside of itself is noticed, and named."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from typing import Any, ClassVar
+
+import pytest
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.state import Outside
+
+
+def _code(code):
+    return Outside({"env.rewards.own": code}, {}, {})
+
+
+def _counting():
+    def term():
+        term.calls += 1
+
+    term.calls, term.seen = 0, [1]
+    return term
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (lambda f: f(), "calls"),
+        (lambda f: f.seen.append(2), "seen"),
+        (lambda f: setattr(f, "new", 1), "new"),
+        (lambda f: delattr(f, "seen"), "seen"),
+    ],
+)
+def test_a_functions_attributes(change, name):
+    term = _counting()
+    outside = _code(term)
+    outside.require_unchanged()
+    change(term)
+    with pytest.raises(ConfigError, match=rf"the attribute '{name}' of '.*term'") as caught:
+        outside.require_unchanged()
+    assert caught.value.key == "env.rewards.own"
+
+
+def test_a_wrapped_function_is_let_be():
+    _code(functools.wraps(_counting())(lambda: None)).require_unchanged()
+
+
+@pytest.mark.parametrize(("before", "after"), [(0, 1), (0.0, -0.0), ("a", "b"), (None, 3), ((1, 2), (1, 3))])
+def test_a_class_attribute_of_a_base(before, after):
+    class Base:
+        held: ClassVar[Any] = before
+
+    class Kind(Base):
+        pass
+
+    outside = _code(Kind)
+    outside.require_unchanged()
+    Base.held = after
+    with pytest.raises(ConfigError, match=r"'held' of '.*Base'"):
+        outside.require_unchanged()
+
+
+def test_a_class_attribute_that_is_changed_in_place_or_new():
+    class Kind:
+        seen: ClassVar[list[int]] = []
+
+    outside = _code(Kind)
+    Kind.seen.append(1)
+    with pytest.raises(ConfigError, match="'seen'"):
+        outside.require_unchanged()
+    outside = _code(Kind)
+    Kind.calls = 1
+    with pytest.raises(ConfigError, match="'calls'"):
+        outside.require_unchanged()
+
+
+def test_an_iterator_of_a_class_is_refused_at_once():
+    class Kind:
+        ids: ClassVar[Any] = itertools.count()
+
+    with pytest.raises(ConfigError, match="class attribute 'ids'"):
+        _code(Kind)
+
+
+class Owner:
+    def __init__(self) -> None:
+        self.limit, self._count, self.table = 1.0, 0, [0]
+
+
+def test_an_owner_may_not_get_attributes_nor_have_its_numbers_changed():
+    owner = Owner()
+    outside = Outside({}, {"env.robot": owner}, {})
+    owner._count, owner.table = 5, [1]  # its own affair
+    outside.require_unchanged()
+    owner.limit = 2.0
+    with pytest.raises(ConfigError, match="'limit'") as caught:
+        outside.require_unchanged()
+    assert caught.value.key == "env.robot"
+    owner.limit, owner.mine = 1.0, None
+    with pytest.raises(ConfigError, match="'mine'"):
+        outside.require_unchanged()
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda c: c["rewards"]["alive"].update(weight=2), "env.rewards.alive.weight"),
+        (lambda c: c["rewards"]["alive"].update(extra=2), "env.rewards.alive.extra"),
+        (lambda c: c["rewards"].pop("alive"), "env.rewards.alive.weight"),
+        (lambda c: c["range"].append(2), "env.range[1]"),
+    ],
+)
+def test_a_changed_leaf_of_the_config_is_named_by_its_key(change, key):
+    config: dict[str, Any] = {"rewards": {"alive": {"weight": 1}}, "range": [0]}
+    outside = Outside({}, {}, config)
+    outside.require_unchanged()
+    change(config)
+    with pytest.raises(ConfigError) as caught:
+        outside.require_unchanged()
+    assert caught.value.key == key

@@ -1,0 +1,142 @@
+"""A walk over the sources: what must be so for the environment to run on any engine and any device."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "wheelleg_exp"
+FILES = sorted(path for part in ("sim", "managers", "mdp", "env") for path in (PACKAGE / part).rglob("*.py"))
+ENGINES = {"sim/batch.py"}  # an engine knows its own device
+
+FACTORIES = frozenset(
+    """arange as_tensor empty eye full linspace logspace normal ones rand randint randn randperm tensor
+    zeros""".split()  # noqa: SIM905
+)
+# What reads a tensor's value on the host, which on a GPU waits for it.
+READS = frozenset(["all", "any", "item", "tolist"])
+DTYPES = frozenset(["double", "float64"])
+
+# Functions that may, because no step calls them: they build, save, restore, or tell of what went wrong.
+NOT_IN_A_STEP = frozenset(
+    """__init__ __str__ resolve connect bind _exclude _end_failed failures evidence failure _tell_writes
+    load_state_dict state_dict restore save shape_ids
+    model_digest constant _plain _number set_permanent_body_wrench _read_limits _endings""".split()  # noqa: SIM905
+)
+HOST = {
+    "env/host.py": "the door out",
+    "managers/returned.py": "tells of an array in place of a tensor",
+    "sim/engine.py": "reads the compiled model",
+    "sim/scene.py": "digests the compiled model",
+    "managers/curriculum_manager.py": "takes what a user's term returned",
+}
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def _functions(tree: ast.Module) -> Iterator[tuple[str, ast.AST]]:
+    """Yield every node with the name of the innermost function around it."""
+
+    def walk(node: ast.AST, owner: str) -> Iterator[tuple[str, ast.AST]]:
+        for child in ast.iter_child_nodes(node):
+            inner = child.name if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)) else owner
+            yield inner, child
+            yield from walk(child, inner)
+
+    yield from walk(tree, "")
+
+
+def _called(node: ast.AST) -> str | None:
+    return node.func.attr if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) else None
+
+
+def _without_a_device(tree: ast.Module) -> Iterator[int]:
+    for _, node in _functions(tree):
+        made = isinstance(node, ast.Call) and _called(node) in FACTORIES and ast.unparse(node.func).startswith("torch.")
+        if made and not any(word.arg == "device" for word in node.keywords):
+            yield node.lineno
+
+
+def _decides(node: ast.AST) -> ast.expr | None:
+    if isinstance(node, (ast.If, ast.While, ast.IfExp, ast.Assert)):
+        return node.test
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "bool" and node.args:
+        return node.args[0]
+    return None
+
+
+def _branches(tree: ast.Module) -> Iterator[int]:
+    for owner, node in _functions(tree):
+        test = _decides(node)
+        if test is not None and owner not in NOT_IN_A_STEP and any(_called(n) in READS for n in ast.walk(test)):
+            yield node.lineno
+
+
+def _reads(tree: ast.Module) -> Iterator[int]:
+    for owner, node in _functions(tree):
+        if owner not in NOT_IN_A_STEP and _called(node) in {"item", "tolist"}:
+            yield node.lineno
+
+
+def _bridges(tree: ast.Module) -> Iterator[int]:
+    for _, node in _functions(tree):
+        imported = isinstance(node, (ast.Import, ast.ImportFrom)) and "numpy" in ast.unparse(node)
+        if imported or _called(node) in {"numpy", "from_numpy"}:
+            yield node.lineno
+
+
+def _assumes_doubles(tree: ast.Module) -> Iterator[int]:
+    for _, node in _functions(tree):
+        if isinstance(node, ast.Attribute) and node.attr in DTYPES:
+            yield node.lineno
+
+
+def _uses_state_rows(tree: ast.Module) -> Iterator[int]:
+    for owner, node in _functions(tree):
+        if isinstance(node, ast.Attribute) and ast.unparse(node).endswith("sim.state") and owner not in NOT_IN_A_STEP:
+            yield node.lineno
+
+
+RULES = {
+    "a tensor is made without env.device": (_without_a_device, {}),
+    "a step branches on a tensor's value": (_branches, {}),
+    "a step reads a tensor's value": (_reads, {}),
+    "a tensor goes through numpy": (_bridges, HOST),
+    "a number is taken for a float64": (_assumes_doubles, {}),
+    "the engine's state is taken for a row": (_uses_state_rows, {}),
+}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_no_source_of_the_environment_breaks_a_rule(rule):
+    find, allowed = RULES[rule]
+    found = [
+        f"{_name(path)}:{line}"
+        for path in FILES
+        if _name(path) not in {*ENGINES, *allowed}
+        for line in find(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("rule", "code"),
+    [
+        ("a tensor is made without env.device", "def f(n):\n    return torch.zeros(n, 3)"),
+        ("a step branches on a tensor's value", "def f(x):\n    if (x > 0).any():\n        x += 1"),
+        ("a step branches on a tensor's value", "def f(x):\n    return bool(x.all())"),
+        ("a step reads a tensor's value", "def f(x):\n    return x.sum().item()"),
+        ("a tensor goes through numpy", "def f(x):\n    return x.numpy()"),
+        ("a tensor goes through numpy", "import numpy as np"),
+        ("a number is taken for a float64", "def f(x):\n    return x.double()"),
+        ("the engine's state is taken for a row", "def f(env):\n    return env.scene.sim.state[:, 7:13]"),
+    ],
+)
+def test_each_rule_finds_what_it_is_for(rule, code):
+    find, _ = RULES[rule]
+    assert list(find(ast.parse(code)))

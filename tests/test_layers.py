@@ -1,0 +1,108 @@
+"""What may import what: layers without an arrow upward, modules without a circle, folders of one subject."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "wheelleg_exp"
+NAME = PACKAGE.name
+# From the ground up; those of one line may import one another.
+LAYERS = (
+    ("errors", "paths", "files", "plain_yaml", "constraints", "memory", "threads", "reading"),
+    ("user_code", "trusted_folders"),
+    ("packages", "definitions"),
+    ("terms",),
+    ("asset", "state"),
+    ("sim",),
+    ("managers",),
+    ("mdp", "env"),
+    ("build", "rl"),
+    ("config",),
+    ("lint", "project", "gym"),
+    ("run",),
+    ("recording",),
+    ("verify",),
+    ("jobs",),
+    ("inspection",),
+    ("report",),
+    ("cli",),
+)
+HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
+MOST_FILES = 22
+
+
+def modules() -> dict[str, Path]:
+    """Return every module of the package by its name."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        found[".".join(parts).removesuffix(".__init__")] = path
+    return found
+
+
+def imports(path: Path, known: dict[str, Path]) -> Iterator[str]:
+    """Yield what a module imports of this package, wherever in it and if only for types."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == NAME:
+            names = (f"{node.module}.{alias.name}" for alias in node.names)
+            yield from (name if name in known else str(node.module) for name in names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.split(".")[0] == NAME)
+
+
+@pytest.fixture(scope="module")
+def graph() -> dict[str, set[str]]:
+    known = modules()
+    return {name: {found for found in imports(path, known) if found != name} for name, path in known.items()}
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Return the modules of a circle of imports; empty when there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_module_imports_what_imports_it(graph):
+    """But the managers, which know the environment's face, and that knows them, for types alone."""
+    managers = {name for name in graph if name.startswith(f"{NAME}.managers.")}
+    assert circle({name: found - managers if name in managers else found for name, found in graph.items()}) == []
+
+
+def test_a_planted_circle_is_found():
+    assert set(circle({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}})) == {"b", "c"}
+
+
+def test_imports_go_down(graph):
+    upward = []
+    for name, found in graph.items():
+        here = name.split(".")[1] if "." in name else None
+        there = {other.split(".")[1] for other in found if "." in other}
+        upward += [f"{name} -> {other}" for other in there if here and HEIGHT[other] > HEIGHT[here]]
+    assert upward == []
+
+
+def test_every_package_has_its_place():
+    assert {name.split(".")[1] for name in modules() if "." in name} == set(HEIGHT)
+
+
+def test_a_folder_holds_one_subject():
+    folders = {path.parent for path in PACKAGE.rglob("*.py")}
+    crowded = {str(folder): len(list(folder.glob("*.py"))) for folder in folders}
+    assert {folder: count for folder, count in crowded.items() if count > MOST_FILES} == {}
+
+
+def test_every_package_says_what_it_offers():
+    silent = [
+        str(path)
+        for path in PACKAGE.rglob("__init__.py")
+        if len(ast.get_docstring(ast.parse(path.read_text())) or "") < 80
+    ]
+    assert silent == []

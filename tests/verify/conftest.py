@@ -1,0 +1,27 @@
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from verify import synthetic
+from wheelleg_exp.run.directory import RunDirectory
+
+
+@pytest.fixture(scope="session")
+def _built(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    return synthetic.build(tmp_path_factory.mktemp("synthetic") / "runs")
+
+
+@pytest.fixture
+def copy_run(_built: RunDirectory, tmp_path: Path) -> Callable[[str], RunDirectory]:
+    """Copy a finished run, made without training, under another name."""
+
+    def copied(name: str) -> RunDirectory:
+        path = tmp_path / "runs" / "stand" / name
+        shutil.copytree(_built.path, path)
+        return RunDirectory.open(path, tmp_path / "runs")
+
+    return copied

@@ -1,0 +1,681 @@
+"""Two runs compared: every planted difference is found, located, and judged by what may explain it."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+
+import onnx
+import pytest
+import torch
+import yaml
+from onnx import helper
+
+from verify import synthetic
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import dump_json
+from wheelleg_exp.jobs.resume.changes import Change
+from wheelleg_exp.run.process import this_process
+from wheelleg_exp.verify import compare_runs, environment_differences
+from wheelleg_exp.verify.settings import plain_changes
+
+
+@pytest.fixture
+def a(copy_run):
+    return copy_run("a")
+
+
+@pytest.fixture
+def b(copy_run):
+    return copy_run("b")
+
+
+def compared(a, b, **keywords):
+    """Compare runs that are as they are because they were made so, and not because somebody damaged them."""
+    for run in (a, b):
+        if run.manifest().status != "running":
+            synthetic.record(run)
+    return compare_runs(a, b, **keywords)
+
+
+def different(a, b, **keywords):
+    """The first divergence of runs that are different; JSON and words must say the same."""
+    found = compared(a, b, **keywords)
+    assert found.verdict == "different", found.lines()
+    document = json.loads(dump_json(found.as_dict()))
+    assert document["verdict"] == "different"
+    assert document["first_divergence"]["part"] == found.first_divergence.part
+    assert found.lines()[-1] == f"different: {found.reason}"
+    assert any(line.startswith("first difference: ") for line in found.lines())
+    return found.first_divergence
+
+
+def identical(a, b, **keywords):
+    found = compared(a, b, **keywords)
+    assert (found.verdict, found.first_divergence) == ("identical", None), found.lines()
+    return found
+
+
+def set_scalar(run, iteration, value, name="Loss/value"):
+    synthetic.edit_line(run, iteration, lambda line: line["scalars"].update({name: value}))
+
+
+def set_digest(run, iteration, name):
+    synthetic.edit_line(run, iteration, lambda line: line["digests"].update({name: "0" * 16}))
+
+
+def set_fact(run, section, **facts):
+    synthetic.edit(run, lambda data: data[section].update(facts))
+
+
+# --- equal ---
+
+
+def test_two_equal_runs_are_identical_whatever_they_are_called_and_however_long_they_took(a, b):
+    synthetic.edit_line(b, 1, lambda line: line["scalars"].update({"Perf/total_fps": 1.0}))
+    synthetic.write_recording(b.recording, fps=7.0)
+    synthetic.edit(b, lambda data: (data["results"].update(seconds=9.0), data.update(started="2026-01-01T00:00:00Z")))
+    found = identical(a, b)
+    assert {name: part.state for name, part in found.parts.items()} == dict.fromkeys(found.parts, "equal")
+    assert set(found.parts) == {
+        *("files", "settings", "robot", "scalars", "digests", "checkpoints"),
+        *("recording", "exported", "results"),
+    }
+
+
+def test_what_differs_in_the_environment_without_effect_is_still_told(a, b):
+    set_fact(b, "hardware", cpu="another CPU", memory_gib=7)
+    set_fact(b, "versions", torch="1.0")
+    found = identical(a, b)
+    assert {(d.section, d.name) for d in found.environment} == {
+        ("hardware", "cpu"),
+        ("hardware", "memory_gib"),
+        ("versions", "torch"),
+    }
+    assert "differs, and changed no number" in found.lines()
+
+
+def test_settings_that_change_no_number_are_told_and_do_not_count(a, b):
+    synthetic.edit_params(b, lambda env, agent: (env["sim"].update(nthread=8), agent.update(torch_threads=4)))
+    found = identical(a, b)
+    assert [change.key for change in found.settings] == ["env.sim.nthread", "agent.torch_threads"]
+    assert any("agent.torch_threads" in line and "changes no number" in line for line in found.lines())
+
+
+def test_equal_tensors_in_other_bytes_are_identical_and_told(a, b):
+    path = b.checkpoint(2)
+    torch.save(torch.load(path, weights_only=True), path)  # the name of the file is inside
+    assert path.read_bytes() != a.checkpoint(2).read_bytes()
+    assert "1 equal, stored in other bytes" in identical(a, b).parts["checkpoints"].text
+
+
+def test_the_same_files_committed_differently_are_the_same_code(a, b):
+    record = json.loads((b.source / "git.json").read_text())
+    (b.source / "git.json").write_text(json.dumps({**record, "commit": "d" * 40, "dirty": False}))
+    assert identical(a, b).environment == []
+
+
+# --- numbers that differ: located ---
+
+
+def test_one_element_of_one_tensor_is_found_and_named(a, b):
+    synthetic.edit_state(b, 2, lambda state: state["env"]["state"].__setitem__((3, 1), 2.5))
+    value = float(synthetic.state(2)["env"]["state"][3, 1])
+    first = different(a, b)
+    assert (first.iteration, first.part, first.name) == (2, "checkpoints", "env.state")
+    assert (first.a, first.b) == (value, 2.5)
+    assert first.details["index"] == [3, 1]
+    assert first.details["largest"] == pytest.approx(abs(value - 2.5))
+    assert first.details["relative"] == pytest.approx(abs(value - 2.5) / max(abs(value), 2.5))
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "name"),
+    [
+        (lambda s: s["actor_state_dict"].update(weight=torch.zeros(2, 3)), "shape", "actor_state_dict.weight"),
+        (lambda s: s["critic_state_dict"].update(weight=torch.zeros(2).double()), "dtype", "critic_state_dict.weight"),
+        (lambda s: s["env"].pop("counter"), "only in A", "env.counter"),
+        (lambda s: s["env"].update(more=1), "only in B", "env.more"),
+        (lambda s: s["env"].update(counter=73), "values", "env.counter"),
+        (lambda s: s["log"].update(returns=[1.0, 2.5]), "values", "log.returns[1]"),
+        (lambda s: s["actor_state_dict"]["bias"].__setitem__(1, 0.0), "values", "actor_state_dict.bias"),
+    ],
+)
+def test_every_kind_of_difference_in_a_checkpoint_is_named(a, b, change, kind, name):
+    synthetic.edit_state(b, 2, change)
+    first = different(a, b)
+    assert (first.iteration, first.name, first.details["kind"]) == (2, name, kind)
+
+
+def test_networks_are_named_before_the_rest_and_random_streams_last(a, b):
+    def change(state):
+        state["rng"]["torch"].add_(7)
+        state["env"]["streams"]["events"].add_(7)
+        state["env"].update(counter=0)
+        state["critic_state_dict"]["weight"][0] += 1e-3
+
+    synthetic.edit_state(b, 2, change)
+    first = different(a, b)
+    assert first.name == "critic_state_dict.weight"
+    assert first.details["by_part"] == {"critic_state_dict": 1, "env": 1, "env.streams": 1, "rng": 1}
+    pair = compared(a, b).checkpoints.pairs[1]
+    assert [d.name for d in pair.differences][:2] == ["critic_state_dict.weight", "env.counter"]
+
+
+def test_one_scalar_is_found_in_its_iteration_with_both_values(a, b):
+    set_scalar(b, 2, 0.75)
+    first = different(a, b)
+    assert (first.iteration, first.part, first.name) == (2, "scalars", "Loss/value")
+    assert (first.a, first.b) == (0.25 / 3, 0.75)
+
+
+@pytest.mark.parametrize("value", [-0.0, "nan", None, 1e-300])
+def test_even_the_smallest_change_of_a_scalar_is_found(a, b, value):
+    set_scalar(b, 3, value, "Loss/zero")
+    assert different(a, b).iteration == 3
+
+
+def test_a_scalar_that_one_run_does_not_have_is_found(a, b):
+    synthetic.edit_line(b, 1, lambda line: line["scalars"].pop("Loss/zero"))
+    assert different(a, b).name == "Loss/zero"
+
+
+def test_digests_locate_the_iteration_between_checkpoints(a, b):
+    for iteration in (3, 4):
+        set_digest(b, iteration, "parameters")
+    set_digest(b, 4, "environment")
+    synthetic.edit_state(b, 4, lambda state: state["actor_state_dict"]["weight"].__setitem__((0, 0), 9.0))
+    first = different(a, b)
+    assert (first.iteration, first.part, first.name) == (3, "digests", "parameters")
+    assert first.details["digests"] == ["parameters"]
+    assert {"environment", "streams"} <= set(first.details["equal_digests"])
+    checkpoint = first.details["checkpoint"]
+    assert (checkpoint["iteration"], checkpoint["name"]) == (4, "actor_state_dict.weight")
+    assert checkpoint["details"]["index"] == [0, 0]
+
+
+def test_digests_of_different_definitions_are_not_compared(a, b):
+    for iteration in range(synthetic.ITERATIONS):
+        synthetic.edit_line(b, iteration, lambda line: line.update(digest_format=99, digests={"parameters": "0"}))
+    assert identical(a, b).parts["digests"].state == "not compared"
+    for iteration in synthetic.CHECKPOINTS:
+        b.checkpoint(iteration).unlink()
+    assert "not shown to be equal" in compared(a, b).reason
+
+
+def test_a_checkpoint_that_one_run_alone_keeps_is_told(a, b):
+    b.checkpoint(2).unlink()
+    found = identical(a, b)
+    assert found.checkpoints.only_a == [2]
+    assert "1 only in A" in found.parts["checkpoints"].text
+
+
+def test_a_damaged_checkpoint_is_different_and_said_to_be_damaged(a, b):
+    b.checkpoint(2).write_bytes(b.checkpoint(2).read_bytes()[:-100])
+    set_fact(b, "hardware", cpu="another CPU")  # which does not excuse it
+    first = different(a, b)
+    assert (first.iteration, first.part) == (2, "checkpoints")
+    assert "model_2.pt" in first.name
+    assert "cannot be read" in first.name
+
+
+def test_a_recording_that_differs_names_the_entity(a, b):
+    synthetic.write_recording(b.recording, height=0.07 + 1e-12)
+    first = different(a, b)
+    assert first.part == "recording"
+    assert compared(a, b).parts["recording"].details["differing"] == ["base/height"]
+
+
+def test_recordings_with_other_options_are_not_compared(a, b):
+    synthetic.write_recording(b.recording, height=1.0)
+    config = (b.hydra / "config.yaml").read_text()
+    (b.hydra / "config.yaml").write_text(config.replace("interval: 2", "interval: 5"))
+    assert identical(a, b).parts["recording"].state == "not compared"
+
+
+def test_a_run_that_was_to_have_no_recording_is_compared_without_it(a, b):
+    config = yaml.safe_load((b.hydra / "config.yaml").read_text())
+    config["recording"]["enabled"] = False
+    (b.hydra / "config.yaml").write_text(yaml.safe_dump(config))
+    b.recording.unlink()
+    assert identical(a, b).parts["recording"].text == "only A has a recording"
+
+
+def test_a_recording_that_cannot_be_read_is_different(a, b):
+    b.recording.write_bytes(b"no recording")
+    assert different(a, b).part == "recording"
+
+
+def test_exported_policies_differ_by_their_weights_and_code_and_not_by_their_wrapping(a, b):
+    synthetic.write_policy(b.exported, places=b"other places")
+    assert "weights and code equal, other bytes" in identical(a, b).parts["exported"].text
+    synthetic.write_policy(b.exported, weights=b"weightz")
+    assert "policy.pt: weights differ" in different(a, b).name
+    synthetic.write_policy(b.exported, code=b"other code")
+    assert "policy.pt: code differs" in different(a, b).name
+
+
+def scripted(*layers: torch.nn.Module) -> bytes:
+    buffer = io.BytesIO()
+    torch.jit.save(torch.jit.script(torch.nn.Sequential(*layers)), buffer)
+    return buffer.getvalue()
+
+
+def test_torchscript_that_computes_something_else_with_the_same_weights_is_different(a, b):
+    torch.manual_seed(0)
+    layer = torch.nn.Linear(2, 2)
+    for run, activation in ((a, torch.nn.ELU()), (b, torch.nn.SELU())):
+        (run.exported / "policy.pt").write_bytes(scripted(layer, activation))
+    assert different(a, b).name == "policy.pt: code differs"
+    for run, alpha in ((a, 1.0), (b, 1.5)):  # a number that is no tensor
+        (run.exported / "policy.pt").write_bytes(scripted(layer, torch.nn.ELU(alpha)))
+    assert different(a, b).name == "policy.pt: code differs"
+
+
+def write_onnx(run, weight=0.5, producer="one", operator="Add", place="/a"):
+    weights = [helper.make_tensor("w", onnx.TensorProto.FLOAT, [1], [weight])]
+    value = helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1])
+    node = helper.make_node(operator, ["x", "w"], ["y"], doc_string=f"made at {place}")
+    node.metadata_props.add(key="stack_trace", value=place)
+    graph = helper.make_graph([node], "g", [value], [value], weights, doc_string=place)
+    onnx.save(helper.make_model(graph, producer_name=producer), run.exported / "policy.onnx")
+
+
+def test_an_onnx_policy_differs_by_weights_and_graph_and_not_by_who_wrote_it_and_where(a, b):
+    write_onnx(a)
+    write_onnx(b, producer="two", place="/b")
+    assert "policy.onnx: weights and code equal, other bytes" in identical(a, b).parts["exported"].text
+    write_onnx(b, weight=0.75)
+    assert "policy.onnx: weights differ" in different(a, b).name
+    write_onnx(b, operator="Mul")
+    assert different(a, b).name == "policy.onnx: code differs"
+
+
+def test_a_description_of_a_policy_differs_by_key(a, b):
+    (b.exported / "policy.json").write_text('{"format_version": 2}')
+    assert "differs in format_version" in compared(a, b).parts["exported"].text
+
+
+def test_results_that_differ_are_named(a, b):
+    synthetic.edit(b, lambda data: data["results"].update({"Train/mean_reward": 13.0}))
+    assert "Train/mean_reward" in different(a, b).name
+
+
+# --- what was asked differs ---
+
+
+def test_a_setting_is_told_first_and_then_where_the_numbers_part(a, b):
+    synthetic.edit_params(b, lambda env, agent: env["rewards"]["alive"].update(weight=2.0))
+    set_scalar(b, 1, 0.5)
+    first = different(a, b)
+    assert (first.iteration, first.part, first.name) == (None, "settings", "env.rewards.alive.weight")
+    assert (first.a, first.b) == (1.0, 2.0)
+    assert first.details["numbers"]["iteration"] == 1
+
+
+def test_another_setting_is_different_even_when_all_numbers_are_equal(a, b):
+    synthetic.edit_params(b, lambda env, agent: agent["algorithm"].update(gamma=0.9))
+    assert "the numbers are equal nonetheless" in compared(a, b).reason
+    assert different(a, b).name == "agent.algorithm.gamma"
+
+
+def test_whole_numbers_with_and_without_a_point_are_the_same_setting(a, b):
+    synthetic.edit_params(b, lambda env, agent: env["rewards"]["alive"].update(weight=1))
+    identical(a, b)
+
+
+def test_another_order_of_terms_is_a_setting(a, b):
+    def swap(env, agent):
+        env["rewards"] = dict(reversed(env["rewards"].items()))
+
+    synthetic.edit_params(b, swap)
+    assert different(a, b).name == "env.rewards (order)"
+
+
+def test_another_seed_is_a_setting(a, b):
+    synthetic.edit(b, lambda data: data.update(seeds=[4]))
+    assert different(a, b).name == "seed"
+
+
+def test_another_robot_is_told_and_another_mujocos_way_to_write_it_is_not(a, b):
+    identity = json.loads((b.asset / "asset.json").read_text())
+    (b.asset / "asset.json").write_text(json.dumps({**identity, "model_sha256": "f" * 64}))
+    assert different(a, b).name == "compiled model"
+    set_fact(b, "versions", mujoco="99")
+    identical(a, b)
+    (b.asset / "robot.xml").write_text("<mujoco><worldbody/></mujoco>")
+    assert different(a, b).name == "robot.xml"
+
+
+def test_a_resume_that_changed_a_setting_counts_and_one_that_only_goes_on_does_not(a, b):
+    longer = {"key": "agent.max_iterations", "was": 3, "now": 5}
+    facts = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "overrides": ["agent.max_iterations=5"], "exact": True}
+    synthetic.edit(b, lambda data: data["resumes"].append({**facts, "changes": [longer]}))
+    assert identical(a, b).environment == []
+    other = {"key": "agent.algorithm.gamma", "was": 0.9, "now": 0.99}
+    synthetic.edit(b, lambda data: data["resumes"].append({**facts, "changes": [longer, other]}))
+    first = different(a, b)
+    assert (first.name, first.b) == ("resumed with other settings", [[3, {"agent.algorithm.gamma": 0.99}]])
+
+
+def test_a_resume_with_other_code_is_told_with_its_reason(a, b):
+    facts = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "exact": False, "why": ["the source differs"]}
+    synthetic.edit(b, lambda data: data["resumes"].append(facts))
+    (difference,) = identical(a, b).environment
+    assert (difference.section, difference.name, difference.b) == ("resumed", "from iteration 3", "the source differs")
+
+
+# --- runs of different length ---
+
+
+def test_a_shorter_run_is_different_and_its_common_part_is_told(a, b):
+    synthetic.shorten(b, 3)
+    first = different(a, b)
+    assert (first.iteration, first.part, first.name) == (3, "length", "B stops")
+    assert (
+        compared(a, b).reason
+        == "B stops after iteration 2 (finished); the 3 iterations that both have are equal to the bit"
+    )
+    assert different(b, a).name == "A stops"
+
+
+def test_a_shorter_run_that_differs_says_where(a, b):
+    synthetic.shorten(b, 3)
+    set_scalar(b, 1, 0.5)
+    assert different(a, b).iteration == 1
+    assert compared(a, b).reason.endswith("the 3 iterations that both have differ")
+
+
+def test_the_common_part_alone_can_be_asked_for(a, b):
+    synthetic.shorten(b, 3)
+    found = identical(a, b, common=True)
+    assert found.iterations == 3
+    assert [pair.iteration for pair in found.checkpoints.pairs] == [0, 2]
+    assert found.parts["recording"].state == "not compared"
+
+
+def test_only_the_first_iterations_can_be_asked_for(a, b):
+    set_scalar(b, 3, 0.5)
+    synthetic.edit_state(b, 4, lambda state: state["env"].update(counter=0))
+    assert identical(a, b, iterations=3).iterations == 3
+    assert different(a, b, iterations=4).iteration == 3
+
+
+def test_a_run_that_goes_on_is_compared_as_far_as_it_has_come(a, b):
+    synthetic.shorten(b, 3)
+    synthetic.crash(b)
+    synthetic.edit(b, lambda data: data.update(process=this_process()))
+    assert "as far as they were compared" in identical(a, b).reason
+
+
+def test_a_crashed_run_is_shorter_and_its_cut_files_are_not_compared(a, b):
+    synthetic.crash(b)
+    b.recording.write_bytes(b.recording.read_bytes()[:-40])
+    found = identical(a, b)
+    assert found.parts["recording"].text == "a run broke off"
+    synthetic.shorten(b, 3)
+    assert "B stops after iteration 2 (crashed)" in compared(a, b).reason
+
+
+def test_a_log_with_a_gap_is_never_identical(a, b):
+    lines = b.iterations.read_text().splitlines()
+    for wrong in ([*lines, lines[0]], [*lines[:2], *lines[3:]], [*lines, lines[-1]]):
+        b.iterations.write_text("\n".join(wrong) + "\n")
+        assert "B: iterations.jsonl is damaged: line" in compared(a, b).reason
+    synthetic.crash(b)  # of which no digest of the log is recorded
+    assert "B: iterations.jsonl is damaged: line" in compared(a, b).reason
+
+
+def test_nothing_to_compare_is_an_error_for_people(a, b):
+    with pytest.raises(RunDirectoryError, match="both are the run"):
+        compared(a, a)
+    synthetic.crash(b)
+    b.iterations.unlink()
+    with pytest.raises(RunDirectoryError, match=r"there is no iterations.jsonl"):
+        compared(a, b)
+
+
+# --- within tolerance ---
+
+
+def rounded(run, by=1e-6):
+    """Let a run's numbers be off, as on another CPU."""
+    for iteration in range(synthetic.ITERATIONS):
+        set_digest(run, iteration, "parameters")
+        set_scalar(run, iteration, 0.25 / (1 + iteration) * (1 + by * 10**iteration))
+    for iteration in synthetic.CHECKPOINTS:
+        synthetic.edit_state(run, iteration, lambda state: state["actor_state_dict"]["weight"].mul_(1 + by))
+
+
+def drop_nan(*runs):
+    for run in runs:
+        for iteration in synthetic.CHECKPOINTS:
+            synthetic.edit_state(run, iteration, lambda state: state["actor_state_dict"].pop("bias"))
+
+
+def test_rounding_on_another_cpu_is_within_tolerance_and_says_how_much_and_why(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    found = compared(a, b)
+    assert found.verdict == "within tolerance"
+    assert "another CPU" in found.reason
+    assert "iteration 0" in found.reason
+    assert found.first_divergence.iteration == 0
+    worst = max(excess.off for excess in found.tolerance.start)
+    assert worst == pytest.approx(1e-6, rel=0.1)
+    assert json.loads(dump_json(found.as_dict()))["tolerance"]["within"] is True
+
+
+def test_damage_is_never_within_tolerance(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    b.checkpoint(2).write_bytes(b.checkpoint(2).read_bytes()[:-100])
+    assert different(a, b).iteration == 0
+    assert compared(a, b).parts["checkpoints"].details["pairs"][1]["state"] == "unreadable"
+
+
+def test_the_same_rounding_on_the_same_machine_is_different(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    assert "nothing in the environment allows it" in compared(a, b).reason
+    assert different(a, b).iteration == 0
+    set_fact(b, "hardware", memory_gib=3)
+    set_fact(b, "threads", physics=2)
+    assert different(a, b).iteration == 0
+
+
+def test_more_than_rounding_is_different_on_another_cpu_too(a, b):
+    drop_nan(a, b)
+    rounded(b, by=0.01)
+    set_fact(b, "hardware", cpu="another CPU")
+    assert different(a, b).iteration == 0
+    assert compared(a, b).reason.startswith("further apart than rounding allows")
+
+
+def test_parameters_count_even_when_the_scalars_are_close(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    synthetic.edit_state(b, 0, lambda state: state["actor_state_dict"]["weight"].mul_(1.01))
+    set_fact(b, "hardware", cpu="another CPU")
+    assert different(a, b).iteration == 0
+
+
+def test_another_setting_is_never_within_tolerance(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    synthetic.edit_params(b, lambda env, agent: env["rewards"]["alive"].update(weight=1.001))
+    assert different(a, b).part == "settings"
+
+
+def test_a_run_that_was_resumed_elsewhere_was_made_on_both_machines(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    hardware = {**b.manifest().data["hardware"], "cpu": "another CPU"}
+    entry = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "overrides": [], "before": {"hardware": hardware}}
+    synthetic.edit(b, lambda data: data["resumes"].append(entry))
+    found = compared(a, b)
+    assert found.verdict == "within tolerance"
+    here = a.manifest().data["hardware"]["cpu"]
+    (difference,) = [d for d in found.environment if d.name == "cpu"]
+    assert (difference.a, difference.b) == (here, ["another CPU", here])
+
+
+def other_code(run):
+    record = json.loads((run.source / "git.json").read_text())
+    contents = {"terms.py": [None, f"100644 {'2' * 40}"]}
+    (run.source / "git.json").write_text(json.dumps({**record, "tree": "b" * 40, "contents": contents}))
+
+
+def test_other_code_is_never_within_tolerance_whatever_else_could_excuse_it(a, b):
+    drop_nan(a, b)
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    assert compared(a, b).verdict == "within tolerance"
+    other_code(b)
+    first = different(a, b)
+    assert (first.iteration, first.part) == (0, "digests")
+    found = compared(a, b)
+    assert found.reason.endswith("; the code differs (/home/me/pet: changed terms.py), which another CPU cannot excuse")
+    assert found.tolerance is None
+
+
+def test_other_code_that_changes_no_number_is_identical_and_told(a, b):
+    other_code(b)
+    found = identical(a, b)
+    assert found.reason == (
+        "equal to the bit in 5 iterations, though the code differs (/home/me/pet: changed terms.py)"
+    )
+    assert any(line.strip().startswith("code.tree") for line in found.lines())
+    assert "  /home/me/pet: changed terms.py" in found.lines()
+    assert found.as_dict()["environment"]["code"][0]["note"] == "/home/me/pet: changed terms.py"
+
+
+def test_code_that_was_not_kept_is_not_shown_to_be_equal(a, b):
+    drop_nan(a, b)
+    for run in (a, b):
+        record = json.loads((run.source / "git.json").read_text())
+        unkept = {"status": "patch_too_large", "tree": None, "patch_sha256": None}
+        (run.source / "git.json").write_text(json.dumps({**record, **unkept}))
+    assert identical(a, b).reason.endswith("though the code was not kept")
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    assert different(a, b).iteration == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "decides"),
+    [
+        ("agent.max_iterations", False),
+        ("agent.save_interval", False),
+        ("agent.torch_threads", False),
+        ("agent.logger", False),
+        ("env.sim.nthread", False),
+        ("recording", False),
+        ("recording.interval", False),
+        ("agent.run_name", True),  # there is no such setting
+        ("env.sim", True),
+        ("run.root", True),
+    ],
+)
+def test_a_resume_and_a_comparison_agree_on_what_changes_no_number(key, decides):
+    assert Change(tuple(key.split(".")), 1, 2, removed=False).decides == decides
+    assert [change.decides for change in plain_changes(1, 2, key)] == [decides]
+
+
+MACHINE = {"section": "hardware", "name": "cpu", "was": "x", "now": "y"}
+SOURCE = {"section": "source", "name": "tree (1)", "was": "a" * 40, "now": "b" * 40}
+
+
+@pytest.mark.parametrize(
+    ("why", "differences", "verdict"),
+    [
+        (["hardware cpu was x and is y"], [MACHINE], "within tolerance"),
+        (["source tree (1) was a and is b"], [SOURCE], "different"),
+        (["source tree (1) was a and is b", "hardware cpu was x and is y"], [SOURCE, MACHINE], "different"),
+        (["the log after loading are not what was saved", "hardware cpu was x and is y"], [MACHINE], "different"),
+        (["iteration 3 is not what it was before the stop: environment differ"], [], "different"),
+        ([], [], "different"),
+    ],
+)
+def test_only_a_resume_that_was_inexact_for_the_machine_alone_allows_a_tolerance(a, b, why, differences, verdict):
+    drop_nan(a, b)
+    rounded(b)
+    set_fact(b, "hardware", cpu="another CPU")
+    entry = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "exact": False, "why": why, "differences": differences}
+    synthetic.edit(b, lambda data: data["resumes"].append(entry))
+    found = compared(a, b)
+    assert found.verdict == verdict
+    assert ("B was resumed from iteration 3" in found.reason) == (verdict == "different")
+
+
+def test_all_inexact_resumes_from_one_checkpoint_count(a, b):
+    """The later one must not hide the earlier one's other code."""
+    for why, differences in ((["source tree (1) was a and is b"], [SOURCE]), (["hardware cpu was x"], [MACHINE])):
+        entry = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "exact": False, "why": why}
+        synthetic.edit(b, lambda data, e={**entry, "differences": differences}: data["resumes"].append(e))
+    (difference,) = identical(a, b).environment
+    assert difference.forbids
+    assert difference.b == "source tree (1) was a and is b; hardware cpu was x"
+
+
+KERNELS = ("Linux-6.1-x86_64-with-glibc2.36", "Linux-6.9-x86_64-with-glibc2.36", "Linux-6.1-x86_64-with-glibc2.41")
+STRICT = {"environment_variables": {"MKL_CBWR": "AVX2,STRICT"}}
+FREE = {"environment_variables": {}}
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "allowed"),
+    [
+        ({"hardware": {"cpu": "x"}}, {"hardware": {"cpu": "y"}}, True),
+        ({"hardware": {"cpu_flags": ["avx2"]}}, {"hardware": {"cpu_flags": ["avx2", "avx512f"]}}, True),
+        ({"hardware": {"cores": 2}}, {"hardware": {"cores": 4}}, False),
+        ({"hardware": {"platform": KERNELS[0]}}, {"hardware": {"platform": KERNELS[1]}}, False),
+        ({"hardware": {"platform": KERNELS[0]}}, {"hardware": {"platform": KERNELS[2]}}, True),
+        ({"versions": {"torch": "2.1"}}, {"versions": {"torch": "2.2"}}, True),
+        ({"versions": {"mujoco": "4.0"}}, {"versions": {"mujoco": "4.1"}}, True),
+        ({"versions": {"rsl-rl-lib": "5.5"}}, {"versions": {"rsl-rl-lib": "5.6"}}, False),
+        ({"threads": {"physics": 1}}, {"threads": {"physics": 2}}, False),
+        ({"threads": {"torch": 1}, **STRICT}, {"threads": {"torch": 2}, **STRICT}, False),
+        ({"threads": {"torch": 1}, **FREE}, {"threads": {"torch": 2}, **FREE}, True),
+        ({"threads": {"torch": 1, "independent": True}}, {"threads": {"torch": 2, "independent": True}}, False),
+        ({"threads": {"torch": 1, "independent": False}}, {"threads": {"torch": 2, "independent": False}}, True),
+        ({"environment_variables": {"MKL_CBWR": "AVX2"}}, {"environment_variables": {"MKL_CBWR": "COMPATIBLE"}}, True),
+        ({"environment_variables": {"OMP_WAIT_POLICY": "PASSIVE"}}, {"environment_variables": {}}, False),
+    ],
+)  # fmt: skip
+def test_what_allows_other_numbers(a, b, allowed):
+    (found,) = environment_differences(a, b)
+    assert (found.allows is not None) == allowed
+
+
+def test_a_section_that_one_side_does_not_tell_is_not_compared():
+    assert environment_differences({"versions": {"torch": "1"}}, {"hardware": {"cpu": "x"}}) == []
+
+
+def test_further_distributions_are_told_from_the_environment_file(a, b):
+    b.environment.write_text("numpy==2.0\npyyaml==6.1\nextra==1\n")
+    found = identical(a, b)
+    assert [(d.name, d.a, d.b) for d in found.environment] == [("extra", None, "1"), ("pyyaml", "6.0", "6.1")]
+
+
+def test_other_code_is_told_and_allows_nothing(a, b):
+    record = json.loads((b.source / "git.json").read_text())
+    (b.source / "git.json").write_text(json.dumps({**record, "tree": "b" * 40, "base": "d" * 40}))
+    set_scalar(b, 2, 0.75)
+    found = compared(a, b)
+    assert found.verdict == "different"
+    assert "no repository here holds both: which files differ cannot be told" in found.reason
+    assert [(d.section, d.name, d.allows) for d in found.environment] == [("code", "tree", None)]
+    assert any(line.strip().startswith("code.tree") for line in found.lines())
+
+
+def test_nothing_heavy_is_imported_before_a_checkpoint_must_be_opened():
+    code = "import sys, wheelleg_exp.verify, wheelleg_exp.cli.verify\n"
+    code += "print({'torch', 'mujoco', 'rerun', 'pyarrow', 'omegaconf'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

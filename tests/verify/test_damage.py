@@ -1,0 +1,165 @@
+"""What is missing or damaged is never identical, and never sound: every kind of file, every kind of damage."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from contextlib import redirect_stderr, redirect_stdout
+
+import pytest
+
+from verify import synthetic
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.run.inventory import inventory
+
+
+def _remove(path):
+    path.unlink()
+
+
+def _cut(path):
+    path.write_bytes(path.read_bytes()[:-3])
+
+
+def _empty(path):
+    path.write_bytes(b"")
+
+
+def _become_a_folder(path):
+    path.unlink()
+    path.mkdir()
+
+
+DAMAGES = {
+    "missing": _remove,
+    "cut": _cut,
+    "flipped": synthetic.flip,
+    "empty": _empty,
+    "a folder": _become_a_folder,
+}
+
+
+@pytest.fixture
+def pair(copy_run):
+    """Two equal runs that somebody has played."""
+    runs = copy_run("a"), copy_run("b")
+    for run in runs:
+        (run.hydra / "overrides.yaml").write_text("[]\n")
+        (run.play / "one").mkdir(parents=True)
+        (run.play / "one" / "figures.json").write_text("{}\n")
+        synthetic.write_recording(run.play / "one" / "recording.rrd")
+        synthetic.record(run)
+    return runs
+
+
+def damaged(damage, *runs):
+    """Damage each file of runs in turn, and mend it again behind the test; yield its name."""
+    for name in inventory(runs[0].path):
+        whole = [(run.path / name, (run.path / name).read_bytes()) for run in runs]
+        for path, _ in whole:
+            DAMAGES[damage](path)
+        yield name
+        for path, content in whole:
+            if path.is_dir():
+                path.rmdir()
+            path.write_bytes(content)
+
+
+def wheelleg(*words):
+    """Exit status, output and errors; lines that were wrapped are whole again."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        status = main([str(word) for word in words])
+    return status, re.sub(r"\n {4,}", " ", out.getvalue()), err.getvalue()
+
+
+def test_the_table_holds_every_kind_of_file(pair):
+    tops = {name.split("/")[0] for name in inventory(pair[0].path)}
+    assert tops == {
+        *("params", ".hydra", "source", "environment.txt", "iterations.jsonl", "asset", "exported", "play"),
+        *("model_0.pt", "model_2.pt", "model_4.pt", "events.out.tfevents.1", "recording.rrd"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("damage", "sides"),
+    [("missing", "A"), *((damage, "B") for damage in DAMAGES), ("missing", "AB"), ("flipped", "AB")],
+)
+def test_two_runs_of_which_a_file_is_damaged_are_different_and_the_file_and_its_run_are_named(pair, damage, sides):
+    for name in damaged(damage, *(pair["AB".index(side)] for side in sides)):
+        status, out, err = wheelleg("verify", pair[0].path, pair[1].path)
+        assert (status, err) == (1, ""), (name, out, err)
+        lines = out.splitlines()
+        assert lines[-1].startswith("different: damaged: "), (name, out)
+        for side in sides:
+            assert any(line.startswith(f"{side}: {name} ") for line in lines), (name, out)
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_run_of_which_a_file_is_damaged_is_not_sound_and_the_file_is_named(pair, damage):
+    for name in damaged(damage, pair[0]):
+        status, out, err = wheelleg("verify", pair[0].path)
+        assert (status, err) == (1, ""), (name, out, err)
+        lines = out.splitlines()
+        assert lines[-1].startswith("damaged: "), (name, out)
+        assert any(line.startswith(f"  {name} ") for line in lines), (name, out)
+
+
+@pytest.mark.parametrize("words", [["verify"], ["resume"], ["play"], ["replay"], ["diff", "task=stand"]])
+def test_a_manifest_of_brackets_is_wrong_input(pair, words):
+    (pair[0].path / "manifest.json").write_text("[" * 100_000)
+    status, out, err = wheelleg(words[0], pair[0].path, *words[1:])
+    assert (status, out) == (2, "")
+    assert "manifest.json" in err
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *((key, 5) for key in ("error", "seeds", "source", "process", "threads", "command", "resumes", "additions")),
+        ("resumes", [5]),
+        ("resumes", [{"iteration": "x"}]),
+        ("resumes", [{"overrides": True}]),
+        ("resumes", [{"before": []}]),
+        ("additions", [5]),
+        ("files", {"x": {"sha256": 1, "size": 1}}),
+    ],
+)
+def test_a_manifest_with_a_value_of_another_kind_is_wrong_input(pair, key, value):
+    synthetic.edit(pair[0], lambda data: data.update({key: value}))
+    status, out, err = wheelleg("verify", pair[0].path)
+    assert (status, out) == (2, "")
+    assert "manifest.json" in err
+
+
+def test_a_manifest_that_was_changed_is_never_identical(pair):
+    data = json.loads((pair[1].path / "manifest.json").read_text())
+    (pair[1].path / "manifest.json").write_text(json.dumps({**data, "id": "another"}))
+    status, out, _ = wheelleg("verify", pair[0].path, pair[1].path)
+    assert status == 1
+    assert "different: damaged: B: manifest.json was changed after it was written" in out
+
+
+@pytest.mark.parametrize("name", ["recording.rrd", "exported/policy.onnx", "iterations.jsonl", "asset/robot.xml"])
+def test_what_a_finished_run_must_have_is_missed_though_its_manifest_never_named_it(pair, name):
+    for run in pair:
+        (run.path / name).unlink()
+        synthetic.record(run)
+    status, out, err = wheelleg("verify", pair[0].path)
+    assert (status, err) == (1, "")
+    assert f"  {name} is missing, and the manifest does not name it" in out.splitlines()
+    status, out, err = wheelleg("verify", *(run.path for run in pair))
+    assert (status, err) == (1, "")
+    assert f"B: {name} is missing, and the manifest does not name it" in out.splitlines()
+
+
+def test_later_files_have_no_part_in_the_first_iterations(pair):
+    for name in ("recording.rrd", "exported/policy.pt", "model_4.pt", "play/one/figures.json"):
+        (pair[1].path / name).unlink()
+    both = [run.path for run in pair]
+    assert wheelleg("verify", *both, "--iterations", "3")[0] == 0
+    (pair[1].path / "model_2.pt").unlink()
+    status, out, _ = wheelleg("verify", *both, "--iterations", "3")
+    assert status == 1
+    assert out.splitlines()[-1].startswith("different: damaged: B: model_2.pt is missing; ")

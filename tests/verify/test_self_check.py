@@ -1,0 +1,458 @@
+"""A run held against its own manifest: what is noticed, and what is only told."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+from verify import synthetic
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.recording.reading.contents import Contents
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.run import inventory
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.verify import verify_run
+
+
+@pytest.fixture
+def run(copy_run):
+    return copy_run("one")
+
+
+def failures(run):
+    """What is wrong, by check; the verdict must say so."""
+    found = verify_run(run)
+    wrong = {check.name: check.failures for check in found.checks if check.failures}
+    assert found.is_sound == (not wrong)
+    assert found.verdict == ("damaged" if wrong else "sound")
+    assert found.lines()[-1].startswith(found.verdict)
+    return wrong
+
+
+def notes(run):
+    assert failures(run) == {}
+    return [note for check in verify_run(run).checks for note in check.notes]
+
+
+def only(run, check, *words):
+    """The one failure, which is of this check and says these words."""
+    wrong = failures(run)
+    assert list(wrong) == [check], wrong
+    (failure,) = wrong[check]
+    assert [word for word in words if word not in failure] == []
+
+
+# --- a whole run ---
+
+
+def test_a_whole_run_is_sound_and_every_check_is_made(run):
+    found = verify_run(run)
+    assert {check.name: check.state for check in found.checks} == {
+        "manifest": "note",  # the copy has another name
+        "files": "ok",
+        "params": "ok",
+        "source": "ok",
+        "asset": "ok",
+        "iterations": "ok",
+        "checkpoints": "ok",
+        "failure": "ok",
+        "recording": "ok",
+        "exported": "ok",
+    }
+    assert "3 load; 3 agree" in "\n".join(found.lines())
+    assert json.loads(json.dumps(found.as_dict()))["verdict"] == "sound"
+
+
+# --- the files against the manifest ---
+
+
+def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(run):
+    names = list(inventory.inventory(run.path))
+    assert len(names) == 17
+    for name in names:
+        whole = (run.path / name).read_bytes()
+        synthetic.flip(run.path / name)
+        wrong = failures(run)
+        assert any(failure.startswith(f"{name} was changed: same size") for failure in wrong["files"]), name
+        (run.path / name).write_bytes(whole)
+    assert failures(run) == {}
+
+
+def test_a_flipped_bit_anywhere_in_the_manifest_is_found(run):
+    path = run.path / "manifest.json"
+    whole = path.read_bytes()
+    number = whole.index(b"14.0") + 3  # of a float, whose digits may differ and the value be the same
+    path.write_bytes(whole[:number] + b"0000000000000000000" + whole[number:])
+    only(run, "manifest", "manifest.json was changed")
+    for at in {*range(0, len(whole), 97), number, len(whole) - 1}:
+        path.write_bytes(whole)
+        synthetic.flip(path, at)
+        with contextlib.suppress(RunDirectoryError):  # no manifest any more
+            assert failures(run), at
+    path.write_bytes(whole)
+    assert failures(run) == {}
+
+
+def test_what_a_later_command_adds_does_not_hide_a_change(run):
+    path = run.path / "manifest.json"
+    path.write_bytes(path.read_bytes().replace(b'"seconds": 1.5', b'"seconds": 9.5'))
+    run.manifest().add("export", [], {"a": 1})
+    assert '"seconds": 9.5' in path.read_text()
+    only(run, "manifest", "manifest.json was changed")
+
+
+def of_format_1(run, **digest):
+    """Let the manifest be as an earlier program wrote it."""
+    data = {k: v for k, v in run.manifest().data.items() if k != "sha256"} | {"format": 1}
+    if digest:
+        content = json.dumps(data, sort_keys=True)
+        data["sha256"] = digest["flipped"] if "flipped" in digest else hashlib.sha256(content.encode()).hexdigest()
+    (run.path / "manifest.json").write_text(json.dumps(data, indent=2))
+
+
+def test_a_manifest_of_format_1_holds_by_its_values_and_says_so(run):
+    of_format_1(run, digest=True)
+    assert failures(run) == {}
+    assert any("its digest is of its values" in note for note in notes(run))
+    of_format_1(run, flipped="0" * 64)
+    only(run, "manifest", "manifest.json was changed")
+
+
+def test_a_manifest_of_format_1_without_a_digest_of_itself_is_told(run):
+    of_format_1(run)
+    assert failures(run) == {}
+    assert any("no digest of itself" in note for note in notes(run))
+
+
+def test_a_manifest_of_format_1_becomes_one_of_today_when_it_is_written(run):
+    of_format_1(run, digest=True)
+    run.manifest().add("export", [], {"a": 1})
+    assert run.manifest().data["format"] == 2
+    assert failures(run) == {}
+
+
+def test_a_manifest_of_today_that_lost_its_digest_is_changed(run):
+    data = run.manifest().data
+    del data["sha256"]
+    (run.path / "manifest.json").write_text(json.dumps(data))
+    only(run, "manifest", "manifest.json was changed")
+
+
+@pytest.mark.parametrize("name", ["events.out.tfevents.1", "params/agent.yaml", "exported/policy.json"])
+def test_a_missing_file_is_named(run, name):
+    (run.path / name).unlink()
+    assert f"{name} is missing" in failures(run)["files"]
+
+
+def test_a_file_that_grew_is_told_with_both_sizes(run):
+    with (run.path / "events.out.tfevents.1").open("ab") as file:
+        file.write(b"more")
+    only(run, "files", "events.out.tfevents.1", "10 bytes instead of 6")
+
+
+def test_a_file_of_the_users_own_is_told_and_wrong_is_nothing(run):
+    (run.path / "notes.txt").write_text("mine")
+    (run.path / "play").mkdir()
+    (run.path / "play" / "half.rrd").write_bytes(b"")
+    assert [note.split()[0] for note in notes(run) if "does not name it" in note] == ["notes.txt", "play/half.rrd"]
+
+
+@pytest.mark.parametrize("name", ["model_9.pt", "failure.npz", "params/extra.yaml", "exported/policy2.onnx"])
+def test_a_file_that_commands_would_take_for_the_runs_own_is_wrong(run, name):
+    (run.path / name).write_bytes(b"x")
+    assert any(f.startswith(name) and "not in the manifest" in f for f in failures(run)["files"])
+
+
+def test_a_symbolic_link_in_place_of_a_file_is_wrong_and_another_is_told(run, tmp_path):
+    target = tmp_path / "elsewhere"
+    shutil.move(run.path / "environment.txt", target)
+    (run.path / "environment.txt").symlink_to(target)
+    (run.path / "other").symlink_to(target)
+    assert failures(run)["files"] == ["environment.txt is a symbolic link, which may lead anywhere"]
+    assert any("other is a symbolic link" in n for check in verify_run(run).checks for n in check.notes)
+
+
+def test_a_file_that_cannot_be_read_is_named_and_the_others_are_still_checked(run, monkeypatch):
+    read = inventory.sha256
+
+    def deny(path):
+        if path.name == "environment.txt":
+            raise RunDirectoryError(f"cannot read '{path}'")
+        return read(path)
+
+    monkeypatch.setattr(inventory, "sha256", deny)
+    synthetic.flip(run.path / "events.out.tfevents.1")
+    assert [f.split()[0] for f in failures(run)["files"]] == ["events.out.tfevents.1", "environment.txt"]
+
+
+# --- the files against each other: all of these are recorded as they are ---
+
+
+def test_parameters_that_are_not_the_configs_are_named_by_key(run):
+    synthetic.edit_params(run, lambda env, agent: env["rewards"]["alive"].update(weight=1.5))
+    synthetic.record(run)
+    only(run, "params", "env.rewards.alive.weight", "1.5", "1.0")
+
+
+def test_a_seed_that_is_not_the_configs_is_told(run):
+    synthetic.edit(run, lambda data: data.update(seeds=[4]))
+    only(run, "params", "seed is 3", "4")
+
+
+def test_a_patch_that_is_not_the_recorded_one_is_wrong(run):
+    synthetic.flip(run.source / "source.patch")
+    synthetic.record(run)
+    only(run, "source", "source.patch")
+
+
+def test_another_commit_in_the_source_than_in_the_manifest_is_wrong(run):
+    synthetic.edit(run, lambda data: data["source"].update(commit="f" * 40))
+    only(run, "source", "commit", "f" * 40)
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (lambda s: s["actor_state_dict"]["weight"].__setitem__((1, 1), 0.5), "parameters"),
+        (lambda s: s["optimizer_state_dict"]["param_groups"][0].update(lr=2e-3), "optimizer"),
+        (lambda s: s["env"]["state"].__setitem__((0, 0), 0.5), "environment"),
+        (lambda s: s["env"]["streams"]["events"].__setitem__(0, 9), "streams"),
+        (lambda s: s["rng"]["torch"].__setitem__(0, 9), "streams"),
+        (lambda s: s["log"].update(returns=[1.0, 3.0]), "log"),
+        (lambda s: s["actor_state_dict"].update(bias=torch.tensor([0.5, 0.0, float("nan")])), "parameters"),
+    ],
+)
+def test_a_checkpoint_that_is_not_what_the_log_saw_is_wrong_whatever_was_changed(run, change, part):
+    synthetic.edit_state(run, 2, change)
+    synthetic.record(run)
+    only(run, "checkpoints", "model_2.pt", f"digests of {part}")
+
+
+def test_a_checkpoint_under_another_iterations_name_is_wrong(run):
+    shutil.copyfile(run.path / "model_0.pt", run.path / "model_2.pt")
+    synthetic.record(run)
+    assert any("model_2.pt is of iteration 0" in f for f in failures(run)["checkpoints"])
+
+
+class _Planted:
+    def __reduce__(self):
+        return os.mkdir, (str(Path.cwd() / "ran"),)
+
+
+def test_a_checkpoint_that_holds_code_is_refused_and_the_code_never_runs(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    torch.save({"iter": 2, "x": _Planted()}, run.path / "model_2.pt")
+    synthetic.record(run)
+    only(run, "checkpoints", "model_2.pt", "cannot be read as a checkpoint")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_checkpoint_beyond_the_log_is_wrong(run):
+    content = checkpoint.load(run.path / "model_4.pt")
+    (run.path / "model_7.pt").write_bytes(checkpoint.serialize({**content, "iter": 7}))
+    synthetic.record(run)
+    assert any("model_7.pt" in f and "log does not have" in f for f in failures(run)["checkpoints"])
+
+
+def test_digests_of_an_earlier_definition_are_told_and_not_held_against_the_run(run):
+    for iteration in range(synthetic.ITERATIONS):
+        synthetic.edit_line(run, iteration, lambda line: line.pop("digest_format"))
+    synthetic.record(run)
+    assert any("another definition" in note for note in notes(run))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda lines: lines.pop(2), ["line 3", "gap", "2 was expected"]),
+        (lambda lines: lines.insert(3, lines[2]), ["line 4", "repeats iteration 2"]),
+        (lambda lines: lines.__setitem__(1, "{half"), ["line 2", "cannot be read"]),
+        (lambda lines: lines.pop(0), ["line 1", "0 was expected"]),
+    ],
+)
+def test_iterations_that_do_not_follow_each_other_are_wrong(run, change, words):
+    lines = run.iterations.read_text().splitlines()
+    change(lines)
+    run.iterations.write_text("\n".join(lines) + "\n")
+    synthetic.record(run)
+    (failure,) = failures(run)["iterations"]
+    assert [word for word in words if word not in failure] == []
+
+
+def test_a_last_line_that_is_cut_off_is_wrong_in_a_run_that_ended(run):
+    run.iterations.write_text(run.iterations.read_text() + '{"iteration": 5, "dig')
+    synthetic.record(run)
+    only(run, "iterations", "cut off")
+
+
+def test_results_that_are_not_the_last_iterations_are_wrong(run):
+    synthetic.edit(run, lambda data: data["results"].update({"Train/mean_reward": 15.0}))
+    only(run, "iterations", "Train/mean_reward", "15.0", "14.0")
+
+
+def test_a_run_that_ends_earlier_than_its_results_say_is_wrong(run):
+    synthetic.shorten(run, 3)
+    synthetic.record(run)
+    assert set(failures(run)) == {"iterations", "checkpoints"}
+
+
+def test_a_recording_that_is_cut_off_is_wrong(run):
+    run.recording.write_bytes(run.recording.read_bytes()[:-40])
+    synthetic.record(run)
+    assert list(failures(run)) == ["recording"]
+
+
+def unfinished(run):
+    """A recording whose writer could not put it together in the end: everything but the index."""
+    contents = Contents(run.recording)
+    kept = b"".join(contents.kept())
+    run.recording.write_bytes(kept)
+    return kept
+
+
+def test_a_recording_without_an_index_that_is_as_the_run_left_it_is_no_damage(run):
+    unfinished(run)
+    assert "files" in failures(run)
+    synthetic.record(run)
+    (note,) = [note for note in notes(run) if "index" in note]
+    assert "wheelleg inspect RUN --repair" in note
+    synthetic.edit(run, lambda data: data.update(recording_unfinished="no room"))
+    assert any("(no room)" in note for note in notes(run))
+
+
+def test_a_recording_without_an_index_that_the_manifest_does_not_know_is_wrong(run):
+    unfinished(run)
+    synthetic.edit(run, lambda data: data["files"].pop("recording.rrd"))
+    assert set(failures(run)) == {"files", "recording"}
+
+
+def test_a_recording_without_an_index_that_ends_in_the_middle_of_a_message_is_wrong(run):
+    run.recording.write_bytes(unfinished(run)[:-10])
+    synthetic.record(run)
+    assert list(failures(run)) == ["recording"]
+
+
+def test_a_damaged_exported_policy_is_wrong(run):
+    path = run.exported / "policy.pt"
+    synthetic.flip(path, path.read_bytes().index(b"weights"))
+    synthetic.record(run)
+    only(run, "exported", "policy.pt")
+
+
+# --- runs that have not ended ---
+
+
+def test_a_crashed_run_is_sound_as_far_as_it_came(run):
+    synthetic.crash(run)
+    run.iterations.write_text(run.iterations.read_text() + '{"iteration": 5, "dig')
+    run.recording.write_bytes(run.recording.read_bytes()[:-40])
+    told = notes(run)
+    assert verify_run(run).status == "crashed"
+    for words in ("recorded when the run ends", "wheelleg resume", "cut off"):
+        assert any(words in note for note in told), words
+
+
+def test_what_decided_a_crashed_run_is_still_held_against_its_manifest(run):
+    synthetic.crash(run)
+    synthetic.flip(run.params / "env.yaml")
+    assert any("params/env.yaml was changed" in f for f in failures(run)["files"])
+
+
+def test_a_file_beside_the_snapshot_of_a_crashed_run_is_wrong(run):
+    synthetic.crash(run)
+    (run.params / "more.yaml").write_text("x: 1\n")
+    only(run, "files", "params/more.yaml")
+
+
+def test_a_running_run_is_sound(run):
+    synthetic.crash(run)
+    data = run.manifest().data
+    from wheelleg_exp.run.process import this_process
+
+    synthetic.edit(run, lambda d: d.update(process=this_process()))
+    assert failures(run) == {}
+    assert verify_run(run).status == "running"
+    assert data["status"] == "running"
+
+
+def test_a_run_that_broke_off_before_its_first_step_is_told_as_such(run):
+    synthetic.crash(run)
+    synthetic.edit(run, lambda data: data.update(source={}, files={}))
+    for path in (*run.checkpoints(), run.iterations, run.recording, run.params / "agent.yaml"):
+        path.unlink()
+    shutil.rmtree(run.source)
+    assert failures(run) == {}
+
+
+def test_a_resume_is_told_with_what_it_changed(run):
+    facts = {"iteration": 3, "overrides": ["agent.algorithm.gamma=0.9"], "exact": False}
+    synthetic.edit(run, lambda data: data["resumes"].append({"when": "2026-11-20T10:00:00.000000Z", **facts}))
+    assert any("from iteration 3" in n and "not exactly: agent.algorithm.gamma=0.9" in n for n in notes(run))
+
+
+def test_of_many_resumes_the_inexact_ones_are_told_first(run):
+    for iteration in range(20):
+        entry = {"when": "2026-11-20T10:00:00Z", "iteration": iteration, "exact": iteration != 17}
+        synthetic.edit(run, lambda data, entry=entry: data["resumes"].append(entry))
+    told = [line for line in verify_run(run).lines() if "resumed on" in line]
+    assert "from iteration 17, not exactly" in told[0]
+    assert "from iteration 0, exactly" in told[1]
+
+
+def test_a_checkpoint_from_before_a_resume_is_held_against_its_old_record(run):
+    before = {"files": dict(run.manifest().data["files"])}
+    entry = {"when": "2026-11-20T10:00:00.000000Z", "iteration": 3, "overrides": [], "exact": True, "before": before}
+    synthetic.crash(run)
+    synthetic.edit(run, lambda data: data["resumes"].append(entry))
+    assert any("resumed" in note and "exactly" in note for note in notes(run))
+    (run.path / "model_4.pt").write_bytes(b"")  # written again by the resume
+    (run.path / "model_4.pt").unlink()
+    assert failures(run) == {}
+    synthetic.flip(run.path / "model_2.pt")
+    assert "model_2.pt was changed after it was recorded" in failures(run)["files"]
+
+
+def test_a_resume_that_broke_off_before_it_wrote_its_settings_is_no_damage(run):
+    old = (run.params / "agent.yaml").read_text()
+    synthetic.edit_params(run, lambda env, agent: agent["algorithm"].update(gamma=0.5))
+    synthetic.record(run)
+    synthetic.crash(run)
+    (run.params / "agent.yaml").write_text(old)
+    assert "files" in failures(run)
+    entry = {"when": "2026-11-20T10:00:00.000000Z", "files_to_write": {"params/agent.yaml": "..."}}
+    synthetic.edit(run, lambda data: data["resumes"].append(entry))
+    assert any("params/agent.yaml is not changed yet" in note for note in notes(run))
+
+
+@pytest.mark.parametrize("recorded", [{}, {"RATE": "0.25"}])
+def test_a_setting_that_came_from_the_environment_is_held_against_what_was_recorded(run, monkeypatch, recorded):
+    monkeypatch.setenv("RATE", "0.75")  # by now
+    config = (run.hydra / "config.yaml").read_text()
+    (run.hydra / "config.yaml").write_text(config.replace("gamma: 0.99", "gamma: ${oc.decode:${oc.env:RATE}}"))
+    synthetic.edit_params(run, lambda env, agent: agent["algorithm"].update(gamma=0.25))
+    synthetic.record(run)
+    synthetic.edit(run, lambda data: data.update(config_variables=recorded))
+    told = [note for note in notes(run) if "agent.algorithm.gamma" in note]
+    assert bool(told) == (not recorded)
+    synthetic.edit_params(run, lambda env, agent: agent.update(max_iterations=6))
+    synthetic.record(run)
+    only(run, "params", "agent.max_iterations")
+
+
+# --- what is no run ---
+
+
+def test_what_is_no_run_is_an_error_for_people(run, tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RunDirectoryError, match="no manifest"):
+        verify_run(RunDirectory(tmp_path / "empty"))
+    synthetic.edit(run, lambda data: data.update(format=99))
+    with pytest.raises(RunDirectoryError, match="format 99"):
+        verify_run(run)

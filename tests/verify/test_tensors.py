@@ -1,0 +1,100 @@
+"""Trees of tensors compared bit by bit, against cases worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from wheelleg_exp.verify.tensors import count_leaves, relative_distance, tree_differences
+
+NAN = float("nan")
+INF = float("inf")
+
+
+def differences(a, b):
+    return list(tree_differences(a, b))
+
+
+def one(a, b):
+    (found,) = differences(a, b)
+    return found
+
+
+@pytest.mark.parametrize(
+    "tree",
+    [
+        {"x": torch.tensor([1.0, NAN, -0.0, INF]), "n": [1, (2.0, "t")], "nothing": None},
+        {"b": torch.tensor([True, False]), "i": torch.tensor(3), "e": torch.zeros(0, 2)},
+        {"h": torch.zeros(2).bfloat16()},
+        {"f": NAN, "z": -0.0},
+    ],
+)  # fmt: skip
+def test_equal_bits_are_equal_nan_and_all(tree):
+    copy = {key: value.clone() if isinstance(value, torch.Tensor) else value for key, value in tree.items()}
+    assert differences(tree, copy) == []
+
+
+def test_the_largest_difference_is_told_with_its_place_and_size():
+    a = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], dtype=torch.float64)
+    b = torch.tensor([[1.0, 2.5, 3.0], [4.0, 5.0, 4.0]], dtype=torch.float64)
+    found = one(a, b)
+    assert (found.index, found.a, found.b, found.largest) == ((1, 2), 6.0, 4.0, 2.0)
+    assert found.relative == pytest.approx(1 / 3)
+    assert (found.count, found.of) == (2, 6)
+
+
+def test_layout_in_memory_does_not_matter():
+    a = torch.arange(6.0).reshape(2, 3)
+    assert differences(a, a.T.contiguous().T) == []
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.0, -0.0), (NAN, -NAN)])
+def test_other_bits_of_the_same_value_are_a_difference_of_size_zero(a, b):
+    ones, others = torch.tensor([1.0, a]), torch.tensor([1.0, b])
+    if math.isnan(a):
+        others = ones.clone()
+        others.view(torch.int32)[1] ^= 1  # another NaN
+    found = one(ones, others)
+    assert (found.index, found.largest, found.relative, found.count) == ((1,), 0.0, 0.0, 1)
+
+
+@pytest.mark.parametrize(("a", "b"), [(NAN, 1.0), (1.0, NAN), (INF, 1.0), (INF, -INF)])
+def test_nan_or_infinity_on_one_side_outweighs_every_finite_difference(a, b):
+    found = one(torch.tensor([0.0, a]), torch.tensor([1e9, b]))
+    assert found.index == (1,)
+    assert not math.isfinite(found.largest)
+    assert found.count == 2
+
+
+def test_equal_infinities_are_no_difference():
+    assert one(torch.tensor([INF, 1.0]), torch.tensor([INF, 3.0])).largest == 2.0
+
+
+def test_names_lead_to_the_leaf():
+    a = {"net": {"w": [torch.zeros(1), torch.zeros(1)]}, 3: 1}
+    b = {"net": {"w": [torch.zeros(1), torch.ones(1)]}, 3: 2}
+    assert [d.name for d in differences(a, b)] == ["net.w[1]", "3"]
+
+
+def test_whole_numbers_and_floats_are_other_kinds_and_so_are_texts():
+    assert one({"x": 1}, {"x": 1.0}).kind == "kind"
+    assert one({"x": True}, {"x": 1}).kind == "kind"
+    assert one({"x": "a"}, {"x": "b"}).kind == "values"
+
+
+def test_a_shorter_list_lacks_its_end():
+    assert [(d.name, d.kind) for d in differences([1, 2], [1])] == [("[1]", "only in A")]
+
+
+def test_leaves_are_counted():
+    assert count_leaves({"a": [1, 2], "b": {"c": torch.zeros(9)}}) == 3
+
+
+def test_relative_distance_is_euclidean_over_all_tensors():
+    a = {"x": torch.tensor([3.0, 0.0]), "y": torch.tensor([4.0])}
+    b = {"x": torch.tensor([0.0, 0.0]), "y": torch.tensor([10.0])}
+    assert relative_distance(a, b) == pytest.approx(math.sqrt(9 + 36) / 10)
+    assert relative_distance(a, a) == 0.0
+    assert relative_distance(a, {"x": a["x"]}) == math.inf

@@ -1,0 +1,212 @@
+"""Gathers what elements have in common into default classes, so that a number stands once in the file.
+
+One class has the robot's name and holds what all elements of a kind share. Classes within it hold what several
+share, and are called after the words that those have in common: ``FL_hip`` and ``FR_hip`` make the class ``hip``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from wheelleg_exp.asset.description import Closure, Coupling, Geom, RobotDescription
+from wheelleg_exp.asset.mjcf import attributes as of
+from wheelleg_exp.asset.mjcf.attributes import GROUP_COLLIDER, GROUP_VISUAL, Attributes
+from wheelleg_exp.asset.mjcf.xml import Element, Value, value_text
+
+VISUAL, COLLISION = "visual", "collision"
+ACTUATORS = {"position", "velocity", "motor", "general"}
+RESERVED = {"main", VISUAL, COLLISION, *ACTUATORS}
+EMPTY_WORDS = {"joint", "actuator", "act", "geom", "site", "link", VISUAL, COLLISION}  # unless nothing else is left
+
+
+@dataclass
+class Family:
+    """Elements of one tag by name, and which attributes may make a class of their own (None: all of them)."""
+
+    tag: str
+    members: Mapping[str, Attributes]
+    parent: str
+    grouping: frozenset[str] | None = None
+    fixed: Attributes = field(default_factory=dict)
+
+
+class Classes:
+    """The default classes of a document, and what is left for each element to say."""
+
+    def __init__(self, root: str) -> None:
+        self.root = root
+        self._content: dict[str, dict[str, Attributes]] = {root: {}}
+        self._parents: dict[str, str] = {}
+        self._of: dict[tuple[str, str], str] = {}
+        self._rest: dict[tuple[str, str], Attributes] = {}
+
+    def child(self, name: str) -> None:
+        """Make an empty class within the robot's."""
+        self._content.setdefault(name, {})
+        self._parents[name] = self.root
+
+    def add(self, family: Family) -> None:
+        """Find the classes of a family's members."""
+        shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
+        if shared:
+            self._content[family.parent][family.tag] = shared
+        rests = {name: _without(own, shared) for name, own in family.members.items()}
+        for name, rest in rests.items():
+            self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
+        for names in _alike(rests, family.grouping):
+            self._group(family, names, {key: rests[names[0]][key] for key in _grouping(rests[names[0]], family)})
+
+    def of(self, tag: str, name: str) -> str | None:
+        """Return an element's class, None when it has none or when it is the robot's, which bodies hand down."""
+        found = self._of.get((tag, name))
+        return None if found is None or found == self.root or not self._needed(found) else found
+
+    def explicit(self, tag: str, name: str) -> str | None:
+        """Return an element's class where no body hands one down: the robot's only if it says something of ``tag``."""
+        found = self._of.get((tag, name))
+        return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
+
+    def rest(self, tag: str, name: str) -> Attributes:
+        """Return the attributes that an element's class does not give it."""
+        return self._rest[tag, name]
+
+    def inherited(self) -> bool:
+        """Return whether bodies have something to hand down."""
+        return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
+
+    def element(self) -> Element:
+        """Return the ``<default>`` of the document."""
+        out = Element("default")
+        made = {self.root: Element("default", {"class": self.root})}
+        for name, tags in self._content.items():
+            element = made.setdefault(name, Element("default", {"class": name}))
+            for tag, shared in tags.items():
+                element.add(tag, shared)
+        for name, parent in self._parents.items():
+            if self._needed(name):
+                made[parent].children.append(made[name])
+        if made[self.root].children:
+            out.children.append(made[self.root])
+        return out
+
+    def _needed(self, name: str) -> bool:
+        return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
+
+    def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
+        name = self._free(_words_in_common(names), family)
+        self._content.setdefault(name, {})[family.tag] = shared
+        self._parents[name] = family.parent
+        for member in names:
+            self._of[family.tag, member] = name
+            self._rest[family.tag, member] = _without(self._rest[family.tag, member], shared)
+
+    def _free(self, stem: str, family: Family) -> str:
+        """Return a name for a class: one of the same parent may hold several tags."""
+        if family.parent == self.root:
+            stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
+        else:
+            stem = f"{stem}_{family.parent}" if stem else family.parent
+        name, number = stem, 2
+        while name in RESERVED or name == self.root or self._taken(name, family):
+            name, number = f"{stem}_{number}", number + 1
+        return name
+
+    def _taken(self, name: str, family: Family) -> bool:
+        return name in self._content and (family.tag in self._content[name] or self._parents.get(name) != family.parent)
+
+
+def _key(value: Value) -> str:
+    return value_text(value)
+
+
+def _common(members: Iterable[Attributes], fixed: Attributes) -> Attributes:
+    """Return what all members say alike; nothing of a single one, which can say it itself."""
+    first, *others = [*members] or [{}]
+    if not others:
+        return {}
+    shared = {k: v for k, v in first.items() if all(k in o and _key(o[k]) == _key(v) for o in others)}
+    return {k: v for k, v in shared.items() if k not in fixed or _key(fixed[k]) != _key(v)}
+
+
+def _without(own: Attributes, shared: Attributes) -> Attributes:
+    return {k: v for k, v in own.items() if k not in shared or _key(shared[k]) != _key(v)}
+
+
+def _grouping(rest: Attributes, family: Family) -> list[str]:
+    return [key for key in rest if family.grouping is None or key in family.grouping]
+
+
+def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> list[list[str]]:
+    """Return the names of members that say the same, where there are two or more."""
+    groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    for name, rest in rests.items():
+        key = tuple(sorted((k, _key(v)) for k, v in rest.items() if grouping is None or k in grouping))
+        if key:
+            groups.setdefault(key, []).append(name)
+    return [names for names in groups.values() if len(names) > 1]
+
+
+def _words_in_common(names: list[str]) -> str:
+    """Return the words that all names have, in the order of the first."""
+    split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
+    shared = [word for word in split[0] if all(word in words for words in split[1:])]
+    words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
+    return "_".join([word for word in words if word.lower() not in EMPTY_WORDS] or words)
+
+
+COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)
+SHARED = frozenset({"group", "rgba", "friction", "condim", "solref", "solimp", "solmix", "margin", "gap", "priority"})
+UNSEEN: Attributes = {"group": GROUP_VISUAL, "contype": 0, "conaffinity": 0, "mass": 0.0}
+TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}  # by the ground, and by nothing of the robot
+
+
+def gather(robot: RobotDescription) -> Classes:
+    """Return the default classes of a robot."""
+    root = robot.name if robot.name not in RESERVED else f"{robot.name}_robot"
+    classes = Classes(root)
+    for name in (VISUAL, COLLISION):
+        classes.child(name)
+    for family in (*_geoms(robot), *_others(robot, root), *_actuators(robot, classes)):
+        classes.add(family)
+    return classes
+
+
+def _geoms(robot: RobotDescription) -> Iterator[Family]:
+    moving = [geom for body in robot.bodies for geom in body.geoms]
+    drawn = [geom for geom in (*moving, *robot.static_geoms) if not geom.collides]
+    solid = [geom for geom in moving if geom.collides]
+    if drawn:
+        yield _family(VISUAL, drawn, UNSEEN)
+    if solid:
+        fixed: Attributes = {"group": GROUP_COLLIDER, "rgba": COLLIDER_COLOR}
+        yield _family(COLLISION, solid, fixed if robot.self_collision else {**fixed, **TOUCHED})
+
+
+def _family(name: str, geoms: list[Geom], fixed: Attributes) -> Family:
+    return Family("geom", {geom.name: of.geom(geom) for geom in geoms}, name, SHARED, fixed)
+
+
+def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
+    sites = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
+    yield Family("joint", {dof.name: of.joint(dof) for dof in robot.dofs}, root)
+    yield Family("site", {site.name: of.site(site) for site in sites}, root)
+    yield Family("tendon", {item.name: of.tendon(item) for item in robot.tendons}, root)
+    constraints: list[Closure | Coupling] = [*robot.closures, *robot.couplings]
+    equalities = {of.key(item): of.equality(item) for item in constraints}
+    yield Family("equality", equalities, root)
+
+
+def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
+    """Return the actuators by kind. MuJoCo keeps one default of all kinds in a class, so each kind has its own."""
+    members: dict[str, dict[str, Attributes]] = {}
+    for dof in robot.dofs:
+        if dof.drive:
+            members.setdefault(dof.drive.kind, {})[dof.name] = of.drive(dof.drive)
+    if robot.actuators:
+        members["general"] = {item.name: of.actuator(item) for item in robot.actuators}
+    if len(members) > 1:
+        for kind in members:
+            classes.child(kind)
+    return [Family(kind, items, kind if len(members) > 1 else classes.root) for kind, items in members.items()]

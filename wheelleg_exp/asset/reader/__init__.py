@@ -1,1 +1,0 @@
-"""Reads USD into a robot description."""

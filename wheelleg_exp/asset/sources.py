@@ -1,0 +1,83 @@
+"""How much a robot's files may hold, and what they may name. What is larger is no robot."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wheelleg_exp.errors import AssetError
+
+LARGEST_FILE = 2**30  # bytes
+LARGEST_TEXT = 2**28  # bytes of a file that is read whole, and grows twentyfold on the way: a URDF, a mesh
+FARTHEST = 1e9  # m; MuJoCo refuses states beyond 1e10, and nothing of a robot is that far
+MOST_PRIMS = 300_000
+MOST_ELEMENTS = 200_000  # of XML
+MOST_BODIES = 5_000
+MOST_SHAPES = 20_000
+MOST_POINTS = 10_000_000  # points and triangles of all meshes as they are drawn, those of instances again; some 5 GB
+
+
+def require_size(
+    count: int, most: int, what: str, *, key: str | None = None, where: str | None = None, expected: str = "one robot"
+) -> None:
+    """Refuse a robot that is too large.
+
+    Raises:
+        AssetError: ``count`` is above ``most``.
+    """
+    if count > most:
+        raise AssetError(f"there are more than {most:,} {what}", key=key, where=where, expected=expected)
+
+
+def require_near(lengths: ArrayLike, *, key: str, where: str | None = None) -> None:
+    """Refuse lengths (m) that no robot has.
+
+    Raises:
+        AssetError: one is beyond ``FARTHEST``, or not a number.
+    """
+    largest = float(np.abs(np.asarray(lengths, dtype=float)).max(initial=0.0))
+    if not largest <= FARTHEST:
+        raise AssetError(f"it reaches {largest:.3g} m", key=key, where=where, expected=f"less than {FARTHEST:g} m")
+
+
+TEXTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tga", ".tif", ".tiff", ".bmp", ".dds", ".webp", ".tx")
+LOOKS = (*TEXTURES, ".mdl", ".mtlx")
+MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".fbx")
+
+
+def require_plain_file(
+    path: Path, expected: str, largest: int = LARGEST_FILE, *, key: str | None = None, where: str | None = None
+) -> None:
+    """Refuse what cannot be read as a file: a pipe or a device would be waited for, or never end.
+
+    Args:
+        path: the file.
+        expected: what it has to be.
+        largest: its size in bytes.
+        key: what names it, a prim or an element.
+        where: the file that names it.
+
+    Raises:
+        AssetError: there is nothing, a folder, a pipe, a device, or a file of more than ``largest`` bytes.
+    """
+    problem = _problem_of(path, largest)
+    if problem:
+        raise AssetError(problem, key=key, where=where, expected=expected)
+
+
+def _problem_of(path: Path, largest: int) -> str:
+    try:
+        found = path.stat()
+        str(path).encode()
+    except FileNotFoundError:
+        return f"there is no file '{path}'"
+    except (OSError, ValueError) as error:
+        return f"'{path}' cannot be read: {getattr(error, 'strerror', None) or error}"
+    if stat.S_ISDIR(found.st_mode):
+        return f"'{path}' is a folder"
+    if not stat.S_ISREG(found.st_mode):
+        return f"'{path}' is a pipe or a device"
+    return f"'{path}' is larger than {largest >> 20} MB" if found.st_size > largest else ""

@@ -1,0 +1,133 @@
+"""Finds the rigid bodies and says which body a prim belongs to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pxr import Sdf, Usd
+
+from wheelleg_exp.asset.geometry import Frame
+from wheelleg_exp.asset.naming import unique_names
+from wheelleg_exp.asset.sources import MOST_BODIES, require_size
+from wheelleg_exp.asset.usd.stage import Stage, schemas
+from wheelleg_exp.asset.usd.variants import variant_sets
+from wheelleg_exp.errors import AssetError
+
+LONGEST = 200  # characters of a name from metadata
+
+
+@dataclass(eq=False)
+class Link:
+    """A rigid body as drawn: its prim, name and frame in the world."""
+
+    path: str
+    prim: Usd.Prim
+    name: str
+    frame: Frame
+    kinematic: bool
+    weightless: bool
+
+
+class Links:
+    """All rigid bodies of a stage, by path, in the order of the stage."""
+
+    def __init__(self, links: list[Link]) -> None:
+        self.by_path = {link.path: link for link in links}
+        self._owners: dict[Sdf.Path, Link | None] = {
+            Sdf.Path.absoluteRootPath: None,
+            **{Sdf.Path(link.path): link for link in links},
+        }
+
+    def __iter__(self) -> Iterator[Link]:
+        return iter(self.by_path.values())
+
+    def owner(self, path: Sdf.Path) -> Link | None:
+        """Return the body at ``path`` or above it, None for what belongs to the world."""
+        climbed = []
+        while path not in self._owners and not path.isEmpty:
+            climbed.append(path)
+            path = path.GetParentPath()
+        found = self._owners.get(path)
+        self._owners.update(dict.fromkeys(climbed, found))
+        return found
+
+    def below(self, path: Sdf.Path) -> list[Link]:
+        """Return the bodies at or below ``path``."""
+        return [link for link in self.by_path.values() if Sdf.Path(link.path).HasPrefix(path)]
+
+
+def find_links(stage: Stage) -> Links:
+    """Return the enabled rigid bodies.
+
+    Raises:
+        AssetError: there is none, or more than a robot has.
+    """
+    prims = [prim for prim in stage.prims if "PhysicsRigidBodyAPI" in schemas(prim) and _enabled(stage, prim)]
+    if not prims:
+        raise _no_articulation(stage)
+    require_size(len(prims), MOST_BODIES, "rigid bodies", where=str(stage.source))
+    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    return Links([_link(stage, prim, names[str(prim.GetPath())]) for prim in prims])
+
+
+def _no_articulation(stage: Stage) -> AssetError:
+    name, missing = stage.source.name, ", ".join(stage.unresolved)
+    if missing:
+        return AssetError(
+            f"'{name}' has no articulation, and layers that it names are missing: {missing}",
+            where=str(stage.source),
+            expected="those layers beside the file, and PhysicsRigidBodyAPI on prims below the default prim",
+        )
+    return AssetError(
+        f"'{name}' has no articulation: no prim carries PhysicsRigidBodyAPI{_why_nothing(stage)}",
+        where=str(stage.source),
+        expected="rigid bodies below the default prim; " + _what_to_choose(stage),
+    )
+
+
+def _why_nothing(stage: Stage) -> str:
+    """Return what keeps a stage's default prim from being read."""
+    root = stage.root
+    if not root.IsActive():
+        return f", and {root.GetPath()} is switched off (active = false)"
+    if root.IsAbstract():
+        return f", and {root.GetPath()} is a class, which stands for nothing until it is referenced"
+    if not root.IsDefined():
+        return f", and {root.GetPath()} is an 'over', which nothing defines"
+    elsewhere = [prim for prim in stage.usd.Traverse() if "PhysicsRigidBodyAPI" in schemas(prim)]
+    return f" there; outside of {root.GetPath()} there is {elsewhere[0].GetPath()}" if elsewhere else ""
+
+
+def _what_to_choose(stage: Stage) -> str:
+    sets = variant_sets(stage.root)
+    if not sets:
+        return "the file has no variants to choose from"
+    choices = "; ".join(f"{name}: {', '.join(options)}" for name, options in sets.items())
+    return f"or another variant, by --variant SET=NAME ({choices})"
+
+
+def shown_names(prims: list[Usd.Prim]) -> dict[str, str]:
+    """Return the original names of prims whose own name is an encoded form of it (``tn__...``)."""
+    out = {}
+    for prim in prims:
+        if prim.GetName().startswith("tn__"):
+            original = prim.GetMetadata("displayName")
+            if original and original.isprintable() and len(original) <= LONGEST:
+                out[str(prim.GetPath())] = original
+    return out
+
+
+def _enabled(stage: Stage, prim: Usd.Prim) -> bool:
+    enabled = stage.ledger.read(prim, "physics:rigidBodyEnabled", "the choice of bodies") is not False
+    if not enabled:
+        stage.ledger.assume(prim.GetPath(), "rigidBodyEnabled is 0: its shapes belong to the body above", "no body")
+    return enabled
+
+
+def _link(stage: Stage, prim: Usd.Prim, name: str) -> Link:
+    ledger = stage.ledger
+    kinematic = bool(ledger.read(prim, "physics:kinematicEnabled", "mocap"))
+    weightless = bool(ledger.read(prim, "physxRigidBody:disableGravity", "gravcomp"))
+    ledger.mapped(prim.GetPath(), "PhysicsRigidBodyAPI", f"body {name}")
+    return Link(str(prim.GetPath()), prim, name, stage.frame(prim), kinematic, weightless)

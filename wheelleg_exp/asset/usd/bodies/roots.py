@@ -1,0 +1,183 @@
+"""Chooses the roots of the trees: bodies that the world holds, articulation roots, and centres of what floats."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from pxr import Sdf
+
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links
+from wheelleg_exp.asset.usd.joints.joints import Joint
+from wheelleg_exp.asset.usd.stage import Stage, schemas
+
+Root = tuple[Link, "Joint | None"]
+
+
+@dataclass
+class Graph:
+    """Bodies and the joints at each of them; ``edges[None]`` are the joints to the world.
+
+    ``released`` are bodies that a dropped joint held to the world: they stay roots.
+    """
+
+    links: Links
+    joints: list[Joint]
+    released: list[Link] = field(default_factory=list)
+    edges: dict[str | None, list[Joint]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for joint in self.joints:
+            for link in joint.links:
+                self.edges.setdefault(link.path if link else None, []).append(joint)
+
+    def at(self, link: Link | None) -> list[Joint]:
+        """Return the joints at a body, or at the world."""
+        return self.edges.get(link.path if link else None, [])
+
+    def neighbours(self, link: Link, closing: bool = False) -> Iterable[Link]:
+        """Yield the bodies that joints of the tree (with ``closing``, of loops too) connect to one."""
+        for joint in self.at(link):
+            other = joint.other(link)
+            if other is not None and (closing or not joint.closes):
+                yield other
+
+    def component(self, start: Link) -> list[Link]:
+        """Return all bodies that joints of the tree connect to one, itself first, level by level."""
+        return list(self.distances(start, closing=False)[0])
+
+    def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
+        """Return the bodies that can be reached from one, nearest first, and how far the last one is."""
+        depth, queue, order = {start.path: 0}, deque([start]), [start]
+        while queue:
+            link = queue.popleft()
+            for other in self.neighbours(link, closing):
+                if other.path not in depth:
+                    depth[other.path] = depth[link.path] + 1
+                    queue.append(other)
+                    order.append(other)
+        return order, depth[order[-1].path]
+
+
+def articulation_prims(stage: Stage) -> list[Sdf.Path]:
+    """Return the prims that carry ArticulationRootAPI."""
+    cache = vars(stage)  # to go through a large stage once
+    if "articulation_prims" not in cache:
+        found = [prim.GetPath() for prim in stage.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
+        cache["articulation_prims"] = found
+    paths: list[Sdf.Path] = cache["articulation_prims"]
+    return paths
+
+
+def find_roots(stage: Stage, graph: Graph) -> list[Root]:
+    """Return where trees start, best first.
+
+    Bodies joined to the world; bodies that carry ArticulationRootAPI; kinematic bodies; where a prim above bodies
+    carries that schema, the middle of each floating part, as PhysX chooses it; and bodies that are nobody's child.
+    """
+    marks = articulation_prims(stage)
+    roots: dict[str, Root] = {}
+    for joint in _to_world(graph, marks):
+        link = joint.other(None)
+        if link is not None and not joint.closes:
+            roots.setdefault(link.path, (link, joint))
+    for link in graph.released:
+        roots.setdefault(link.path, (link, None))
+    for path in marks:
+        stage.ledger.mapped(path, "PhysicsArticulationRootAPI", "the choice of the root")
+        if marked := graph.links.by_path.get(str(path)):
+            roots.setdefault(marked.path, (marked, None))
+    for link in graph.links:
+        if link.kinematic:
+            roots.setdefault(link.path, (link, None))
+    for middle in _middles(graph, marks, [link for link, _ in roots.values()]):
+        roots.setdefault(middle.path, (middle, None))
+    children = {j.links[1].path for j in graph.joints if j.links[1] and j.links[0] and not j.closes}
+    free = [link for link in graph.links if link.path not in children]
+    return [*roots.values(), *((link, None) for link in free if link.path not in roots)]
+
+
+def articulated(stage: Stage, graph: Graph) -> list[Joint]:
+    """Return the joints between bodies of articulations: all that ArticulationRootAPI reaches through joints."""
+    seeds = list(_below(graph.links, articulation_prims(stage)))
+    marked = {str(path) for path in articulation_prims(stage)}
+    seeds += [link for joint in graph.joints if joint.path in marked for link in joint.links if link]
+    reached: set[str] = set()
+    for seed in seeds:
+        if seed.path not in reached:
+            reached |= {link.path for link in graph.component(seed)}
+    inside = (j for j in graph.joints if not j.closes and all(link and link.path in reached for link in j.links))
+    return list(inside)
+
+
+def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
+    """Return the joints to the world, those of articulation roots first."""
+    marked = {str(path) for path in marks}
+    return sorted(graph.at(None), key=lambda j: not marked & {j.path, *(link.path for link in j.links if link)})
+
+
+def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:
+    """Yield the middles of the floating parts below articulation roots that hold no root yet."""
+    reached: set[str] = set()
+    for root in roots:
+        if root.path not in reached:
+            reached |= {link.path for link in graph.component(root)}
+    for link in _below(graph.links, marks):
+        if link.path not in reached:
+            part = graph.component(link)
+            reached |= {member.path for member in part}
+            yield centre(graph, part)
+
+
+def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
+    chosen = set(marks)
+    for link in links:
+        if any(path in chosen for path in Sdf.Path(link.path).GetPrefixes()):
+            yield link
+
+
+def centre(graph: Graph, part: list[Link]) -> Link:
+    """Return the body whose farthest body is nearest; of several the one with more joints, then the first found.
+
+    That is what OpenUSD's physics parser, and with it PhysX, takes for the root of an articulation that floats.
+    """
+    order = {link.path: index for index, link in enumerate(_by_depth(graph, part[0]))}
+    return min(
+        _middle(graph, part),
+        key=lambda link: (graph.distances(link, True)[1], -len(graph.at(link)), order[link.path]),
+    )
+
+
+MANY = 200  # bodies in loops, beyond which the middle is looked for among the first ones only
+
+
+def _middle(graph: Graph, part: list[Link]) -> list[Link]:
+    """Return the candidates for the centre: what is left of a part when leaves are cut, layer by layer."""
+    left = {link.path: link for link in part}
+    around = {path: list({o.path for o in graph.neighbours(link, True)} & left.keys()) for path, link in left.items()}
+    degree = {path: len(others) for path, others in around.items()}
+    leaves = [path for path, count in degree.items() if count <= 1]
+    while leaves and len(left) > 2:
+        fresh = []
+        for leaf in leaves:
+            del left[leaf]
+            for other in around[leaf]:
+                degree[other] -= 1
+                if degree[other] == 1 and other in left:
+                    fresh.append(other)
+        leaves = fresh
+    return list(left.values())[:MANY]
+
+
+def _by_depth(graph: Graph, start: Link) -> Iterable[Link]:
+    """Yield the bodies of a part in the order of a depth-first walk, joints in the order of their paths."""
+    seen, stack = set(), [start]
+    while stack:
+        link = stack.pop()
+        if link.path in seen:
+            continue
+        seen.add(link.path)
+        yield link
+        joints = sorted((j for j in graph.at(link) if not j.closes), key=lambda j: Sdf.Path(j.path), reverse=True)
+        stack.extend(other for j in joints if (other := j.other(link)) is not None)

@@ -1,0 +1,176 @@
+"""Turns tree edges into degrees of freedom, and finds the coordinates that the drawing shows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+
+import numpy as np
+from pxr import Usd
+
+from wheelleg_exp.asset.description import Dof, Vec3
+from wheelleg_exp.asset.geometry import Array, Frame, rounded, vec3
+from wheelleg_exp.asset.usd.bodies.nodes import Node, drawn_in_parent
+from wheelleg_exp.asset.usd.joints.axes import FreeAxis, turned
+from wheelleg_exp.asset.usd.joints.drives import clamped, read_drive
+from wheelleg_exp.asset.usd.joints.joints import Joint
+from wheelleg_exp.asset.usd.joints.limits import read_range
+from wheelleg_exp.asset.usd.joints.passive import force_range, read_passive, velocity_limit
+from wheelleg_exp.asset.usd.mjc.angles import angle_in_radians
+from wheelleg_exp.asset.usd.stage import Stage
+
+CLOSE_M, CLOSE_RAD = 1e-5, 1e-4  # below this a drawing and its joint frames agree
+
+
+def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
+    """Return the degrees of freedom of a body in its parent; without a saved state, the drawn one is it.
+
+    A zero that is outside the limits is moved into them, but not in a robot with ``loops``, which would come apart.
+
+    The coordinate is body1's against body0 about +axis. When the body is body0, its axis is negated, and
+    limits, targets and gains stay as authored.
+    """
+    if node.joint is None:
+        return ()
+    found = [dof for joint in node.joints for dof in _dofs_of_joint(stage, node, joint)]
+    return _compare_drawing(stage, node, tuple(found), loops)
+
+
+def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
+    frame, sign = node.frame_in_body(joint), -1.0 if node.reversed else 1.0
+    if node.reversed and joint.axes:
+        rule = "the joint names the child as body0: the axis is negated"
+        stage.ledger.assume(joint.path, rule, node.link.name)
+    found = []
+    for axis in reversed(joint.axes) if node.reversed else joint.axes:
+        direction = sign * (frame.rotation @ np.array(axis.axis))
+        name = joint.name + (axis.suffix if len(joint.axes) > 1 else "")
+        found.append(read_dof(stage, joint.prim, axis, name, vec3(direction), vec3(frame.translation)))
+    return found
+
+
+def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: bool) -> tuple[Dof, ...]:
+    """Report a drawn pose that the joint cannot reach; keep one that it can as the saved state."""
+    assert node.joint is not None
+    drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
+    moved = zero.inverse() @ drawn
+    values = _coordinates(moved, node, dofs)
+    reached = Frame.identity()
+    for dof, value in zip(dofs, values, strict=True):
+        reached = reached @ _moved(dof, value)
+    _warn_if_apart(stage, node, moved, reached)
+    saved = any(name.startswith("state:") for name in map(str, node.joint.prim.GetAuthoredPropertyNames()))
+    drawn_at_zero = all(abs(value) < CLOSE_RAD for value in values)
+    if saved or (drawn_at_zero and loops):
+        return dofs
+    if drawn_at_zero:
+        prim = node.joint.prim
+        return tuple(replace(d, position=clamped(stage, prim, "zero", d.position, d.range)) for d in dofs)
+    shown = ", ".join(f"{value:.6g}" for value in values)
+    stage.ledger.assume(node.joint.path, "the file is saved in a bent pose: zero is between the frames", shown)
+    return tuple(_at(stage, node.joint, dof, value) for dof, value in zip(dofs, values, strict=True))
+
+
+def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
+    position = rounded(value + dof.ref) if abs(value) >= CLOSE_RAD else dof.ref
+    return replace(dof, position=clamped(stage, joint.prim, "the drawn pose", position, dof.range))
+
+
+def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
+    """Return coordinates that bring a body from zero to where it is drawn, as near as its joint allows.
+
+    Balls stay at zero, and so does what several joints together do.
+    """
+    assert node.joint is not None
+    if not dofs or len(node.joints) > 1 or any(dof.kind == "ball" for dof in dofs):
+        return [0.0] * len(dofs)
+    if len(dofs) == 1:
+        return [_coordinate(moved, dofs[0])]
+    at_joint = node.frame_in_body(node.joint)
+    inside = at_joint.inverse() @ moved @ at_joint  # body1 against body0, in the joint's frame
+    inside = inside.inverse() if node.reversed else inside
+    angles = _euler(inside.rotation)
+    by_axis = {axis.suffix: axis for axis in node.joint.axes}
+    values = []
+    for dof in dofs:
+        axis = next(axis for suffix, axis in by_axis.items() if dof.name.endswith(suffix))
+        index = "XYZ".index(axis.token[-1])
+        values.append(float(inside.translation[index]) if axis.kind == "slide" else angles[index])
+    return values
+
+
+def _euler(r: Array) -> tuple[float, float, float]:
+    """Return the angles of a rotation that is Rx(a) Ry(b) Rz(c)."""
+    return (
+        math.atan2(-r[1, 2], r[2, 2]),
+        math.asin(max(-1.0, min(1.0, float(r[0, 2])))),
+        math.atan2(-r[0, 1], r[0, 0]),
+    )
+
+
+def _coordinate(moved: Frame, dof: Dof) -> float:
+    axis = np.array(dof.axis)
+    if dof.kind == "slide":
+        return float(moved.translation @ axis)
+    r = moved.rotation
+    twist = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    return math.atan2(float(twist @ axis), float(np.trace(r)) - 1.0)
+
+
+def _moved(dof: Dof, value: float) -> Frame:
+    axis = np.array(dof.axis)
+    if dof.kind == "slide":
+        return Frame(np.eye(3), axis * value)
+    turn, anchor = turned(axis, value), np.array(dof.anchor)
+    return Frame(turn, anchor - turn @ anchor)
+
+
+def _warn_if_apart(stage: Stage, node: Node, drawn: Frame, reached: Frame) -> None:
+    metres, radians = drawn.distance(reached)
+    if metres < CLOSE_M and radians < CLOSE_RAD:
+        return
+    stage.ledger.assume(
+        node.link.path,
+        "drawn pose and joint frames differ: the frames win",
+        f"{metres:.4g} m, {radians:.4g} rad",
+    )
+
+
+def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction: Vec3, anchor: Vec3) -> Dof:
+    """Return one degree of freedom, ``direction`` and ``anchor`` (m) in the frame of the body below it."""
+    angular = axis.kind != "slide"
+    limits, ref = read_range(stage, prim, axis), _ref(stage, prim, angular)
+    state, speed = _state(stage, prim, axis)
+    stage.ledger.mapped(prim.GetPath(), str(prim.GetTypeName()), f"joint {name} ({axis.kind})")
+    return Dof(
+        name=name,
+        path=str(prim.GetPath()),
+        kind=axis.kind,
+        axis=direction,
+        anchor=anchor,
+        range=limits,
+        max_velocity=velocity_limit(stage, prim, axis),
+        force_range=force_range(stage, prim, angular),
+        drive=None if axis.kind == "ball" else read_drive(stage, prim, axis, limits, ref),
+        position=ref if state is None else clamped(stage, prim, "the saved state", state + ref, limits),
+        velocity=speed,
+        ref=ref,
+        extra={},
+        **asdict(read_passive(stage, prim, axis)),
+    )
+
+
+def _ref(stage: Stage, prim: Usd.Prim, angular: bool) -> float:
+    """Return MuJoCo's coordinate where USD's is zero, in rad or m."""
+    value = stage.ledger.read(prim, "mjc:ref", "joint ref")
+    if value is None:
+        return 0.0
+    return angle_in_radians(stage, float(value)) if angular else float(value) * stage.units.meters
+
+
+def _state(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> tuple[float | None, float]:
+    """Return the saved coordinate, None when there is none, and the saved speed."""
+    read, units, angular = stage.ledger.read, stage.units, axis.kind != "slide"
+    position = read(prim, f"state:{axis.token}:physics:position", "keyframe home, qpos")
+    velocity = read(prim, f"state:{axis.token}:physics:velocity", "keyframe home, qvel")
+    return None if position is None else units.coordinate(position, angular), units.coordinate(velocity or 0.0, angular)

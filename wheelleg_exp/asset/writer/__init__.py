@@ -1,1 +1,0 @@
-"""Writes a robot description as MJCF."""

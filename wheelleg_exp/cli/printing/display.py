@@ -1,0 +1,112 @@
+"""How jobs look: one live line in a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from wheelleg_exp.cli.printing.streams import styled
+from wheelleg_exp.definitions.definition import percent
+from wheelleg_exp.errors import printable
+from wheelleg_exp.rl.trainer import Iteration
+
+PLAIN_EVERY_S = 10.0
+
+
+class LiveLines:
+    """Lines on standard error, some of which move while the display is open, where it is a terminal.
+
+    Args:
+        columns: what stands between the count and the figures of a moving line.
+    """
+
+    def __init__(self, *columns: ProgressColumn) -> None:
+        self._console = Console(file=styled(sys.stderr))
+        self._live = self._console.is_terminal
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            *columns,
+            TextColumn("{task.fields[figures]}"),
+            console=self._console,
+            transient=True,
+        )
+
+    def __enter__(self) -> Self:
+        if self._live:
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._progress.stop()
+
+
+class ConsoleDisplay(LiveLines):
+    """Shows a job on standard error, so that standard output keeps what was asked for.
+
+    Args:
+        quiet: whether the managers' tables are left out.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        super().__init__(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+        self._quiet = quiet
+        self._last_plain = time.monotonic()
+        self._task: TaskID | None = None
+
+    def environment(self, description: str) -> None:
+        """Show the managers' tables."""
+        if not self._quiet:
+            self._console.print(printable(description), highlight=False, markup=False, soft_wrap=True)
+
+    def note(self, text: str) -> None:
+        """Show one line."""
+        self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
+
+    def iteration(self, iteration: Iteration, total: int) -> None:
+        """Show how far training is."""
+        self._advance("training", iteration.index + 1, total, figures(iteration.scalars))
+
+    def steps(self, done: int, total: int) -> None:
+        """Show how far a rollout is."""
+        self._advance("playing", done, total, "")
+
+    def _advance(self, what: str, done: int, total: int, figures: str) -> None:
+        if self._live:
+            if self._task is None:
+                self._task = self._progress.add_task(what, total=total, figures=figures)
+            self._progress.update(self._task, completed=done, total=total, figures=figures)
+            return
+        now = time.monotonic()
+        if done == total or now - self._last_plain >= PLAIN_EVERY_S:
+            self._last_plain = now
+            self.note(f"{what} {done}/{total}  {figures}".rstrip())
+
+
+def figures(scalars: Mapping[str, float]) -> str:
+    """Return a training iteration's figures as part of a line, as the list of runs has them."""
+    forms: tuple[tuple[str, Callable[[float], str]], ...] = (
+        ("Train/mean_reward", "return {:.2f}".format),
+        ("Train/mean_episode_length", "episode {:.0f} steps".format),
+        ("Episode_Termination/time_out", lambda share: f"time-out {percent(share)}"),
+        ("Perf/total_fps", "{:,.0f} steps/s".format),
+    )
+    return "  ".join(form(scalars[key]) for key, form in forms if key in scalars)

@@ -1,0 +1,94 @@
+"""Checking what names other parts of the config: commands, action terms, rewards, observation groups, folders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.checking.check_terms import term_nodes
+from wheelleg_exp.config.problems import UnknownName
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+# Parameters that name a term of another section, by the section of the term that has them ("" is any).
+_NAMES = {("", "command_name"): "commands", ("", "action_name"): "actions", ("curriculum", "term_name"): "rewards"}
+
+
+def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the mistakes of parameters that name terms of other sections."""
+    errors = []
+    for section, path, node in term_nodes(config):
+        if not isinstance(node, Mapping):
+            continue
+        for name, value in node.items():
+            kind = _NAMES.get((section, name)) or _NAMES.get(("", name))
+            if kind is not None and isinstance(value, str):
+                errors += _unknown_term(config, kind, f"{path}.{name}", value)
+    return errors
+
+
+def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> list[ConfigError]:
+    section = config["env"].get(kind)
+    known = [str(term) for term in section] if isinstance(section, Mapping) else []
+    if name in known:
+        return []
+    what = kind.removesuffix("s")
+    expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
+    error = UnknownName(f"there is no {what} '{name}'", key=key, expected=expected, nearest=nearest_name(name, known))
+    error.named = f"env.{kind}.{name}"
+    return [error]
+
+
+def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the observation groups that no network gets, and those without a term."""
+    env, agent = config.get("env"), config.get("agent")
+    groups = env.get("observations") if isinstance(env, Mapping) else None
+    sets = agent.get("obs_groups") if isinstance(agent, Mapping) else None
+    if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
+        return []
+    used = {name for members in sets.values() if isinstance(members, list) for name in members}
+    if not used <= set(groups) or not all(sets.values()):
+        return []  # a misspelled group is told where it stands
+    unused = [
+        ConfigError(
+            f"no network gets the observation group '{name}'",
+            key=f"agent.obs_groups.{name}" if name in sets else "agent.obs_groups",
+            expected="every group in some network's list, or no such group",
+            nearest=nearest_name(str(name), [str(n) for n in used if n not in groups]),
+        )
+        for name, group in groups.items()
+        if name not in used and isinstance(group, Mapping) and "terms" in group
+    ]
+    return unused + [
+        ConfigError("the group has no terms", key=f"env.observations.{name}.terms", expected="at least one term")
+        for name, group in groups.items()
+        if isinstance(group, Mapping) and group.get("terms") == {}
+    ]
+
+
+def check_recorded(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the mistake of environments that are to be recorded and are not there."""
+    recording, env = config.get("recording"), config.get("env")
+    ids = recording.get("env_ids") if isinstance(recording, Mapping) else None
+    count = env.get("num_envs") if isinstance(env, Mapping) else None
+    if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
+        return []
+    if count < 1:
+        return []  # told elsewhere
+    if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
+        return []
+    expected = f"at least one environment, each once, from 0 to {count - 1}"
+    return [ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)]
+
+
+def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the mistake of a run root that cannot become a folder."""
+    run = config.get("run")
+    root = run.get("root") if isinstance(run, Mapping) else None
+    if not isinstance(root, str):
+        return []
+    path = Path(root)
+    wrong = next((place for place in (path, *path.parents) if place.exists() and not place.is_dir()), None)
+    if wrong is None:
+        return []
+    return [ConfigError(f"'{wrong}' is a file", key="run.root", expected="a folder, or a path where one can be made")]

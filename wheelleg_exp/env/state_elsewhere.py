@@ -1,0 +1,105 @@
+"""State that terms keep elsewhere than in themselves: on the environment it is saved, anywhere else it is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.managers import Env
+from wheelleg_exp.state import Memory, Outside, Stateful
+from wheelleg_exp.state.rebuilding import made_again, writable
+from wheelleg_exp.state.saved_or_refused import refusal
+from wheelleg_exp.state.values import NOTHING, Reference, Unsaveable, look, same
+
+# What the environment and those who drive it change themselves.
+_OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "auto_reset", "observers", "cfg")
+_PLAIN = (bool, int, float, str, type(None))
+
+
+class TermState:
+    """Looks after what terms keep beside their own attributes.
+
+    Args:
+        env: the environment, whole.
+        managers: its managers by the name of their section.
+        cfg: its section of the config.
+
+    Raises:
+        ConfigError: a term keeps what cannot be saved.
+    """
+
+    def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
+        terms = [term for manager in managers.values() for term in getattr(manager, "bound_terms", [])]
+        robot = env.scene.robot
+        kept = {
+            "env": env,
+            "env.scene": env.scene,
+            "env.scene.terrain": env.scene.terrain,
+            "env.robot": robot,
+            "env.robot.data": robot.data,
+        }
+        kept |= {f"env.scene.sensors.{name}": sensor for name, sensor in env.scene.sensors.items()}
+        kept |= {f"env.{name}": manager for name, manager in managers.items() if name != "scene"}
+        self._env = env
+        self._outside = Outside(
+            {term.path: type(term.stateful) if term.stateful is not None else term.func for term in terms},
+            {name: value for name, value in kept.items() if name != "env"},
+            cfg,
+        )
+        self._memory = Memory(_owners(env, terms), lambda: _tensors(kept) | {"the state": env.scene.sim.state})
+        self._names = {*vars(env), "_term_state"}
+        self._plain = {name: item for name, item in vars(env).items() if _is_plain(name, item)}
+
+    def save(self) -> dict[str, Any]:
+        """Return the attributes that terms have put on the environment, or changed there.
+
+        Raises:
+            ConfigError: a term has kept something where it cannot be saved.
+        """
+        self._outside.require_unchanged()
+        self._memory.require_apart()
+        found = {}
+        for name, item in vars(self._env).items():
+            if name in self._names and not (_is_plain(name, item) and not same(item, self._plain.get(name, NOTHING))):
+                continue
+            try:
+                looked = look(item, name)
+                if not isinstance(looked, Reference):  # what only points to something is no state
+                    found[name] = writable(looked, NOTHING, name)
+            except (Unsaveable, RecursionError) as error:
+                raise refusal(self._env, error, "env") from error
+        return found
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Give the environment the attributes that ``save`` returned, and none that it had not."""
+        for name in vars(self._env).keys() - self._names - saved.keys():
+            delattr(self._env, name)
+        for name, item in {**self._plain, **saved}.items():
+            setattr(self._env, name, made_again(item, vars(self._env).get(name)))
+
+
+def _is_plain(name: str, item: Any) -> bool:
+    return type(item) in _PLAIN and name not in _OWN
+
+
+def _owners(env: Env, terms: list[Any]) -> dict[str, Any]:
+    """Return the objects that save their attributes, by config key."""
+    found: dict[str, Any] = {term.path: term.stateful for term in terms if term.stateful is not None}
+    found |= {f"env.robot.actuators.{name}": actuator for name, actuator in env.scene.robot.actuators.items()}
+    manager = env.observation_manager
+    for group in manager.active_terms:
+        for term in manager.terms(group).values():
+            found |= {f"{term.term.path}.{name}": part for name, part in term.parts().items()}
+    return {key: value for key, value in found.items() if isinstance(value, Stateful) or hasattr(value, "__dict__")}
+
+
+def _tensors(kept: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Return the tensors that are attributes of the environment's own objects, by name."""
+    return {
+        f"{owner}.{name}": item
+        for owner, value in kept.items()
+        for name, item in vars(value).items()
+        if isinstance(item, torch.Tensor)
+    }

@@ -1,0 +1,287 @@
+"""Writing files whole or not at all, cutting growing ones, reading, and digests."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import math
+import os
+import secrets
+import stat
+from collections.abc import Iterator, Mapping
+from io import BufferedReader
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
+from wheelleg_exp.plain_yaml import dump_yaml
+from wheelleg_exp.reading import Unreadable, json_value, yaml_value
+
+_DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+TEMPORARY_SUFFIX = ".tmp"
+_LARGEST = 1 << 30  # bytes that are read of a file at once
+_LARGEST_JSON, _LARGEST_YAML = 1 << 26, 1 << 22  # and of one that is a single value
+
+
+def file_error(path: Path, error: OSError, verb: str = "write") -> WheellegError:
+    """Return the error for people: a full or broken disk fails the run, anything else is wrong input."""
+    reason = os.strerror(error.errno).lower() if error.errno else str(error)
+    message = f"cannot {verb} '{path}': {reason}"
+    if error.errno in _DEVICE_ERRORS:
+        return SimulationFailure(message, expected="room on a working disk")
+    return RunDirectoryError(message, expected=f"a place that this user may {verb}")
+
+
+@contextlib.contextmanager
+def for_people(path: Path, verb: str = "write") -> Iterator[None]:
+    """Turn an OSError of the body into an error for people that names ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise file_error(path, error, verb) from error
+
+
+@contextlib.contextmanager
+def while_running() -> Iterator[None]:
+    """Let a place that can no longer be written or read fail the run in the body: it was good when the run began."""
+    try:
+        yield
+    except RunDirectoryError as error:
+        raise SimulationFailure(
+            error.message, key=error.key, where=error.where, expected=error.expected, nearest=error.nearest
+        ) from error
+
+
+def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
+    """Write ``data`` to ``path``, so that a reader sees the old file or the whole new one.
+
+    Missing folders are made. The data is on the disk (fsync) before the name points to it.
+
+    Raises:
+        SimulationFailure: the disk is full or broken.
+        RunDirectoryError: the place cannot be written.
+    """
+    temporary = temporary_name(path)
+    with for_people(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    _sync(path.parent)
+
+
+def require_new(path: Path) -> None:
+    """Raise RunDirectoryError when there is something at ``path``."""
+    if path.exists() or path.is_symlink():
+        raise RunDirectoryError(f"'{path}' exists and is not overwritten", expected="a path that is not taken")
+
+
+def write_new(path: Path, content: bytes) -> None:
+    """Write a file that is not there yet, whole or not at all; its folder is made when missing.
+
+    Raises:
+        RunDirectoryError: the file exists, or cannot be written.
+    """
+    require_new(path)
+    write_bytes(path, content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` as UTF-8, whole or not at all (raises as ``write_bytes``)."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, whole or not at all (raises as ``write_bytes``).
+
+    Key order is kept. Arrays, tensors and numpy scalars become lists and numbers, paths become text, and
+    NaN and infinities, which JSON does not have, become ``"nan"``, ``"inf"`` and ``"-inf"``.
+
+    Raises:
+        TypeError: a value that is none of these.
+    """
+    write_text(path, dump_json(value))
+
+
+def write_yaml(path: Path, value: Any) -> None:
+    """Write a plain value as YAML that ``yaml.safe_load`` reads back equal, whole or not at all.
+
+    Raises:
+        RunDirectoryError: the value holds something that is not plain, and as ``write_bytes``.
+    """
+    write_text(path, dump_yaml(value))
+
+
+def dump_json(value: Any) -> str:
+    """Return ``value`` as the text that ``write_json`` writes."""
+    plain = json_plain(value)
+    text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:  # a file name that is no UTF-8 was decoded with surrogates
+        text = json.dumps(plain, indent=2, allow_nan=False) + "\n"
+    return text
+
+
+def json_plain(value: Any) -> Any:
+    """Return ``value`` as mappings, lists, text, finite numbers, booleans and None."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): json_plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_plain(item) for item in value]
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else repr(float(value))
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # numpy and torch, without importing either
+        return json_plain(value.tolist())
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+@contextlib.contextmanager
+def open_file(path: Path) -> Iterator[BufferedReader]:
+    """Open a file to read; a pipe or a device, on which reading might never end, is refused.
+
+    Raises:
+        RunDirectoryError: it cannot be read, or is no ordinary file.
+    """
+    with for_people(path, "read"), open(path, "rb", opener=_opened) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise RunDirectoryError("is not an ordinary file", key=str(path), expected="a file that can be read")
+        yield file
+
+
+def _opened(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # not to wait for the other end of a pipe
+
+
+def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
+    """Return the content of a file of at most ``largest`` bytes (raises as ``open_file``)."""
+    with open_file(path) as file:
+        data = file.read(largest + 1)
+    if len(data) > largest:
+        raise RunDirectoryError(f"has more than {largest >> 20} MiB", key=str(path), expected="a file of that size")
+    return data
+
+
+def read_lines(path: Path) -> Iterator[bytes]:
+    """Yield the lines of a file with their ends (raises as ``open_file``); one that is too long comes in pieces."""
+    with open_file(path) as file:
+        while line := file.readline(_LARGEST_JSON):
+            yield line
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file; RunDirectoryError also where it is no UTF-8."""
+    try:
+        return read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise RunDirectoryError("is not UTF-8 text", key=str(path)) from error
+
+
+def read_json(path: Path) -> Any:
+    """Return the JSON value in ``path``.
+
+    Raises:
+        RunDirectoryError: the file cannot be read or is no JSON, with the line.
+    """
+    data = read_bytes(path, _LARGEST_JSON)
+    with _telling(path, "JSON"):
+        return json_value(data)
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the plain YAML value in ``path``.
+
+    Raises:
+        RunDirectoryError: the file cannot be read or is no plain YAML, with the line.
+    """
+    data = read_bytes(path, _LARGEST_YAML)
+    with _telling(path, "YAML"):
+        return yaml_value(data)
+
+
+def require_mapping(value: Any, path: Path) -> dict[str, Any]:
+    """Return a value that was read from ``path``, which must be a mapping (RunDirectoryError when it is none)."""
+    if not isinstance(value, dict):
+        raise RunDirectoryError(f"holds a {type(value).__name__}", key=str(path), expected="a mapping")
+    return value
+
+
+@contextlib.contextmanager
+def _telling(path: Path, kind: str) -> Iterator[None]:
+    try:
+        yield
+    except Unreadable as error:
+        where = f"{path}:{error.line}" if error.line else str(path)
+        raise RunDirectoryError(f"broken {kind}: {error.problem}", where=where) from error
+
+
+def sha256(path: Path) -> str:
+    """Return the sha256 of a file's content, as 64 hexadecimal digits.
+
+    Raises:
+        RunDirectoryError: the file cannot be read.
+    """
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def temporary_name(path: Path) -> Path:
+    """Return a name beside ``path``, taken by nothing, for what is not whole yet; ``temporaries`` finds it."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(6)}{TEMPORARY_SUFFIX}")
+
+
+def temporaries(folder: Path, *, deep: bool = False) -> list[Path]:
+    """Return what a killed writer has left half written in a folder, or anywhere below it when ``deep``."""
+    pattern = f".*{TEMPORARY_SUFFIX}"
+    return sorted(folder.rglob(pattern) if deep else folder.glob(pattern))
+
+
+def cut(path: Path, size: int) -> None:
+    """Drop what stands in a file past ``size`` bytes, on the disk as well."""
+    if not path.exists():
+        return
+    with for_people(path):
+        os.truncate(path, size)
+    sync(path)
+
+
+def sync(path: Path) -> None:
+    """Bring a file's content to the disk, so that it outlives a power cut."""
+    if path.exists():
+        with for_people(path):
+            _fsync(path)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring every file below a folder, and the names that lead to it, to the disk: it outlives a power cut."""
+    for path in sorted(folder.rglob("*")):
+        _sync(path)
+    for place in (folder, folder.parent, folder.parent.parent):
+        _sync(place)
+
+
+def _sync(path: Path) -> None:
+    # Not every file system can sync a folder, and none must.
+    with contextlib.suppress(OSError):
+        _fsync(path)
+
+
+def _fsync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,214 @@
+"""What ``wheelleg diff`` compares: a run, a task, or a list of overrides, made comparable."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.composing.amend import amend
+from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.mounts import Mount, find_mounts
+from wheelleg_exp.config.explaining import catalog
+from wheelleg_exp.config.explaining.difference import Side
+from wheelleg_exp.config.tree import dotted, line_table, split_path
+from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
+from wheelleg_exp.files import read_json, require_mapping
+from wheelleg_exp.jobs.train.source_roots import source_roots
+from wheelleg_exp.paths import find_asset
+from wheelleg_exp.run import environment
+from wheelleg_exp.run.directory import LATEST, RunDirectory
+from wheelleg_exp.run.inventory import MANIFEST_NAME
+from wheelleg_exp.run.params import PARTS, load_params
+from wheelleg_exp.run.recorded import CONFIG, ROBOT, recorded_config, recorded_overrides
+from wheelleg_exp.run.source.snapshot import RECORD_NAME, entries, snapshot_source
+from wheelleg_exp.run.source_changes import states
+
+# What decides the numbers of a run; where the run goes, and which findings are silenced, does not.
+SECTIONS = ("seed", "task", "env", "agent", "recording")
+_CODE = ("commit", "tree", "dirty", "patch_sha256")
+
+
+def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
+    """Return both sides of a comparison.
+
+    Where one side is a run and the other is not, the other has the facts of this machine and checkout.
+
+    Args:
+        a: a run (path, id, ``latest``), a task, or overrides; overrides may follow a run or a task.
+        b: the same.
+        root: the folder of all runs.
+        config_dirs: the user's config folders.
+
+    Raises:
+        WheellegError: a side is none of these, or does not compose.
+    """
+    (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
+    if composed is not None and other.facts:
+        one = replace(one, facts=_facts_here(composed))
+    if composed_too is not None and one.facts:
+        other = replace(other, facts=_facts_here(composed_too))
+    return one, other
+
+
+def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Composed | None]:
+    """Return a side, and what it was composed from unless it is a run."""
+    words = split_words(text)
+    first, rest = (words[0], words[1:]) if words else ("", [])
+    if words and (Path(first) / MANIFEST_NAME).is_file():
+        return _run(RunDirectory.open(first, root), rest), None
+    if words and "=" not in first and not first.startswith(("~", "+")):
+        tasks = [entry.name for entry in catalog.tasks(config_dirs)]
+        if first not in tasks:
+            return _run(_open(first, root, tasks), rest), None
+        words = [f"task={first}", *rest]
+    composed = compose(words, config_dirs=config_dirs)
+    return _composed(text or "(no overrides)", composed), composed
+
+
+def split_words(text: str) -> list[str]:
+    """Return the words of a line: parted by spaces, but not inside quotes and brackets, which Hydra reads itself.
+
+    Raises:
+        WheellegError: a quote or a bracket is not closed.
+    """
+    words, quote, depth = [""], "", 0
+    for letter in text:
+        if letter.isspace() and not quote and not depth:
+            words.append("")
+            continue
+        words[-1] += letter
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+        else:
+            depth += (letter in "([{") - (letter in ")]}")
+    if quote or depth > 0:
+        raise WheellegError("cannot be split into words", key=text, expected="closed quotes and brackets")
+    return [word for word in words if word]
+
+
+def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
+    try:
+        return RunDirectory.open(name, root)
+    except RunDirectoryError as error:
+        raise RunDirectoryError(
+            f"neither a task nor a run: {error.message}",
+            key=name,
+            expected=f"a task ({', '.join(tasks)}), overrides (key=value), a run's path or id, or '{LATEST}'",
+            nearest=nearest_name(name, tasks) or error.nearest,
+        ) from error
+
+
+def _composed(label: str, composed: Composed) -> Side:
+    tree = {section: composed.config[section] for section in SECTIONS if section in composed.config}
+    return Side(label, tree, partial(_who, composed, find_mounts(composed)))
+
+
+def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
+    """Return who set a key, or removed it, or selected the terms among which it is not."""
+    places, keys = composed.provenance, split_path(path)
+    lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
+    if path in lists:
+        return lists[path]
+    gone = [source for key, source in places.deleted.items() if split_path(key)[: len(keys)] == keys]
+    found = places.below(path) or gone
+    return found[0].where if found else lists.get(dotted(keys[:-1]))
+
+
+def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
+    env, agent = load_params(run)
+    kept = _kept(run)
+    tree = amend({**kept, "env": env, "agent": agent}, overrides)
+    typed = [*recorded_overrides(run), *overrides]
+
+    def where(path: str) -> str | None:
+        last = next((text for text in reversed(typed) if _sets(text, path)), None)
+        return f"override {last}" if last is not None else _line(run, path)
+
+    label = f"{run.path.parent.name}/{run.id}"
+    return Side(" ".join([label, *overrides]), {key: tree[key] for key in SECTIONS if key in tree}, where, _facts(run))
+
+
+def _kept(run: RunDirectory) -> dict[str, Any]:
+    """Return what ``params`` does not hold, from Hydra's own file where the run kept it."""
+    manifest = run.manifest()
+    kept: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
+    if manifest.data.get("seeds"):
+        kept["seed"] = manifest.data["seeds"][0]
+    if not (run.path / CONFIG).is_file():
+        return kept
+    try:
+        recorded = recorded_config(run, manifest.data.get("config_variables") or {})
+    except RunDirectoryError:
+        return kept  # what does not resolve by itself is not compared
+    return {**kept, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
+
+
+def _sets(override: str, path: str) -> bool:
+    """Return whether an override writes a key or the whole that it belongs to."""
+    keys = split_path(override.lstrip("+~").split("=", 1)[0])
+    return bool(keys) and split_path(path)[: len(keys)] == keys
+
+
+def _line(run: RunDirectory, path: str) -> str | None:
+    part, *inside = split_path(path)
+    if part not in PARTS:
+        return CONFIG
+    line = line_table(run.params / f"{part}.yaml").get(tuple(inside))
+    return None if line is None else f"params/{part}.yaml:{line}"
+
+
+def _facts(run: RunDirectory) -> dict[str, dict[str, Any]]:
+    data = run.manifest().data
+    record, identity = run.source / RECORD_NAME, run.path / ROBOT
+    return {
+        "code": _code(_described(record) or data.get("source") or {}),
+        "versions": dict(data.get("versions") or {}),
+        "hardware": dict(data.get("hardware") or {}),
+        "threads": dict(data.get("threads") or {}),
+        "variables": dict(data.get("environment_variables") or {}),
+        "asset": _asset(_described(identity)),
+    }
+
+
+def _described(path: Path) -> dict[str, Any]:
+    return require_mapping(read_json(path), path) if path.is_file() else {}
+
+
+def _code(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what identifies the source; further repositories of the user's carry their numbers."""
+    found = {key: record[key] for key in _CODE if key in record} | states(record)
+    for number, other in enumerate(entries(record)[1:], start=2):
+        facts = {**{key: other.get(key) for key in _CODE}, **states(other)}
+        found |= {f"{key} ({number})": value for key, value in facts.items()}
+    return found
+
+
+def _asset(identity: Mapping[str, Any]) -> dict[str, Any]:
+    return {**dict(identity.get("sources") or {}), "compiled model": identity.get("model_sha256")}
+
+
+def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
+    """Return the facts of this machine and checkout, as far as they are known without building anything."""
+    with tempfile.TemporaryDirectory() as folder:
+        record = snapshot_source(source_roots(composed), Path(folder))
+    return {
+        "code": _code(record),
+        "versions": dict(environment.versions()),
+        "hardware": environment.hardware(),
+        "asset": _layers(composed),
+    }
+
+
+def _layers(composed: Composed) -> dict[str, str]:
+    from wheelleg_exp.asset.cache import source_digest
+
+    try:
+        return source_digest(find_asset(composed.config["env"]["robot"]["asset"], composed.asset_roots))
+    except WheellegError:
+        return {}

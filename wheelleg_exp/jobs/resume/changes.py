@@ -1,0 +1,202 @@
+"""Overrides of a resume: which settings may change while a run goes on, and what of the snapshot they rewrite."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking.check import check_tree
+from wheelleg_exp.config.composing.amend import amend, placing
+from wheelleg_exp.config.problems import raise_all
+from wheelleg_exp.config.tree import dotted
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.plain_yaml import dump_yaml
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.params import PARTS, load_config, load_params, present_form, require_resolved
+from wheelleg_exp.run.recorded import CONFIG, OVERRIDES, recorded_config, recorded_overrides
+from wheelleg_exp.terms.binding import RESERVED
+from wheelleg_exp.verify.settings import decides
+
+Keys = tuple[str, ...]
+
+# What the saved state was made with, and why it must stay.
+_FIXED: dict[Keys, str] = {
+    ("seed",): "the random streams go on where they stood",
+    ("task",): "the run is a run of its task",
+    ("run",): "the run directory stands where it stands",
+    ("env", "num_envs"): "the saved state has a row for each environment",
+    ("env", "decimation"): "it is the clock of all that is saved",
+    ("env", "sim"): "it is part of the simulated model",
+    ("env", "scene"): "it is part of the simulated model",
+    ("env", "robot"): "the saved state is that of the run's robot",
+    ("env", "actions"): "the networks were trained with these actions",
+    ("agent", "actor"): "the checkpoint holds networks of this shape",
+    ("agent", "critic"): "the checkpoint holds networks of this shape",
+    ("agent", "obs_groups"): "the checkpoint holds networks of this shape",
+    ("agent", "algorithm", "class_name"): "the checkpoint holds this algorithm's state",
+    ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
+    ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
+}
+# Of an observation term or group, what may change without changing the width or the meaning of the vector.
+_OBSERVATION_MAY = ("noise", "clip", "scale", "enable_corruption")
+_ABSENT = object()
+
+
+@dataclass(frozen=True)
+class Change:
+    """One setting that an override has changed; ``was`` or ``now`` is None when the key was or is absent."""
+
+    keys: Keys
+    was: Any
+    now: Any
+    removed: bool
+
+    @property
+    def key(self) -> str:
+        """The dotted key."""
+        return dotted(self.keys)
+
+    @property
+    def decides(self) -> bool:
+        """Whether it can change a number."""
+        return decides(self.keys)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the manifest records."""
+        return {"key": self.key, "was": self.was, "now": self.now}
+
+
+def kept_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Return a run's composed tree from its snapshot alone.
+
+    Args:
+        run: the run.
+        variables: environment variables that its config named, as they were.
+
+    Raises:
+        RunDirectoryError: a part of the snapshot is missing or damaged, or asks for another variable.
+    """
+    env, agent = load_params(run)
+    tree = recorded_config(run, variables or {})
+    for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
+        if not isinstance(tree[key], kind):
+            raise RunDirectoryError(
+                f"its '{key}' is missing or wrong", key=str(run.path / CONFIG), expected="the config of the run"
+            )
+    return {**tree, "env": present_form(env), "agent": agent}
+
+
+def changed(kept: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
+    """Return the tree with overrides applied, and what they change in it.
+
+    Raises:
+        ConfigError: an override cannot be read, is wrong, or changes what must stay while a run goes on; or the run's
+            own settings are wrong.
+    """
+    tree = amend(kept, overrides)
+    require_resolved({part: tree.get(part) for part in PARTS})
+    changes = list(_changes((), kept, tree))
+    with placing(overrides):
+        for change in changes:
+            _require_changeable(change, kept, tree)
+        errors = check_tree(tree, schema.Root)
+        if errors:
+            raise_all(errors)
+    return tree, changes
+
+
+def _changes(keys: Keys, was: Any, now: Any) -> Iterator[Change]:
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for name in dict.fromkeys([*was, *now]):
+            yield from _changes((*keys, str(name)), was.get(name, _ABSENT), now.get(name, _ABSENT))
+    elif was is _ABSENT or now is _ABSENT or type(was) is not type(now) or was != now:
+        yield Change(keys, None if was is _ABSENT else was, None if now is _ABSENT else now, now is _ABSENT)
+
+
+def _begins(keys: Keys, prefix: Keys) -> bool:
+    return keys[: len(prefix)] == prefix or prefix[: len(keys)] == keys
+
+
+def _require_changeable(change: Change, kept: Mapping[str, Any], tree: Mapping[str, Any]) -> None:
+    if not change.decides:
+        return
+    for prefix, why in _FIXED.items():
+        if _begins(change.keys, prefix):
+            raise _refused(change, why)
+    if change.keys[:2] == ("env", "observations") and not set(change.keys[3:]) & set(_OBSERVATION_MAY):
+        raise _refused(change, "the networks were trained with this observation")
+    section = change.keys[1] if change.keys[0] == "env" and len(change.keys) > 1 else ""
+    if section in RESERVED and section != "observations":
+        _require_same_terms(change, kept["env"][section], tree["env"].get(section))
+
+
+def _require_same_terms(change: Change, kept: Mapping[str, Any], now: Any) -> None:
+    if not isinstance(now, Mapping) or list(now) != list(kept):
+        raise _refused(change, "the saved state has a place for each term of the run; a weight of 0 turns a reward off")
+    if change.keys[3:] in ((), ("_target_",), ("mode",)):
+        raise _refused(change, "the saved state is that of the run's own terms")
+
+
+def _refused(change: Change, why: str) -> ConfigError:
+    return ConfigError(
+        f"cannot change while a run goes on: {why}",
+        key=change.key,
+        expected="the run's own value; a new run may have another",
+    )
+
+
+# --- the snapshot ---
+
+
+def changed_texts(
+    run: RunDirectory, tree: Mapping[str, Any], changes: Sequence[Change], overrides: Sequence[str]
+) -> dict[str, str]:
+    """Return the files of the snapshot that the changes rewrite, by relative name: what is in force stands there."""
+    if not changes:
+        return {}
+    config = load_config(run)
+    for change in changes:
+        _apply(config, change, tree)
+    return {
+        "params/env.yaml": dump_yaml(tree["env"]),
+        "params/agent.yaml": dump_yaml(tree["agent"]),
+        CONFIG: OmegaConf.to_yaml(OmegaConf.create(config)),
+        OVERRIDES: OmegaConf.to_yaml(OmegaConf.create(_joined(recorded_overrides(run), overrides))),
+    }
+
+
+def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
+    """Write a change into the config as it was written; what was one interpolation is written out."""
+    node: Any = config
+    for key in change.keys[:-1]:
+        tree = tree.get(key) or {}
+        if isinstance(node.get(key), str):
+            node[key] = copy.deepcopy(dict(tree))
+        elif node.get(key) is None:
+            node[key] = {}
+        node = node[key]
+    if change.removed:
+        node.pop(change.keys[-1], None)
+    else:
+        node[change.keys[-1]] = change.now
+
+
+def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
+    """Return the overrides of the run and of the resume; of two for one key the later stands, in the first's place."""
+    joined = {_key(word): word for word in words}
+    return list({**joined, **{_key(word): word for word in overrides}}.values())
+
+
+def _key(word: str) -> str:
+    try:
+        override = OverridesParser.create().parse_override(word)
+    except (HydraException, RecursionError):  # what was recorded may be anything
+        return word
+    return f"{override.key_or_group}@{override.package or ''}"

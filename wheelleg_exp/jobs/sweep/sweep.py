@@ -1,0 +1,175 @@
+"""Running the jobs of a sweep, each in a process of its own, and keeping the sweep's index up to date."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+from wheelleg_exp.errors import RunDirectoryError, WheellegError
+from wheelleg_exp.files import while_running
+from wheelleg_exp.jobs.processes import Child, Event, listen
+from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.jobs.sweep.job import Request
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.sweep_index import JobStatus, SweepIndex, SweepStatus
+
+# The job imports what this process would import, whatever folder it is called from.
+_BOOT = (
+    "import os, sys; sys.path[:] = sys.argv.pop().split(os.pathsep); "
+    "from wheelleg_exp.jobs.sweep.job import main; sys.exit(main())"
+)
+_WAIT_S = 0.2
+_PATIENCE_S = 10.0
+
+
+class SweepDisplay(Protocol):
+    """Receives what happens during a sweep; jobs are told as the index has them."""
+
+    def started(self, job: Mapping[str, Any]) -> None:
+        """Show that a job began."""
+
+    def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
+        """Show how far a job's training is."""
+
+    def ended(self, job: Mapping[str, Any]) -> None:
+        """Show how a job ended."""
+
+    def note(self, job: Mapping[str, Any], text: str) -> None:
+        """Show one line of a job."""
+
+
+class SweepRunner:
+    """Runs jobs, a fixed number at once, until all have ended or a stop is asked for.
+
+    A job is a process of its own from its first import on: it computes the same bytes as ``wheelleg train`` of
+    its overrides, whatever runs beside it, and one that dies takes no other with it.
+
+    Args:
+        index: the sweep's index, which is kept up to date.
+        requests: what each job of the index trains.
+        at_once: how many jobs run at the same time.
+        display: receives what happens.
+        stop: asks to stop; every job stops at its next whole iteration, with a checkpoint.
+        program: the command that runs one job, by default ``job`` under this interpreter.
+    """
+
+    def __init__(
+        self,
+        index: SweepIndex,
+        requests: Sequence[Request],
+        at_once: int,
+        display: SweepDisplay,
+        stop: StopRequest,
+        program: Sequence[str] | None = None,
+    ) -> None:
+        self._index = index
+        self._waiting = deque(zip(index.jobs, requests, strict=True))
+        self._at_once = at_once
+        self._display = display
+        self._stop = stop
+        self._program = program or (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path))
+        self._running: dict[Child, dict[str, Any]] = {}  # with the index's entry
+
+    @while_running()
+    def run(self) -> SweepStatus:
+        """Run all jobs and return how the sweep ended, as the index has it.
+
+        Raises:
+            SimulationFailure: the index cannot be written; the jobs have been stopped.
+        """
+        status: SweepStatus = "failed"
+        try:
+            self._run()
+            if self._stop.requested:
+                status = "interrupted"
+            elif all(job["status"] == "finished" for job in self._index.jobs):
+                status = "finished"
+        except KeyboardInterrupt:
+            status = "interrupted"
+        finally:
+            self._index.finish(status)
+        return status
+
+    def _run(self) -> None:
+        try:
+            while self._running or (self._waiting and not self._stop.requested):
+                if self._stop.requested:
+                    self._ask_to_stop()
+                elif self._waiting and len(self._running) < self._at_once:
+                    self._start(*self._waiting.popleft())
+                    continue
+                self._listen()
+                self._reap()
+        finally:
+            self._end_all()
+
+    def _start(self, entry: dict[str, Any], request: Request) -> None:
+        self._index.job_started(entry["number"])
+        # Python's environment, and not the C library's, into which libraries of this process may have written.
+        self._running[Child(self._program, request.line(), os.environ)] = entry
+        self._display.started(entry)
+
+    def _ask_to_stop(self) -> None:
+        for child in self._running:
+            child.ask_to_stop()
+
+    def _listen(self, wait_s: float = _WAIT_S) -> None:
+        """Take in what the jobs have told."""
+        for child, event in listen(self._running, wait_s):
+            self._hear(self._running[child], event)
+
+    def _hear(self, job: dict[str, Any], told: Event) -> None:
+        if told["event"] == "run":
+            self._index.job_has_run(job["number"], told["path"])
+        elif told["event"] == "iteration":
+            self._display.iteration(job, told["done"], told["total"], told["scalars"])
+        elif told["event"] == "note":
+            self._display.note(job, told["text"])
+
+    def _reap(self) -> None:
+        """Record the jobs whose process has ended."""
+        for child in [child for child in self._running if child.process.poll() is not None]:
+            self._listen(0.0)
+            job = self._running.pop(child)
+            child.close()
+            self._index.job_ended(job["number"], *self._outcome(job, child))
+            self._display.ended(job)
+
+    def _outcome(self, job: dict[str, Any], child: Child) -> tuple[JobStatus, dict[str, Any], Any]:
+        """Return status, results and error of a job: its manifest's, if that says how it ended."""
+        run = self._index.run_of(job)
+        if run is not None:
+            with contextlib.suppress(RunDirectoryError):
+                manifest = Manifest.load(run)
+                if manifest.status != "running":
+                    return manifest.status, manifest.results, manifest.data["error"]  # type: ignore[return-value]
+        if child.ended is not None:
+            return child.ended["status"], {}, child.ended["error"]
+        words = "".join(f": {line.strip()}" for line in [*child.last_words][-1:])
+        return "failed", {}, {"type": "error", "message": f"its process {child.how_it_died()}{words}"}
+
+    def _end_all(self) -> None:
+        """End what still runs, when the sweep itself fails or is interrupted for the second time."""
+        try:
+            self._end(Child.ask_to_stop, 0.0)
+            self._end(Child.interrupt, _PATIENCE_S)
+            self._end(Child.kill, _PATIENCE_S)
+        finally:
+            for child in self._running:  # a third interrupt: nobody waits any longer
+                child.kill()
+                child.process.wait()
+                child.close()
+
+    def _end(self, act: Callable[[Child], None], patience_s: float) -> None:
+        for child in self._running:
+            act(child)
+        deadline = time.monotonic() + patience_s
+        while self._running and time.monotonic() < deadline:
+            self._listen()
+            with contextlib.suppress(WheellegError):  # a full disk has been told already
+                self._reap()

@@ -1,0 +1,278 @@
+"""Training: from a composed config, or from a run that is gone on with, to a run directory."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.asset import CachedConversion
+from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.files import for_people, sync_folder, while_running, write_bytes, write_text
+from wheelleg_exp.jobs.display import Display
+from wheelleg_exp.jobs.kept_robot import keep_asset
+from wheelleg_exp.jobs.resume.recomputed import Proof
+from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.jobs.threads import set_threads, thread_notes
+from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
+from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
+from wheelleg_exp.recording.options import RecordingOptions
+from wheelleg_exp.recording.writing.recorder import require_env_ids
+from wheelleg_exp.rl import export
+from wheelleg_exp.rl.episode_log import logged
+from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.rl.trainer import Iteration, Trainer
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.begin import begin, refuse_secrets
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.lock import RunLock
+from wheelleg_exp.run.manifest import MANIFEST_NAME, Manifest
+from wheelleg_exp.run.source.description import source_lines
+from wheelleg_exp.run.source.restore import load_source
+from wheelleg_exp.trusted_folders import trust
+from wheelleg_exp.user_code import ending_as, in_words
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that a training is made from.
+
+    Attributes:
+        config: the composed tree, plain.
+        hydra_files: Hydra's own files, text by name.
+        source_roots: folders whose source the snapshot keeps, this package's own first.
+        asset: the converted robot.
+        config_dirs: the user's config folders.
+    """
+
+    config: dict[str, Any]
+    hydra_files: Mapping[str, str]
+    source_roots: Sequence[Path]
+    asset: CachedConversion
+    config_dirs: Sequence[Path] = ()
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training that is ready to run: everything that can be wrong with its input has been found.
+
+    Attributes:
+        recipe: what it is made from.
+        trainer: environment, networks, and the iteration from which it goes on.
+        directory: where it is written.
+        manifest: the run's manifest, status ``running``.
+        lock: the run directory's lock; a resume has taken it already.
+        earlier: the log's lines of the iterations that are done, for a resume.
+        proof: what holds iterations that are computed a second time against what they were, for a resume.
+    """
+
+    recipe: Recipe
+    trainer: Trainer
+    directory: RunDirectory
+    manifest: Manifest
+    lock: RunLock
+    earlier: Sequence[Mapping[str, Any]] = ()
+    proof: Proof = field(default_factory=Proof)
+
+
+def prepare(composed: Composed, command: Sequence[str], display: Display) -> Training:
+    """Convert the robot, build environment and networks, and write the run directory's snapshot.
+
+    Raises:
+        WheellegError: the input is wrong; no run directory has been made.
+    """
+    with composed.placing():
+        require_env_ids(composed.config["recording"]["env_ids"], composed.config["env"]["num_envs"])
+        recipe = Recipe(
+            config=composed.config,
+            hydra_files=composed.hydra_files(),
+            source_roots=source_roots(composed),
+            asset=prepare_asset(composed.config, composed.asset_roots),
+            config_dirs=composed.config_dirs,
+        )
+        trust([*recipe.config_dirs, *recipe.source_roots])
+        return start(recipe, command, display)
+
+
+def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
+    """Build what a recipe says, and write the run directory's snapshot.
+
+    Raises:
+        WheellegError: the input is wrong; no run directory has been made.
+    """
+    config, agent = recipe.config, recipe.config["agent"]
+    trainer, threads = build(recipe)
+    env = trainer.env.env
+    run = config["run"]
+    refuse_secrets(command, recipe.hydra_files, config)
+    directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
+    try:
+        display.environment(env.describe())
+        keep_asset(directory, recipe.asset, config["env"]["robot"]["asset"], env.scene.model_digest())
+        manifest = begin(
+            directory,
+            command=command,
+            params={"env": config["env"], "agent": agent},
+            hydra_files=recipe.hydra_files,
+            source_roots=[*recipe.source_roots, *loaded_outside(recipe.source_roots)],
+            seed=config["seed"],
+            task=config["task"]["name"],
+            threads=threads,
+            max_patch_mb=run.get("max_patch_mb"),
+        )
+        manifest.record(config_dirs=[str(folder) for folder in recipe.config_dirs])
+        sync_folder(directory.path)
+    except BaseException:
+        if not (directory.path / MANIFEST_NAME).exists():  # nobody could tell what it is
+            shutil.rmtree(directory.path, ignore_errors=True)
+        raise
+    for line in [*source_lines(load_source(directory)), *thread_notes(threads)]:
+        display.note(line)
+    return Training(recipe, trainer, directory, manifest, RunLock(directory))
+
+
+def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
+    """Build environment and networks; return the trainer, and what the manifest says of threads."""
+    config, agent = recipe.config, recipe.config["agent"]
+    with no_global_draws():
+        env = ManagerBasedRLEnv(config["env"], recipe.asset.output, config["seed"])
+    samples = env.num_envs * int(agent["num_steps_per_env"])
+    threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
+    return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"]), threads
+
+
+@while_running()
+def run(training: Training, display: Display, stop: StopRequest) -> dict[str, Any]:
+    """Train to the end, or until a stop is asked for, and return the results that the manifest records.
+
+    Raises:
+        KeyboardInterrupt: training was stopped; the run directory holds a checkpoint of the last iteration.
+        SimulationFailure: numbers were not finite, the disk failed, or the run directory is not what it was; of
+            numbers, it holds what they came from, and a checkpoint of the last iteration that was whole.
+    """
+    trainer, directory = training.trainer, training.directory
+    agent = training.recipe.config["agent"]
+    total, started = int(agent["max_iterations"]), time.perf_counter()
+    ending = ending_as(SimulationFailure)
+    with training.lock.held(), training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
+        results |= _results(training.earlier)
+        if outputs.note:
+            display.note(f"warning: {outputs.note}")
+        stop.check()
+        for iteration in _learned(training, outputs, results):
+            training.proof.check(iteration.index, outputs.write(iteration))
+            display.iteration(iteration, total)
+            last = stop.requested or iteration.index + 1 == total
+            if last or iteration.index % agent["save_interval"] == 0:
+                results["checkpoint"] = outputs.checkpoint(iteration.index)
+            if last:
+                seconds = _seconds(training.earlier) + time.perf_counter() - started
+                results |= {"iterations": iteration.index + 1, "seconds": seconds, **summary(iteration.scalars)}
+            stop.check()
+        export_policy(directory, trainer, agent)
+    return results
+
+
+def _learned(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
+    """Yield the iterations; of one whose numbers fail, keep what it failed with, and the checkpoint of the one before.
+
+    The results tell of the episodes that ended because a number was not finite.
+    """
+    trainer, failed = training.trainer, Counter[str]()
+    for line in training.earlier:
+        failed.update(logged(line["scalars"]))
+    try:
+        for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
+            failed.update(logged(iteration.scalars))
+            if failed or "non_finite" in training.manifest.results:  # of iterations that are computed again
+                results["non_finite"] = dict(failed)
+            yield iteration
+    except SimulationFailure as error:
+        if error.evidence:
+            name = outputs.last_checkpoint()
+            results |= {} if name is None else {"checkpoint": name}
+            keep_failure(training.directory, training.manifest, error, trainer.iteration, trainer.env.env)
+        raise
+
+
+@contextmanager
+def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
+    """Open what the run writes; when it is closed, record how episodes ended, and tell of an unfinished recording."""
+    outputs = _made_outputs(training)
+    first: BaseException | None = None
+    try:
+        with outputs:
+            try:
+                yield outputs
+            except BaseException as error:
+                first = error
+                raise
+    except BaseException as error:
+        first = first or error  # what closing found besides is told of the same failure
+        try:
+            _record_end(training, outputs, display)
+        except Exception as second:
+            first.add_note(f"the end could not be recorded: {second}")
+        raise first from first.__cause__
+    _record_end(training, outputs, display)
+
+
+def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
+    training.manifest.record(last_ended_by=dict(training.trainer.env.env.termination_manager.last_endings()))
+    unfinished = outputs.unfinished
+    if unfinished:
+        display.note(
+            f"warning: the recording has no index, and lacks nothing else ({unfinished}); "
+            "'wheelleg inspect RUN --repair' writes a copy with one"
+        )
+    if unfinished or "recording_unfinished" in training.manifest.data:  # of an earlier process
+        training.manifest.record(recording_unfinished=unfinished)
+
+
+def _made_outputs(training: Training) -> Outputs:
+    config = training.recipe.config
+    documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
+    options = RecordingOptions(**config["recording"])
+    return Outputs(training.directory, training.trainer, options, documents, config["agent"].get("logger"))
+
+
+def _results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the results of the iterations that are done already."""
+    if not earlier:
+        return {}
+    done = len(earlier)
+    facts = {"checkpoint": f"model_{done - 1}.pt", "iterations": done, "seconds": _seconds(earlier)}
+    return facts | summary(earlier[-1]["scalars"])
+
+
+def _seconds(earlier: Sequence[Mapping[str, Any]]) -> float:
+    """Return how long earlier iterations took; what a process did beside is not known when it was killed."""
+    times = ("Perf/collection_time", "Perf/learning_time")
+    return sum(float(line["scalars"].get(key, 0.0)) for line in earlier for key in times)
+
+
+def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:
+    """Write ``exported/``: the policy as TorchScript and ONNX, and its description."""
+    policy = trainer.algorithm.get_policy().to("cpu")
+    try:
+        files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
+    except Exception as error:  # torch's exporter has a report of many lines for each
+        raise SimulationFailure(
+            f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}",
+            key="agent.actor.class_name",
+            expected="MLPModel, or a network that needs nothing but the observations; the checkpoints are whole",
+        ) from error
+    with for_people(directory.exported):
+        directory.exported.mkdir(exist_ok=True)
+    for name, content in files.items():
+        write_bytes(directory.exported / name, content)
+    description = export.description(trainer.env.env, agent, trainer.iteration - 1)
+    write_text(directory.exported / "policy.json", description)

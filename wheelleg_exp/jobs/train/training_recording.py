@@ -1,0 +1,146 @@
+"""The recording of a training: sample episodes every so many iterations, and every iteration's scalars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.jobs.documents import run_documents
+from wheelleg_exp.jobs.episode_recording import ObservingRecording
+from wheelleg_exp.recording.options import RecordingOptions
+from wheelleg_exp.recording.writing.kept_copy import make_way
+from wheelleg_exp.recording.writing.recorder import Recorder
+from wheelleg_exp.run.directory import RunDirectory
+
+
+class TrainingRecording(ObservingRecording):
+    """Records a training, from entering to leaving.
+
+    Every iteration is in the file when ``write`` returns; of rollouts of less than 16 steps, the last few frames may
+    wait for the next. With every ``interval``-th iteration a sample of motion is due, as long as the bound on the size
+    leaves room for the longest that it can become: of each environment it begins with the first episode that begins
+    from then on, and ends with the episode in which it has ``steps`` frames. What is due and how far it is follows
+    from the options and the frames in the file, so that a recording that was gone on with holds what an uninterrupted
+    one holds.
+
+    Args:
+        directory: the run directory.
+        env: the environment.
+        options: what is recorded.
+        documents: texts that go into the recording, by name, besides those that the run directory tells.
+        start_iteration: the first iteration that is still to come; above 0 the run's recording is gone on with: what
+            lies past the environment's present control step is dropped, and a sample under way continues.
+
+    Attributes:
+        note: what people should know of it: what became of an earlier recording that could not be gone on with, and
+            whether the bound on the size leaves room for a sample; None when there is nothing to tell.
+    """
+
+    def __init__(
+        self,
+        directory: RunDirectory,
+        env: ManagerBasedRLEnv,
+        options: RecordingOptions,
+        documents: Mapping[str, str],
+        *,
+        start_iteration: int = 0,
+    ) -> None:
+        aside = make_way(directory.recording, go_on=start_iteration > 0)
+        recorder = Recorder(
+            directory.recording,
+            env,
+            recording_id=directory.id,
+            name=directory.id,
+            env_ids=options.env_ids,
+            purpose="training",
+            about={"task": _task(directory)},
+            keep_until=env.common_step_counter if start_iteration > 0 else None,
+        )
+        super().__init__(env, recorder, live=options.live)
+        self._options, self._first = options, start_iteration
+        for name, text in {**run_documents(directory), **documents}.items():
+            if name != "manifest" or not self._recorder.has_document(name):  # that of the start stays
+                self._recorder.document(name, text)
+        if aside:
+            self._recorder.say(f"{aside}; this one begins with iteration {start_iteration}")
+        self._longest = options.steps - 1 + env.max_episode_length  # a sample whose last episode begins at its end
+        self._room = self._recorder.frames_within(options.max_mb)
+        self.notes = [note for note in (aside, self._warning()) if note]
+        self.note = "; ".join(self.notes) or None
+
+    def _begin_recording(self) -> None:
+        self._begin(self._first)
+        if self._first == 0:
+            self._tell_bound(0)
+
+    def _warning(self) -> str | None:
+        """Return that not even one sample fits, and what would do; None when one does."""
+        if self._longest <= self._room:
+            return None
+        return (
+            f"recording.max_mb={self._options.max_mb:g} leaves no room for a sample, which has up to {self._longest} "
+            "steps, beside shapes and texts, so no motion is recorded; "
+            f"{self._recorder.megabytes(self._longest):.1f} are enough for one"
+        )
+
+    @property
+    def unfinished(self) -> str | None:
+        """Why the file was not put together when it was closed; None when it was, or is open."""
+        return self._recorder.unfinished
+
+    def write(self, scalars: Mapping[str, float], iteration: int) -> None:
+        """Write one iteration's scalars, and begin the next sample when it is due."""
+        self._recorder.scalars(scalars, iteration)
+        following = iteration + 1
+        if following % self._options.interval == 0:
+            self._recorder.flush()
+            self._begin(following)
+            self._tell_bound(following)
+        else:
+            self._recorder.flush(everything=False)
+            self._recorder.iteration = following
+        if self._live is not None:
+            self._live.show()
+
+    def flush(self) -> None:
+        """Bring everything so far into the file."""
+        self._recorder.flush()
+
+    def _begin(self, iteration: int) -> None:
+        """Begin the sample that ``iteration`` belongs to, or go on with it."""
+        self._recorder.iteration = iteration
+        due = self._due(iteration)
+        self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
+
+    def _due(self, iteration: int) -> int:
+        """Return the control step after which the sample of ``iteration``, the present one, may begin."""
+        now = self._env.common_step_counter
+        return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
+
+    def _has_room(self, due: int) -> bool:
+        return self._recorder.frames_until(due) + self._longest <= self._room
+
+    def _tell_bound(self, iteration: int) -> None:
+        """Mark the iteration from which on no sample fits any more."""
+        due, interval = self._env.common_step_counter, self._options.interval
+        if self._has_room(due):
+            return
+        if iteration == 0:
+            self._recorder.say(str(self._warning()))
+            return
+        before = due - interval * (due // iteration)
+        if self._recorder.frames_until(due) > self._recorder.frames_until(before):  # there was room the last time
+            bound, count = self._options.max_mb, iteration // interval
+            self._recorder.say(
+                f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "
+                "from here on there are scalars alone"
+            )
+
+
+def _task(directory: RunDirectory) -> Any:
+    try:
+        return directory.manifest().data["task"]
+    except WheellegError:
+        return None

@@ -1,0 +1,11 @@
+"""Looks at the numbers of a config as an expert would before training.
+
+| module | what it offers |
+|---|---|
+| `examine` | the whole look, and `RULES`, all rules by name |
+| `case` | what a rule looks at |
+| `robot_facts`, `collider_depth` | masses, wheels, heights and drives of the compiled robot |
+| `reward_tolerances` | what each reward is worth |
+| `findings` | what rules find, how they are registered, and rounding |
+| `rules_*` | the rules, a file for each subject |
+"""

@@ -1,0 +1,177 @@
+"""What each reward term is worth when the robot is off by a stated tolerance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from wheelleg_exp.lint.case import Case, TermView, largest
+
+ANGLE = 0.1  # rad: 6 degrees
+SHARE = 0.1  # of a natural size: height, speed, effort, command
+ACTION = 0.5  # change of a raw action: half of one unit
+
+TRACKING = {"rewards.track_lin_vel_xy_exp": "lin", "rewards.track_ang_vel_z_exp": "ang"}
+FAILURES = ("rewards.is_terminated", "rewards.is_terminated_term")
+CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.no_desired_contact")
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one reward term adds at its tolerance.
+
+    Attributes:
+        term: the term.
+        weight: its weight.
+        tolerance: the error in words; empty when nothing is known of the term.
+        value: the term's value at the tolerance, before weight; None when nothing is known.
+        cost: how far the value is from that of a perfect robot, before weight.
+        once: whether it comes once in an episode instead of at each step.
+    """
+
+    term: TermView
+    weight: float
+    tolerance: str
+    value: float | None
+    cost: float = 0.0
+    once: bool = False
+
+    @property
+    def best(self) -> float:
+        """The term's value, before weight, for a perfect robot."""
+        return (self.value or 0.0) + (self.cost if self.term.kind in TRACKING else 0.0)
+
+    def per_step(self, step_dt: float) -> float:
+        """Return what one control step adds: weight times value times the control step."""
+        return self.weight * (self.value or 0.0) * step_dt
+
+    def per_episode(self, case: Case) -> float:
+        """Return what a whole episode adds."""
+        return self.per_step(case.step_dt) * (1 if self.once else case.episode_steps)
+
+
+def contributions(case: Case) -> list[Contribution]:
+    """Return the contribution of every reward term, in order."""
+    return [_contribution(case, term) for term in case.terms("rewards")]
+
+
+def earned_per_second(found: list[Contribution]) -> float:
+    """Return what a perfect robot earns: the sum of the terms with positive weight at their best value."""
+    return sum(c.weight * c.best for c in found if c.weight > 0.0 and not c.once)
+
+
+def _contribution(case: Case, term: TermView) -> Contribution:
+    weight = float(term.node["weight"])
+    if term.kind == "rewards.is_alive":
+        return Contribution(term, weight, "being alive", 1.0)
+    if term.kind in FAILURES:
+        return Contribution(term, weight, "one failure", 1.0, 1.0, once=True)
+    if term.kind in TRACKING:
+        return _tracking(case, term, weight)
+    known = _SQUARES.get(term.kind)
+    if known is None:
+        return Contribution(term, weight, "", None)
+    text, value = known(case, term)
+    return Contribution(term, weight, text, value, value)
+
+
+def _tracking(case: Case, term: TermView, weight: float) -> Contribution:
+    error, text = tracking_tolerance(case, term)
+    if error == 0.0:
+        return Contribution(term, weight, "no error: nothing is commanded", 1.0)
+    value = math.exp(-((error / float(term.node["std"])) ** 2))
+    return Contribution(term, weight, text, value, 1.0 - value)
+
+
+def tracking_tolerance(case: Case, term: TermView) -> tuple[float, str]:
+    """Return a tenth of the largest command, in words as well."""
+    unit = "m/s" if TRACKING[term.kind] == "lin" else "rad/s"
+    error = SHARE * command_size(case, term)
+    return error, f"{error:.3g} {unit}, a tenth of the command"
+
+
+def command_size(case: Case, term: TermView) -> float:
+    """Return the largest command that a tracking term looks at, m/s or rad/s."""
+    command = case.env["commands"].get(str(term.node["command_name"]), {})
+    ranges = command.get("ranges") if isinstance(command, Mapping) else None
+    axes = ("lin_vel_x", "lin_vel_y") if TRACKING[term.kind] == "lin" else ("ang_vel_z",)
+    return max((largest(ranges.get(axis)) for axis in axes), default=0.0) if isinstance(ranges, Mapping) else 0.0
+
+
+def _speed(case: Case) -> float:
+    """Return the natural speed sqrt(g h) of a body that stands at height h, m/s."""
+    return math.sqrt(case.facts.gravity * _body_height(case))
+
+
+def _rate(case: Case) -> float:
+    """Return the natural rate sqrt(g / h), rad/s."""
+    return math.sqrt(case.facts.gravity / _body_height(case))
+
+
+def _body_height(case: Case) -> float:
+    """Return the standing height, m; at least 1 cm, because an arm's base may lie on the ground."""
+    return max(case.facts.standing_height, 0.01)
+
+
+def _height(_case: Case, term: TermView) -> tuple[str, float]:
+    error = SHARE * float(term.node["target_height"])
+    return f"{1e3 * error:.3g} mm, a tenth of the height", error**2
+
+
+def _vertical(case: Case, _term: TermView) -> tuple[str, float]:
+    error = SHARE * _speed(case)
+    return f"{error:.2g} m/s, a tenth of sqrt(g h)", error**2
+
+
+def _rocking(case: Case, _term: TermView) -> tuple[str, float]:
+    error = SHARE * _rate(case)
+    return f"{error:.2g} rad/s, a tenth of sqrt(g/h)", error**2
+
+
+def _tilt(_case: Case, _term: TermView) -> tuple[str, float]:
+    return f"{ANGLE} rad", math.sin(ANGLE) ** 2
+
+
+def _deviation(case: Case, term: TermView) -> tuple[str, float]:
+    count = len(case.joints(term.node))
+    return f"{ANGLE} rad on {count} joints", ANGLE * count
+
+
+def _symmetry(case: Case, term: TermView) -> tuple[str, float]:
+    count = len(case.joints(term.node, "left_cfg"))
+    return f"{ANGLE} rad on {count} pairs", ANGLE * count
+
+
+def _torques(case: Case, term: TermView) -> tuple[str, float]:
+    efforts = [joint.drive.effort for joint in case.joints(term.node).values() if joint.drive is not None]
+    return "a tenth of the effort limits", sum((SHARE * effort) ** 2 for effort in efforts)
+
+
+def _action_rate(case: Case, _term: TermView) -> tuple[str, float]:
+    width = sum(len(case.joints(action.node)) for action in case.terms("actions"))
+    return f"{ACTION} of a unit on {width} actions", width * ACTION**2
+
+
+def _one(_case: Case, _term: TermView) -> tuple[str, float]:
+    return "one body", 1.0
+
+
+_SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
+    "rewards.base_height_l2": _height,
+    "rewards.lin_vel_z_l2": _vertical,
+    "rewards.ang_vel_xy_l2": _rocking,
+    "rewards.pitch_orientation_l2": _tilt,
+    "rewards.flat_orientation_l2": _tilt,
+    "rewards.joint_deviation_l1": _deviation,
+    "rewards.joint_symmetry_l1": _symmetry,
+    "rewards.joint_torques_l2": _torques,
+    "rewards.action_rate_l2": _action_rate,
+    "rewards.action_l2": _action_rate,
+    **dict.fromkeys(CONTACTS, _one),
+}
+
+
+def tracked(case: Case) -> Iterator[TermView]:
+    """Yield the terms that reward following a command."""
+    yield from case.terms("rewards", *TRACKING)

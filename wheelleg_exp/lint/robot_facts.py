@@ -1,0 +1,302 @@
+"""Facts of a compiled robot at its default pose: masses, inertias, wheels, heights and drives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.lint.collider_depth import lowest_point
+from wheelleg_exp.sim.actuators import IdealPDActuator
+from wheelleg_exp.sim.robot import Robot
+
+_HORIZONTAL = 0.5  # largest vertical part of a wheel's axis
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The actuator of one joint.
+
+    Attributes:
+        group: the actuator group.
+        stiffness: kp, N·m/rad.
+        damping: kd, N·m·s/rad.
+        effort: largest torque, N·m.
+        velocity: largest speed, rad/s.
+        explicit: whether the torque is computed from the state before each physics step.
+    """
+
+    group: str
+    stiffness: float
+    damping: float
+    effort: float
+    velocity: float
+    explicit: bool = False
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint at the default pose.
+
+    Attributes:
+        default: default position, rad.
+        default_velocity: default velocity, rad/s.
+        low: lower limit, rad, or -inf.
+        high: upper limit, rad, or inf.
+        armature: kg·m².
+        inertia: of what hangs on the joint, about its axis, kg·m², without armature.
+        effective: inertia that a torque on the joint meets while everything else is free to move, with armature.
+        hold: torque that carries the weight at rest, N·m.
+        drive: its actuator, or None.
+    """
+
+    default: float
+    default_velocity: float
+    low: float
+    high: float
+    armature: float
+    inertia: float
+    effective: float
+    hold: float
+    drive: Drive | None
+
+    @property
+    def limited(self) -> bool:
+        """Whether the joint's angle is bounded."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+
+@dataclass(frozen=True)
+class Balance:
+    """A robot on one axle as an inverted pendulum.
+
+    Attributes:
+        mass: of all but the wheels, kg.
+        height: of its centre of mass over the axle, m.
+        inertia: of all but the wheels about the axle, kg·m².
+        pole: rate at which it falls while the wheels are held against the body and roll, rad/s.
+        pendulum: sqrt(m g h / I): rate at which it falls over a fixed axle, rad/s.
+    """
+
+    mass: float
+    height: float
+    inertia: float
+    pole: float
+    pendulum: float
+
+
+@dataclass(frozen=True)
+class RobotFacts:
+    """Facts of the whole robot.
+
+    Attributes:
+        mass: kg.
+        gravity: m/s².
+        joints: by name, in the robot's order.
+        wheels: names of the joints that wheels turn on.
+        wheel_radius: m; 0 without wheels.
+        track: distance between the outermost wheels, m.
+        standing_height: of the root over the ground while the lowest point of the default pose touches it, m.
+        clearance: of the lowest point over the ground where episodes begin, m; negative inside the ground.
+        friction: effective coefficient between wheels and ground.
+        balance: None when the robot does not balance on one axle.
+    """
+
+    mass: float
+    gravity: float
+    joints: dict[str, Joint]
+    wheels: tuple[str, ...]
+    wheel_radius: float
+    track: float
+    standing_height: float
+    clearance: float
+    friction: float
+    balance: Balance | None
+
+    @property
+    def weight(self) -> float:
+        """Weight, N."""
+        return self.mass * self.gravity
+
+    @property
+    def wheel_load(self) -> float:
+        """Weight on each wheel when all carry alike, N; the whole weight without wheels."""
+        return self.weight / max(1, len(self.wheels))
+
+    @property
+    def top_speed(self) -> float:
+        """Speed at the wheels' velocity limit, m/s; 0 when nothing drives a wheel."""
+        speeds = [drive.velocity for name in self.wheels if (drive := self.joints[name].drive) is not None]
+        return min(speeds) * self.wheel_radius if speeds else 0.0
+
+
+def measure(model: mujoco.MjModel, robot: Robot, wheels: Sequence[str] | None = None) -> RobotFacts:
+    """Measure a robot at its default pose.
+
+    Args:
+        model: the compiled scene.
+        robot: the robot that the scene was compiled with.
+        wheels: the joints that wheels turn on; by default unlimited hinges about a horizontal axis, with a solid body.
+    """
+    data = _at_default(model, robot)
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    bodies = [model.body(name).id for name in robot.body_names]
+    wheels = _wheels(model, data, robot) if wheels is None else list(wheels)
+    lowest = lowest_point(model, data, bodies)
+    root_height = float(data.xpos[bodies[0]][2])
+    radius = _radius(model, data, wheels)
+    return RobotFacts(
+        mass=float(model.body_mass[bodies].sum()),
+        gravity=gravity,
+        joints=_joints(model, data, robot, wheels, gravity),
+        wheels=tuple(wheels),
+        wheel_radius=radius,
+        track=_track(model, data, wheels),
+        standing_height=root_height - lowest if math.isfinite(lowest) else root_height,
+        clearance=lowest,
+        friction=_friction(model, wheels or None, bodies),
+        balance=_balance(model, data, bodies, wheels, radius, gravity),
+    )
+
+
+def _at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    if robot.floating:
+        data.qpos[0:3] = robot.default_root_pos.numpy()
+        data.qpos[3:7] = robot.default_root_quat.numpy()
+    for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
+        data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def _wheels(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> list[str]:
+    """Return the joints that wheels turn on: unlimited hinges about a horizontal axis, with a solid body."""
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    found = []
+    for name in robot.joint_names:
+        joint = model.joint(name)
+        hinge = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE and not model.jnt_limited[joint.id]
+        touches = bool(solid[model.geom_bodyid == model.jnt_bodyid[joint.id]].any())
+        if hinge and touches and abs(data.xaxis[joint.id][2]) < _HORIZONTAL:
+            found.append(name)
+    return found
+
+
+def _joint_bodies(model: mujoco.MjModel, wheels: Sequence[str]) -> list[int]:
+    return [int(model.jnt_bodyid[model.joint(name).id]) for name in wheels]
+
+
+def _radius(model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[str]) -> float:
+    heights = [float(data.xanchor[model.joint(name).id][2]) for name in wheels]
+    lowest = [lowest_point(model, data, [body]) for body in _joint_bodies(model, wheels)]
+    return max((h - low for h, low in zip(heights, lowest, strict=True)), default=0.0)
+
+
+def _track(model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[str]) -> float:
+    if not wheels:
+        return 0.0
+    axis = data.xaxis[model.joint(wheels[0]).id]
+    places = [float(axis @ data.xpos[body]) for body in _joint_bodies(model, wheels)]
+    return max(places) - min(places)
+
+
+def _friction(model: mujoco.MjModel, wheels: Sequence[str] | None, bodies: Sequence[int]) -> float:
+    chosen = _joint_bodies(model, wheels) if wheels else bodies
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    values = model.geom_friction[np.isin(model.geom_bodyid, chosen) & solid, 0]
+    return float(values.min()) if len(values) else 0.0
+
+
+def _joints(
+    model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, wheels: Sequence[str], gravity: float
+) -> dict[str, Joint]:
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    inverse = np.linalg.inv(matrix)
+    hold = _holding_torques(model, data, wheels, gravity)
+    drives = _drives(robot)
+    joints = {}
+    for index, name in enumerate(robot.joint_names):
+        joint, dof = model.joint(name), int(model.joint(name).dofadr[0])
+        low, high = model.jnt_range[joint.id].tolist() if model.jnt_limited[joint.id] else (-math.inf, math.inf)
+        armature = float(model.dof_armature[dof])
+        joints[name] = Joint(
+            default=float(robot.layout.default_joint_pos[index]),
+            default_velocity=float(robot.layout.default_joint_vel[index]),
+            low=low,
+            high=high,
+            armature=armature,
+            inertia=float(matrix[dof, dof]) - armature,
+            effective=1.0 / float(inverse[dof, dof]),
+            hold=float(hold[dof]),
+            drive=drives.get(name),
+        )
+    return joints
+
+
+def _holding_torques(model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[str], gravity: float) -> np.ndarray:
+    """Return the torques (nv,) that hold the default pose while each wheel carries an equal share of the weight."""
+    torques = data.qfrc_bias.copy()
+    share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
+    for body in _joint_bodies(model, wheels):
+        point = data.xpos[body].copy()
+        point[2] = lowest_point(model, data, [body])
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, point, body)
+        torques -= jacobian[2] * share
+    return torques
+
+
+def _drives(robot: Robot) -> dict[str, Drive]:
+    drives = {}
+    for group, actuator in robot.actuators.items():
+        gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
+        explicit = isinstance(actuator, IdealPDActuator)
+        for index, name in enumerate(actuator.joint_names):
+            kp, kd, effort, velocity = (float(values[index]) for values in gains)
+            drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
+    return drives
+
+
+def _balance(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    bodies: Sequence[int],
+    wheels: Sequence[str],
+    radius: float,
+    gravity: float,
+) -> Balance | None:
+    """Return the robot as a pendulum over its axle; None without wheels or when they do not share one axle."""
+    if not wheels:
+        return None
+    joint_ids = [model.joint(name).id for name in wheels]
+    axis, anchors = data.xaxis[joint_ids[0]], data.xanchor[joint_ids]
+    across = anchors - np.outer(anchors @ axis, axis)
+    if np.linalg.norm(across - across[0], axis=1).max() > radius / 2:
+        return None
+    wheel_bodies = _joint_bodies(model, wheels)
+    upper = [body for body in bodies if body not in wheel_bodies]
+    mass = float(model.body_mass[upper].sum())
+    arm = (model.body_mass[upper] @ (data.xipos[upper] - anchors[0])) / mass
+    height = float(np.linalg.norm(arm - (arm @ axis) * axis))
+    inertia = sum(_inertia_about(model, data, body, anchors[0], axis) for body in upper)
+    rolling = sum(
+        float(model.body_mass[body]) * radius**2 + _inertia_about(model, data, body, data.xipos[body], axis)
+        for body in wheel_bodies
+    )
+    drop = mass * gravity * height
+    about_ground = inertia + 2 * mass * radius * height + mass * radius**2 + rolling
+    return Balance(mass, height, inertia, math.sqrt(drop / about_ground), math.sqrt(drop / inertia))
+
+
+def _inertia_about(model: mujoco.MjModel, data: mujoco.MjData, body: int, point: np.ndarray, axis: np.ndarray) -> float:
+    """Return a body's moment of inertia about an axis through a point (parallel axis theorem), kg·m²."""
+    local = data.ximat[body].reshape(3, 3).T @ axis
+    own = float(local**2 @ model.body_inertia[body])
+    arm = data.xipos[body] - point
+    distance2 = float(arm @ arm - (arm @ axis) ** 2)
+    return own + float(model.body_mass[body]) * distance2

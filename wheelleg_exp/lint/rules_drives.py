@@ -1,0 +1,219 @@
+"""Drives: armature, effort, gains against the time step, and speed against the fall."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+from wheelleg_exp.lint.case import Case
+from wheelleg_exp.lint.findings import Finding, at_least, at_most, rule
+from wheelleg_exp.lint.robot_facts import Drive, Joint
+
+_ARMATURE = 10.0  # times the inertia of what hangs on the joint
+_TRACTION = 10.0  # times the torque at which a wheel slips
+_RESERVE = 1.5  # times the torque that holds the default pose
+_SAG = 0.1  # rad of static error under the robot's own weight
+_SAMPLES = 5.0  # control steps in one time constant of the fall
+_IMPLICIT = ("implicit", "implicitfast")
+
+
+def _groups(case: Case) -> dict[str, dict[str, Joint]]:
+    """Return the driven joints by actuator group."""
+    groups: dict[str, dict[str, Joint]] = {}
+    for name, joint in case.facts.joints.items():
+        if joint.drive is not None:
+            groups.setdefault(joint.drive.group, {})[name] = joint
+    return groups
+
+
+def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> tuple[str, Joint, Drive, float]:
+    """Return the driven joint for which ``size`` is largest."""
+    rows = [(name, joint, joint.drive, size(joint, joint.drive)) for name, joint in joints.items() if joint.drive]
+    return max(rows, key=lambda row: row[3])
+
+
+@rule
+def armature_ratio(case: Case) -> Iterator[Finding]:
+    """An armature far beyond the inertia that it moves.
+
+    A rotor behind a gear of ratio n weighs n² times its own inertia at the joint: for the motors of legged robots
+    about as much as the link, seldom ten times. More is a robot that cannot be built: it is slow, forgiving, and
+    its policies do not transfer. Source: MuJoCo documentation, XML reference, joint/armature.
+    """
+    for group, joints in _groups(case).items():
+        name, joint, _, ratio = _worst(joints, lambda j, _: j.armature / j.inertia if j.inertia > 0 else 0.0)
+        if ratio <= _ARMATURE:
+            continue
+        figures = {"armature": joint.armature, "inertia": joint.inertia, "ratio": ratio}
+        extra, balance = "", case.facts.balance
+        if balance is not None and name in case.facts.wheels:
+            figures |= {"pitch_inertia": balance.inertia, "pitch_ratio": joint.armature / balance.inertia}
+            figures["translation_kg"] = joint.armature / case.facts.wheel_radius**2
+            extra = (
+                f", {figures['pitch_ratio']:.0f} times the pitch inertia of all that rests on the wheels "
+                f"({balance.inertia:.3g}), and as heavy as {figures['translation_kg']:.0f} kg of translation"
+            )
+        yield Finding(
+            f"env.robot.actuators.{group}.armature",
+            f"{joint.armature:g} kg·m² is {ratio:.0f} times the {joint.inertia:.3g} kg·m² that hang on '{name}'{extra}",
+            "n² times the rotor's inertia; robot=physical has armatures of geared motors of this size",
+            figures,
+        )
+
+
+def wheel_friction(case: Case) -> float:
+    """Return the largest friction that wheels can have: of randomised materials, else of the model."""
+    found: list[float] = []
+    source = str(case.env["robot"].get("friction_source", "static"))
+    ground = float(case.env["scene"]["terrain"][f"{source}_friction"])
+    for term in case.terms("events", "events.randomize_rigid_body_material"):
+        found.append((float(term.node[f"{source}_friction_range"][1]) + ground) / 2)
+    return max(found, default=case.facts.friction)
+
+
+@rule
+def effort_against_traction(case: Case) -> Iterator[Finding]:
+    """A wheel drive that could spin its wheel many times over.
+
+    A wheel slips at the torque friction · load · radius. An effort limit far above it never limits anything, and
+    says that the motor is not that of a robot of this weight. Source: Coulomb friction.
+    """
+    facts = case.facts
+    for group, joints in _groups(case).items():
+        wheels = {name: joint for name, joint in joints.items() if name in facts.wheels}
+        friction = wheel_friction(case)
+        slip = friction * facts.wheel_load * facts.wheel_radius
+        if not wheels or slip <= 0.0:
+            continue
+        name, _, drive, _ = _worst(wheels, lambda _, d: d.effort)
+        if drive.effort > _TRACTION * slip:
+            key, motor = f"env.robot.actuators.{group}.effort_limit", at_least(2 * slip)
+            yield Finding(
+                key,
+                f"{drive.effort:g} N·m on '{name}' is {drive.effort / slip:.0f} times the {slip:.3g} N·m at which its "
+                f"wheel slips (largest friction {friction:.2f} · load {facts.wheel_load:.3g} N · radius "
+                f"{1e3 * facts.wheel_radius:.3g} mm)",
+                f"the stall torque of a motor that fits, near {motor:g} N·m",
+                {"effort": drive.effort, "slip": slip, "ratio": drive.effort / slip, "friction": friction},
+                ({key: motor},),
+            )
+
+
+@rule
+def effort_against_load(case: Case) -> Iterator[Finding]:
+    """A leg drive that cannot hold the robot up, or sags under it.
+
+    At rest a joint carries the weight that the wheels push up with, less what hangs on it. The drive needs a
+    reserve of half of that, and a stiffness that holds it within 0.1 rad. Source: statics, tau = -J^T F.
+    """
+    for group, joints in _groups(case).items():
+        name, _, drive, load = _worst(joints, lambda j, _: abs(j.hold))
+        if drive.effort < _RESERVE * load:
+            key, effort = f"env.robot.actuators.{group}.effort_limit", at_least(_RESERVE * load)
+            yield Finding(
+                key,
+                f"{drive.effort:g} N·m on '{name}', which carries {load:.3g} N·m at rest",
+                f"at least {effort:g} N·m",
+                {"effort": drive.effort, "load": load},
+                ({key: effort},),
+            )
+        if drive.stiffness > 0.0 and load / drive.stiffness > _SAG:
+            key, stiffness = f"env.robot.actuators.{group}.stiffness", at_least(load / _SAG)
+            yield Finding(
+                key,
+                f"{drive.stiffness:g} N·m/rad on '{name}', which carries {load:.3g} N·m at rest: it sags by "
+                f"{load / drive.stiffness:.2g} rad",
+                f"at least {stiffness:g} N·m/rad",
+                {"stiffness": drive.stiffness, "load": load, "sag_rad": load / drive.stiffness},
+                ({key: stiffness},),
+            )
+
+
+@rule
+def gains_against_time_step(case: Case) -> Iterator[Finding]:
+    """Gains that the physics step cannot carry.
+
+    With a = kd·dt/I and b = kp·dt²/I a drive whose torque is computed from the state before the step (explicit PD,
+    or an integrator that is not implicit) is stable for a < 2 and b < 4 - 2a; one that the solver damps implicitly
+    for b < 4 + 2a. I is the inertia that a torque meets while everything else may move, armature included.
+    Source: Jury's criterion on semi-implicit Euler; MuJoCo documentation, Computation, "Numerical integration".
+    """
+    dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
+    for group, joints in _groups(case).items():
+        name, joint, drive, _ = _worst(joints, lambda j, d: (d.damping * dt + d.stiffness * dt**2) / j.effective)
+        a, b = drive.damping * dt / joint.effective, drive.stiffness * dt**2 / joint.effective
+        explicit = drive.explicit or integrator not in _IMPLICIT
+        if (a < 2.0 and b < 4.0 - 2.0 * a) if explicit else b < 4.0 + 2.0 * a:
+            continue
+        criterion = "kd·dt/I < 2 and kp·dt²/I < 4 - 2·kd·dt/I" if explicit else "kp·dt²/I < 4 + 2·kd·dt/I"
+        key = "damping" if explicit and a >= 2.0 else "stiffness"
+        yield Finding(
+            f"env.robot.actuators.{group}.{key}",
+            f"on '{name}' (I = {joint.effective:.3g} kg·m², dt = {dt:.4g} s) kd·dt/I is {a:.3g} and kp·dt²/I is "
+            f"{b:.3g}: unstable, {'explicit' if explicit else 'implicit'} drives need {criterion}",
+            "an implicit drive, a finer env.sim.dt, more armature or smaller gains",
+            {"a": a, "b": b, "inertia": joint.effective, "dt": dt},
+        )
+
+
+@rule
+def control_rate(case: Case) -> Iterator[Finding]:
+    """A policy too slow to catch the fall.
+
+    A pendulum of rate p grows by a factor e in 1/p. A sampled controller acts one and a half control steps late on
+    the mean, and that delay times p should stay below a third: about five control steps in 1/p.
+    Source: Åström, "Limitations on control system performance", 2000, on a delay beside an unstable pole.
+    """
+    balance = case.facts.balance
+    if balance is None:
+        return
+    samples = 1.0 / (balance.pole * case.step_dt)
+    if samples < _SAMPLES:
+        longest = at_most(1.0 / (_SAMPLES * balance.pole))
+        steps = math.floor(longest / case.physics_dt * (1 + 1e-9))
+        change = {"env.decimation": steps} if steps else {"env.decimation": 1, "env.sim.dt": longest}
+        yield Finding(
+            "env.decimation",
+            f"the robot falls with a time constant of {1 / balance.pole:.3g} s, which holds {samples:.2g} control "
+            f"steps of {case.step_dt:.3g} s",
+            f"control steps of at most {longest:g} s: " + ", ".join(f"{key}={v:g}" for key, v in change.items()),
+            {"time_constant_s": 1 / balance.pole, "samples": samples},
+            (change,),
+        )
+
+
+@rule
+def drive_bandwidth(case: Case) -> Iterator[Finding]:
+    """A drive slower than the fall that it is to catch.
+
+    A position drive follows up to sqrt(kp/I), a velocity drive up to kd/I. A leg below the rate of the fall cannot
+    help; a wheel needs twice the rate. Source: the closed-loop poles of a PD drive on a free inertia.
+    """
+    balance = case.facts.balance
+    if balance is None:
+        return
+    for group, joints in _groups(case).items():
+        name, joint, drive, rate = _worst(joints, lambda j, d: -_bandwidth(j, d))
+        bandwidth = -rate
+        needed = balance.pole * (2.0 if drive.stiffness == 0.0 else 1.0)
+        if not 0.0 < bandwidth < needed:
+            continue
+        ratio = drive.damping / (2 * math.sqrt(drive.stiffness * joint.effective)) if drive.stiffness else 0.0
+        damped = f" (damping ratio {ratio:.2f})" if drive.stiffness else ""
+        inertia = max(joint.effective for joint in joints.values())
+        gain = at_least(inertia * needed**2 if drive.stiffness else inertia * needed)
+        name_of, unit = ("stiffness", "N·m/rad") if drive.stiffness else ("damping", "N·m·s/rad")
+        key = f"env.robot.actuators.{group}.{name_of}"
+        yield Finding(
+            key,
+            f"'{name}' follows up to {bandwidth:.3g} rad/s{damped}, and the robot falls at {balance.pole:.3g} rad/s",
+            f"at least {needed:.3g} rad/s: less armature, or a {name_of} of at least {gain:g} {unit}",
+            {"bandwidth": bandwidth, "pole": balance.pole, "damping_ratio": ratio},
+            ({key: gain},),
+        )
+
+
+def _bandwidth(joint: Joint, drive: Drive) -> float:
+    if drive.stiffness > 0.0:
+        return math.sqrt(drive.stiffness / joint.effective)
+    return drive.damping / joint.effective

@@ -1,0 +1,182 @@
+"""What rewards can teach: their sizes against each other, and what standing still would earn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from wheelleg_exp.lint.case import Case, TermView
+from wheelleg_exp.lint.findings import Finding, at_least, at_most, rule
+from wheelleg_exp.lint.reward_tolerances import (
+    FAILURES,
+    TRACKING,
+    Contribution,
+    command_size,
+    contributions,
+    earned_per_second,
+    tracked,
+)
+
+_AUDIBLE = 0.01  # share of what a perfect robot earns that an error should cost
+_STILL = 0.5  # score of a robot that does not move, above which a std cannot tell
+_UNIT = {"lin": "m/s", "ang": "rad/s"}
+
+
+def still_score(speed: float, std: float) -> float:
+    """Return the mean of exp(-c²/std²) over commands c uniform in ±speed: what standing still earns.
+
+    The integral is sqrt(pi)/2 · erf(V/std) · std/V.
+    """
+    if speed == 0.0:
+        return 1.0
+    return math.sqrt(math.pi) / 2 * math.erf(speed / std) * std / speed
+
+
+@rule
+def tracking_std(case: Case) -> Iterator[Finding]:
+    """A tracking reward so wide that a robot which does not follow earns most of it.
+
+    Over commands uniform in ±V a robot that stands still earns sqrt(pi)/2 · erf(V/std) · std/V of the reward,
+    shares of standing commands left out. Where nothing but zero is commanded, it is a drift of one unit of wheel
+    action that must not earn it. Source: the integral of the reward's own formula.
+    """
+    for term in tracked(case):
+        std, size = float(term.node["std"]), command_size(case, term)
+        finding = _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
+        if finding is not None:
+            yield finding
+
+
+def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | None:
+    unit, score, narrow = _UNIT[TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
+    if score < _STILL:
+        return None
+    standing = float(case.env["commands"][term.node["command_name"]].get("rel_standing_envs", 0.0))
+    return Finding(
+        f"{term.path}.std",
+        f"with std {std:g} {unit} and commands in ±{size:g} {unit} a robot that never moves earns {score:.2f} of the "
+        f"reward ({score + standing * (1 - score):.2f} with {100 * standing:.0f} % standing commands)",
+        f"a std near {narrow:g} {unit} leaves it {still_score(size, narrow):.2f}",
+        {"std": std, "range": size, "still": score},
+        ({f"{term.path}.std": narrow},),
+    )
+
+
+def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
+    kind = TRACKING[term.kind]
+    drift = _unit_speed(case)
+    if kind == "ang":
+        drift = 2 * drift / case.facts.track if case.facts.track else 0.0
+    score = math.exp(-((drift / std) ** 2))
+    if drift == 0.0 or score < _STILL:
+        return None
+    off = "; its weight is 0 here" if float(term.node["weight"]) == 0.0 else ""
+    narrow = at_most(drift)
+    return Finding(
+        f"{term.path}.std",
+        f"nothing but zero is commanded: standing still earns all of it, and with std {std:g} {_UNIT[kind]} a drift of "
+        f"{drift:.2g} {_UNIT[kind]}, one unit of wheel action, still earns {score:.2f}{off}",
+        f"a std near {narrow:g} {_UNIT[kind]} or below",
+        {"std": std, "range": 0.0, "drift": drift, "still": 1.0, "drifting": score},
+        ({f"{term.path}.std": narrow},),
+    )
+
+
+def _unit_speed(case: Case) -> float:
+    """Return the speed at one unit of wheel action, m/s; a tenth of the top speed without such an action."""
+    for action in case.terms("actions", "actions.JointVelocityAction"):
+        scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
+        driven = [abs(float(scale)) for name, scale in scales.items() if name in case.facts.wheels]
+        if driven:
+            return max(driven) * case.facts.wheel_radius
+    return 0.1 * case.facts.top_speed
+
+
+@rule
+def reward_too_small(case: Case) -> Iterator[Finding]:
+    """A reward term that costs next to nothing at its tolerance.
+
+    Weights are multiplied by the control step and mean nothing by themselves. What an error of its tolerance costs
+    is held against what a perfect robot earns: below 1 % the term is lost in the noise of the return. Source:
+    Isaac Lab 2.3.2, ``isaaclab/managers/reward_manager.py``: value · weight · dt.
+    """
+    found = contributions(case)
+    best = earned_per_second(found)
+    for item in found:
+        cost = abs(item.weight) * item.cost
+        if item.once or item.value is None or cost == 0.0 or best <= 0.0 or cost >= _AUDIBLE * best:
+            continue
+        key, weight = f"{item.term.path}.weight", _audible_weight(item, best)
+        yield Finding(
+            key,
+            f"being off by {item.tolerance} costs {cost * case.episode_s:.2g} of {best * case.episode_s:.3g} in an "
+            f"episode: {100 * cost / best:.2g} %",
+            "a narrower std: no weight makes it 1 %" if weight is None else f"a weight near {weight:g} makes it 1 %",
+            {"cost_per_s": cost, "best_per_s": best, "share": cost / best},
+            () if weight is None else ({key: weight},),
+        )
+
+
+def _audible_weight(item: Contribution, best: float) -> float | None:
+    """Return the least weight at which a term's error costs enough; None when a larger weight only earns more."""
+    if item.weight < 0.0:
+        return -at_least(_AUDIBLE * best / item.cost)
+    others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
+    return at_least(_AUDIBLE * others / gain) if gain > 0.0 and others > 0.0 else None
+
+
+@rule
+def falling_pays(case: Case) -> Iterator[Finding]:
+    """A failure that costs less than going on.
+
+    Going on is worth the sum of all terms at their tolerances, over the horizon 1/(1 - gamma) of the discount or
+    the episode; where that is below the price of failing, the policy learns to fall at once. Source: the
+    discounted return of PPO, Schulman et al. 2017.
+    """
+    found = contributions(case)
+    living = sum(c.weight * (c.value or 0.0) for c in found if not c.once)
+    failing = sum(c.weight * (c.value or 0.0) for c in found if c.term.kind in FAILURES)
+    steps = min(horizon_steps(case), case.episode_steps)
+    if living * steps < failing or (living < 0.0 and failing == 0.0):
+        yield Finding(
+            "env.rewards",
+            f"going on is worth {living * case.step_dt:.3g} a step at the tolerances, "
+            f"{living * steps * case.step_dt:.3g} over {steps:.0f} steps, and failing {failing * case.step_dt:.3g} "
+            "once: falling at once pays",
+            "more for being alive, or a dearer failure",
+            {"living_per_s": living, "failing": failing, "steps": steps},
+        )
+
+
+def horizon_steps(case: Case) -> float:
+    """Return 1/(1 - gamma), the steps over which the agent looks ahead; inf without discount."""
+    gamma = float(case.agent["algorithm"].get("gamma", 0.99))
+    return 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
+
+
+@rule
+def noop_curriculum(case: Case) -> Iterator[Finding]:
+    """A change of a reward's weight that changes nothing, or that training never reaches.
+
+    The weight changes once the counter of control steps has passed ``num_steps``; a training takes
+    max_iterations · num_steps_per_env of them. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
+    """
+    total = int(case.agent["max_iterations"]) * int(case.agent["num_steps_per_env"])
+    for term in case.terms("curriculum", "curriculums.modify_reward_weight"):
+        reward, weight, start = term.node["term_name"], float(term.node["weight"]), int(term.node["num_steps"])
+        before = float(case.env["rewards"][reward]["weight"])
+        if weight == before:
+            yield Finding(
+                f"{term.path}.weight",
+                f"'{reward}' has the weight {before:g} from the start: the change to {weight:g} changes nothing",
+                "another weight, here or there, or no curriculum",
+                {"before": before, "after": weight},
+            )
+        if start >= total:
+            yield Finding(
+                f"{term.path}.num_steps",
+                f"training takes {total} control steps, and the weight changes after {start}",
+                f"num_steps below {total}, or more iterations",
+                {"num_steps": start, "total_steps": total},
+                ({f"{term.path}.num_steps": total - 1},),
+            )

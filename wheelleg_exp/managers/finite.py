@@ -1,0 +1,150 @@
+"""Numbers that are none: found where they come up, told by whose they are, and kept with the state they came from.
+
+A step looks at the sum of what it has, and only where that is not finite it looks closer.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Iterable, Iterator
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.sim.ids import ids_where
+
+KEPT = 16  # environments whose state is kept, of those that fail together
+PHYSICS = "env.sim"
+ACTIONS = "env.actions"
+POLICY = "agent.actor"
+
+
+def may_fail(sums: Iterable[torch.Tensor]) -> bool:
+    """Return whether a number that some sums are over may not be finite: large ones may add up to infinity as well."""
+    total = functools.reduce(torch.add, sums)
+    return len(ids_where(~total.isfinite().reshape(1))) > 0
+
+
+def failed_rows(values: torch.Tensor) -> torch.Tensor:
+    """Return the rows of a tensor that hold a number that is not finite, as indices."""
+    return ids_where(~values.reshape(len(values), -1).isfinite().all(dim=1))
+
+
+def failures(env: Env, unstable: torch.Tensor) -> dict[str, Any]:
+    """Tell which environments failed in this step, and whose numbers were not finite.
+
+    Where the physics itself went wrong, what terms made of it is not told.
+
+    Args:
+        env: the environment, before anything is reset.
+        unstable: simulations whose state went to NaN or to huge values, (n,).
+
+    Returns:
+        ``keys``: config keys by environment; ``evidence``: the state of the first of them (see ``evidence``).
+    """
+    bad_actions = set(failed_rows(env.action_manager.action).tolist())
+    rewards = env.reward_manager.non_finite
+    keys = {i: [f"env.rewards.{name}" for name in names] or ["env.rewards"] for i, names in rewards.items()}
+    keys |= {i: [ACTIONS if i in bad_actions else PHYSICS] for i in unstable.tolist()}
+    keys = dict(sorted(keys.items()))
+    return {"keys": keys, "evidence": evidence(env, torch.tensor(list(keys), device=env.device))}
+
+
+def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Return what some environments were in, the first ``KEPT`` of them: arrays by name, a row an environment.
+
+    ``state`` is the engine's row, ``motion_at_start`` positions and velocities at the start of the control step (the
+    engine itself resets a simulation that has gone wrong), ``model.<field>`` what events have made of the model.
+
+    Args:
+        env: the environment.
+        ids: environments, (n,).
+        more: further tensors, (N, ...).
+    """
+    ids = ids[:KEPT].to(env.device)
+    scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
+    rows = {
+        "episode_length": env.episode_length_buf,
+        "state": scene.sim.state,
+        "qpos": scene.sim.view("qpos"),
+        "qvel": scene.sim.view("qvel"),
+        "ctrl": scene.sim.view("ctrl"),
+        "motion_at_start": scene.robot.data.motion_at_start,
+        "action": actions.action,
+        "previous_action": actions.prev_action,
+        "rewards": env.reward_manager.raw_values.T,
+        **{f"observation.{name}": value for name, value in observed.items() if isinstance(value, torch.Tensor)},
+        **{f"model.{name}": values for name, values in sorted(scene.sim.expanded.items())},
+        **more,
+    }
+    return {"env_ids": ids.clone(), **{name: values[ids].detach().clone() for name, values in rows.items()}}
+
+
+def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
+    """Refuse what an event has written into states, wrenches or model fields and is no number.
+
+    Args:
+        env: the environment.
+        path: the event's config key.
+        asked: what the event has asked for to be written beside states (see ``Engine.asked``).
+        ids: the environments that it ran for; None is all.
+
+    Raises:
+        SimulationFailure: with the event's key, and what it wrote.
+    """
+    rows = slice(None) if ids is None else ids
+    written = env.scene.written(asked)
+    if may_fail([env.scene.sim.total(rows), *(values[rows].sum() for values in written.values())]):
+        _tell_writes(env, path, {**env.scene.motion(), **written}, ids)
+
+
+def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: torch.Tensor | None) -> None:
+    before = set(ids_where(env.scene.unstable()).tolist())  # of these it is not the event's fault
+    for name, values in written.items():
+        bad = set(failed_rows(values).tolist()) - before
+        bad &= bad if ids is None else set(ids.tolist())
+        if bad:
+            found = torch.tensor(sorted(bad), device=env.device)
+            raise failure(env, path, f"wrote numbers that are not finite into {name}", found)
+
+
+def require_finite_observations(env: Env) -> None:
+    """Refuse observations that are no numbers.
+
+    Raises:
+        SimulationFailure: with the key of the first such term.
+    """
+    groups = env.observation_manager.obs_buf.values()
+    parts = [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
+    if parts and may_fail(part.sum() for part in parts):
+        for path, part in _observed(env):
+            bad = failed_rows(part)
+            if len(bad):
+                raise failure(env, path, "gave observations that are not finite", bad)
+
+
+def _observed(env: Env) -> Iterator[tuple[str, torch.Tensor]]:
+    for group, value in env.observation_manager.obs_buf.items():
+        for term, part in env.observation_manager.split(group, value).items():
+            yield f"env.observations.{group}.terms.{term}", part
+
+
+def require_finite_actions(env: Env, actions: torch.Tensor) -> None:
+    """Refuse the actions (N, A) of a policy that are no numbers: its networks have failed, not the environment.
+
+    Raises:
+        SimulationFailure: with the actor's key.
+    """
+    bad = failed_rows(actions)
+    if len(bad):
+        raise failure(env, POLICY, "the policy's actions are not finite", bad, actions=actions)
+
+
+def failure(env: Env, key: str, what: str, ids: torch.Tensor, **more: torch.Tensor) -> SimulationFailure:
+    """Return the error for numbers that are none, with the state of the environments that they are of."""
+    first = ", ".join(str(i) for i in ids[:3].tolist()) + (", …" if len(ids) > 3 else "")
+    message = f"{what} in {len(ids)} of {env.num_envs} environments ({first}), control step {env.common_step_counter}"
+    found = evidence(env, ids, **more) if hasattr(env, "reward_manager") else {}
+    return SimulationFailure(message, key=key, expected="finite numbers", evidence=found)

@@ -1,0 +1,346 @@
+"""Users' own projects: a folder whose ``pyproject.toml`` declares its packages for configs.
+
+The declaration is the entry-point group ``wheelleg_exp.packages``. Installed, it is read from the distribution. Without
+installing, a project counts while one stands in its folder, or names it with ``--config-dir``: its ``configs/`` is on
+the search path, and the packages that it declares may be called. Nothing of it is imported before a config names a
+target in it, and then the declared packages alone can be found there, never another module of that folder.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.trusted_folders import is_trusted, real, trust
+
+ENTRY_POINT_GROUP = "wheelleg_exp.packages"
+FILE = "pyproject.toml"
+RUN_FILE = "manifest.json"  # which a run directory holds, whose code only a replay runs
+CONFIGS = "configs"
+_ROOT = 0  # the user id of the administrator
+_SOURCES = ("", "src")  # where a project keeps its packages
+
+
+@dataclass(frozen=True)
+class Project:
+    """A user's project.
+
+    Attributes:
+        root: the folder of its ``pyproject.toml``.
+        packages: the packages that it declares, such as ``mine`` or ``mine.terms``.
+    """
+
+    root: Path
+    packages: tuple[str, ...]
+
+    @property
+    def configs(self) -> Path:
+        """The folder of its configs."""
+        return self.root / CONFIGS
+
+    def source(self, package: str) -> Path:
+        """Return the folder that a declared package's top folder or module stands in.
+
+        Raises:
+            ConfigError: the project does not hold it.
+        """
+        top = package.split(".")[0]
+        for folder in (self.root / name for name in _SOURCES):
+            if (folder / top).is_dir() or (folder / f"{top}.py").is_file():
+                return folder
+        raise ConfigError(
+            f"the project holds no package '{top}'",
+            key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
+            where=str(self.root / FILE),
+            expected=f"a folder {self.root / top}",
+        )
+
+
+def read_project(folder: Path) -> Project | None:
+    """Return the project of a folder, None when its ``pyproject.toml`` declares no packages for configs.
+
+    Raises:
+        ConfigError: the file declares some, but is no valid TOML, or what it declares is no name of a package.
+    """
+    file = folder / FILE
+    try:
+        text = file.read_text(encoding="utf-8") if file.is_file() else ""
+    except (OSError, UnicodeDecodeError):
+        return None
+    if ENTRY_POINT_GROUP not in text:
+        return None
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"the file is not valid TOML: {error}", where=str(file)) from None
+    declared = _below(table, "project", "entry-points", ENTRY_POINT_GROUP)
+    if not declared:
+        return None
+    return Project(folder, tuple(sorted(_package(value, file) for value in declared.values())))
+
+
+def _below(table: Any, *keys: str) -> Mapping[str, Any]:
+    for key in keys:
+        table = table.get(key) if isinstance(table, Mapping) else None
+    return table if isinstance(table, Mapping) else {}
+
+
+def _package(value: Any, file: Path) -> str:
+    name = value.split(":")[0].strip() if isinstance(value, str) else ""
+    parts = name.split(".")
+    taken = parts[0] in sys.stdlib_module_names or parts[0] == "wheelleg_exp"
+    if taken or not all(part.isidentifier() for part in parts):
+        raise ConfigError(
+            f"declares {value!r}",
+            key=f'project.entry-points."{ENTRY_POINT_GROUP}"',
+            where=str(file),
+            expected="the name of a package of this project",
+        )
+    return name
+
+
+def current_project() -> Project | None:
+    """Return the project that the current folder lies in, the nearest one upwards; what lies in a run is none.
+
+    Raises:
+        ConfigError: it belongs to another user, who could have put it above this folder.
+    """
+    here = Path.cwd()
+    above = (here, *here.parents)
+    runs = [number for number, folder in enumerate(above) if (folder / RUN_FILE).is_file()]
+    for folder in above[runs[-1] + 1 if runs else 0 :]:
+        project = read_project(folder)
+        if project is not None:
+            _require_own(project)
+            return project
+    return None
+
+
+def _require_own(project: Project) -> None:
+    """Refuse a project of another user, as git refuses such a repository: standing in a folder is not to trust it."""
+    owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
+    if not owners <= {os.getuid(), _ROOT}:
+        raise ConfigError(
+            "this folder lies in a project of another user, whose code and configs are not used unasked",
+            key=str(project.root),
+            expected=f"--config-dir {project.configs} to trust it, or another folder",
+        )
+
+
+def with_current(folders: Sequence[Path]) -> list[Path]:
+    """Return config folders, and behind them that of the project that one stands in.
+
+    A folder that is not there stays as it is given: who looks into it tells.
+
+    Raises:
+        ConfigError: the project that one stands in cannot be used.
+    """
+    found = [_resolved(folder) for folder in folders]
+    try:
+        project = current_project()
+    except ConfigError as error:
+        if error.key in {str(folder.parent) for folder in found}:  # named, and so trusted
+            return found
+        raise
+    if project is not None:
+        join(project)
+        if project.configs.is_dir() and project.configs.resolve() not in [folder.resolve() for folder in found]:
+            found.append(project.configs)
+    return found
+
+
+def _resolved(folder: Path) -> Path:
+    try:
+        return config_folder(folder)
+    except ConfigError:
+        return folder
+
+
+def config_folder(folder: Path) -> Path:
+    """Return the absolute path of a config folder, named by itself, by its project, or by an installed package.
+
+    Raises:
+        ConfigError: there is no such folder or package.
+    """
+    absolute = Path(folder).expanduser().absolute()
+    if absolute.is_dir():
+        project = read_project(absolute)
+        return project.configs if project is not None and project.configs.is_dir() else absolute
+    installed = _installed_configs(str(folder))
+    if installed is not None:
+        return installed
+    parent = absolute.parent
+    siblings = [p.name for p in parent.iterdir() if p.is_dir()] if parent.is_dir() else []
+    raise ConfigError(
+        "there is no such config folder",
+        key=str(folder),
+        where="--config-dir",
+        expected="a folder with YAML files, a project, or an installed package that declares itself",
+        nearest=nearest_name(absolute.name, siblings),
+    )
+
+
+def _installed_configs(package: str) -> Path | None:
+    """Return the configs of an installed package that has declared itself, without importing it."""
+    if package not in installed_packages():
+        return None
+    spec = importlib.util.find_spec(package.split(".")[0])
+    for place in spec.submodule_search_locations or () if spec is not None else ():
+        for folder in (Path(place) / CONFIGS, *(above / CONFIGS for above in list(Path(place).parents)[:2])):
+            inside = folder.parent == Path(place) or (folder.parent / FILE).is_file()
+            if inside and folder.is_dir():
+                return folder
+    return None
+
+
+def installed_packages() -> tuple[str, ...]:
+    """Return the packages that installed distributions declare."""
+    points = metadata.entry_points(group=ENTRY_POINT_GROUP)
+    return tuple(sorted({point.value.split(":")[0] for point in points}))
+
+
+# --- the packages of projects that are in use, by name ---
+
+_joined: dict[str, Project] = {}
+
+
+def join(project: Project) -> None:
+    """Let configs call the packages of a project, until the process ends."""
+    for package in project.packages:
+        _joined[package] = project
+
+
+def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
+    """Let configs call the packages of the given config folders, or of the recorded ones when none are given.
+
+    A recorded folder that is not there, or is not the user's own, is left out (see ``left_out``): it may not be needed.
+
+    Raises:
+        ConfigError: a given folder is not there, or a recorded one lies in another user's project.
+    """
+    found = [config_folder(folder) for folder in folders] or own_folders(recorded)
+    if folders:
+        trust(found)
+    else:
+        for project in filter(None, (read_project(folder.parent) for folder in found)):
+            _require_own(project)
+    for folder in found:
+        join_folder(folder)
+    return found
+
+
+def own_folders(recorded: Iterable[str]) -> list[Path]:
+    """Return which of the config folders that a run has recorded are in use now, or known as the user's own."""
+    in_use = {real(project.configs) for project in _joined.values()}
+    own = (folder for folder in recorded if real(folder) in in_use or is_trusted(folder))
+    return [Path(folder) for folder in own if Path(folder).is_dir()]
+
+
+def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
+    """Return the recorded config folders that are not among those found, each with the reason."""
+    used = {real(folder) for folder in found}
+    others = [folder for folder in recorded if real(folder) not in used]
+    return {folder: "is not used unasked" if is_there(folder) else "is gone" for folder in others}
+
+
+def is_there(folder: str | Path) -> bool:
+    """Return whether there is such a folder; nothing that a run has recorded is too odd to ask."""
+    try:
+        return Path(folder).is_dir()
+    except OSError:  # a name that no file system takes
+        return False
+
+
+def join_folder(folder: Path) -> None:
+    """Let configs call the packages of the project that a config folder belongs to, if it does to one."""
+    project = read_project(folder.parent) if folder.name == CONFIGS else None
+    if project is not None:
+        join(project)
+
+
+def forget(root: Path) -> None:
+    """Undo ``join`` for the project of a folder, its imported modules included."""
+    for package in [name for name, project in _joined.items() if project.root == root]:
+        del _joined[package]
+        top = package.split(".")[0]
+        if _finder.sources.pop(top, None) is not None:
+            for module in [name for name in sys.modules if name == top or name.startswith(f"{top}.")]:
+                del sys.modules[module]
+
+
+def joined_packages() -> tuple[str, ...]:
+    """Return the packages of the projects that are in use."""
+    return tuple(_joined)
+
+
+def project_of(package: str) -> Project | None:
+    """Return the project in use that declares a package, or the package's top."""
+    top = package.split(".")[0]
+    return next((project for name, project in _joined.items() if name.split(".")[0] == top), None)
+
+
+def make_importable(target: str) -> None:
+    """Let the import system find the package of a target when it is a project's own.
+
+    Raises:
+        ConfigError: the project does not hold it, or a module of that name has been imported from elsewhere.
+    """
+    package = next((name for name in _joined if target.startswith(f"{name}.")), None)
+    if package is None:
+        return
+    top = package.split(".")[0]
+    source = _joined[package].source(package)
+    loaded = sys.modules.get(top)
+    if loaded is not None and not _lies_in(loaded, source):
+        raise ConfigError(
+            f"the package '{top}' has already been imported from elsewhere, {_place(loaded)}",
+            expected=f"the one in {source}",
+        )
+    _finder.sources[top] = source
+    if _finder not in sys.meta_path:
+        sys.meta_path.insert(0, _finder)
+
+
+def make_classes_importable(node: Any) -> None:
+    """Do the same for every ``class_name`` in an agent's config, which rsl_rl imports itself (raises the same)."""
+    if isinstance(node, Mapping):
+        for key, value in node.items():
+            if key == "class_name":
+                make_importable(str(value).replace(":", "."))
+            make_classes_importable(value)
+
+
+def _place(module: ModuleType) -> str:
+    return str(getattr(module, "__file__", None) or next(iter(getattr(module, "__path__", [])), "nowhere"))
+
+
+def _lies_in(module: ModuleType, folder: Path) -> bool:
+    return Path(_place(module)).resolve().is_relative_to(folder.resolve())
+
+
+class _Finder(MetaPathFinder):
+    """Finds the declared packages of projects in their own folders, and nothing else."""
+
+    def __init__(self) -> None:
+        self.sources: dict[str, Path] = {}
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a declared package."""
+        source = self.sources.get(fullname) if path is None else None
+        return PathFinder.find_spec(fullname, [str(source)], target) if source is not None else None
+
+
+_finder = _Finder()

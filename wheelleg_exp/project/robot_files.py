@@ -1,0 +1,186 @@
+"""Copies a robot's file with everything that it is made of, so that the copy stands on its own."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.asset.allocation import bounded_memory
+from wheelleg_exp.asset.conversion import is_urdf
+from wheelleg_exp.asset.sources import LARGEST_FILE, LOOKS, MESHES, TEXTURES
+from wheelleg_exp.asset.urdf.document import open_document
+from wheelleg_exp.asset.urdf.files import Files
+from wheelleg_exp.asset.usd.layers import open_layers
+from wheelleg_exp.asset.usd.stage import SUFFIXES, library
+from wheelleg_exp.errors import AssetError
+
+if TYPE_CHECKING:
+    from pxr import Sdf, UsdUtils
+
+
+def copy_robot(source: Path, folder: Path) -> Path:
+    """Copy a robot's file, and every layer, texture or mesh that it names, into ``folder``.
+
+    What lies beside the source or below it keeps its place. Other files come to stand below the folder as well, and
+    what names them is rewritten.
+
+    Returns:
+        The copy of ``source``.
+
+    Raises:
+        AssetError: the source cannot be read, or is no robot's file.
+    """
+    folder.mkdir(parents=True)
+    return _copy_urdf(source, folder) if is_urdf(source, {}) else _copy_usd(source, folder)
+
+
+def _copy_usd(source: Path, folder: Path) -> Path:
+    from pxr import UsdUtils
+
+    with library(source), bounded_memory(source):
+        chosen = _chosen(source)
+        layers, assets, _ = UsdUtils.ComputeAllDependencies(str(source.resolve()), chosen)
+        files = {Path(layer.realPath.split("[")[0]) for layer in layers if layer.realPath}
+        files |= {Path(asset.split("[")[0]) for asset in assets}
+        files = {file.resolve() for file in files if file.is_file()}
+        if not _copied_in_place(source, files, folder):
+            _localize(source, folder, chosen)
+    return folder / source.name
+
+
+def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]:
+    """Return what tells the USD library which of the files that a layer names belong to the robot.
+
+    These are the layers that it is composed of, and plain files that end as textures and materials do; it says
+    nothing of others, so that a robot that names ``/etc/passwd`` has no copy of it.
+    """
+    from pxr import UsdUtils
+
+    layers = {layer.realPath for layer in _all_layers(source)}
+
+    def choose(layer: Sdf.Layer, named: UsdUtils.DependencyInfo) -> UsdUtils.DependencyInfo:
+        files = [layer.ComputeAbsolutePath(name) for name in (named.assetPath, *named.dependencies)]
+        return named if all(file in layers or _is_look(Path(file)) for file in files) else UsdUtils.DependencyInfo()
+
+    return choose
+
+
+def _all_layers(source: Path) -> list[Sdf.Layer]:
+    """Open every layer that the USD library will: those of the stage, and those that attributes name."""
+    found: dict[str, Sdf.Layer] = {}
+    todo = open_layers(source)
+    while todo:
+        layer = todo.pop()
+        if layer.identifier not in found:
+            found[layer.identifier] = layer
+            files = {Path(layer.ComputeAbsolutePath(name)) for name in _asset_paths(layer)}
+            for file in sorted(files):
+                if str(file) not in found and file.suffix.lower() in SUFFIXES and file.exists():
+                    todo += open_layers(file)
+    return list(found.values())
+
+
+def _asset_paths(layer: Sdf.Layer) -> set[str]:
+    """Return every path that a layer names, wherever it stands in it."""
+    from pxr import Sdf, UsdUtils
+
+    found: set[str] = set()
+
+    def note(name: str) -> str:
+        found.add(name)
+        return name
+
+    copy = Sdf.Layer.CreateAnonymous()
+    copy.TransferContent(layer)
+    UsdUtils.ModifyAssetPaths(copy, note)
+    return found
+
+
+def _is_look(file: Path) -> bool:
+    """Return whether a path is that of a texture or material; one that stands for several has no file of its own."""
+    if file.suffix.lower() not in LOOKS:
+        return False
+    return not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE)
+
+
+def _localize(
+    source: Path, folder: Path, chosen: Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdUtils.DependencyInfo]
+) -> None:
+    """Let the USD library copy a stage that reaches out of its folder, and rewrite its paths."""
+    from pxr import UsdUtils
+
+    done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
+    if not done or not (folder / source.name).is_file():
+        message = "the robot's layers cannot be copied"
+        raise AssetError(message, where=str(source), expected="a file whose layers lie in its own folder")
+
+
+def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
+    """Copy files that lie beside the source or below; when one does not, copy nothing and return False."""
+    home = source.resolve().parent
+    if not all(file.is_relative_to(home) for file in files):
+        return False
+    for file in {source.resolve(), *files}:
+        _copy(file, folder / file.relative_to(home))
+    if source.name != source.resolve().name:  # a link to the file that was copied
+        _copy(source, folder / source.name)
+    return True
+
+
+def _copy(file: Path, to: Path) -> None:
+    to.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(file, to)
+
+
+def _copy_urdf(source: Path, folder: Path) -> Path:
+    document = open_document(source)
+    files = Files(document)
+    elements = [element for element in document.root.walk() if element.tag in ("mesh", "texture")]
+    names = {name for element in elements if (name := element.attributes.get("filename"))}
+    paths = {name: files.find(name, (*MESHES, *TEXTURES)) for name in sorted(names)}
+    found = {name: path.resolve() for name, path in paths.items() if path is not None}
+    kept = {name: place for name, path in found.items() if (place := _place_in(name, path, source)) is not None}
+    text = source.read_bytes()
+    taken = {found[name]: place for name, place in kept.items()}
+    for name, path in found.items():
+        place = kept.get(name)
+        if place is None:
+            place = taken.setdefault(path, _free(f"meshes/{path.name}", taken))
+            text = _renamed(text, name, place)
+        _copy(path, folder / place)
+    copy = folder / source.name
+    copy.write_bytes(text)
+    return copy
+
+
+def _place_in(name: str, path: Path, source: Path) -> str | None:
+    """Return a mesh's place below the URDF when its name there is just that, and None when it must be rewritten."""
+    plain = Path(os.path.normpath(name))
+    if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
+        return None
+    beside = source.resolve().parent / plain
+    return plain.as_posix() if beside.is_file() and beside.resolve() == path else None
+
+
+def _free(name: str, taken: dict[Path, str]) -> str:
+    """Return a place that no other mesh has, whatever the case of its letters."""
+    used = {place.lower() for place in taken.values()}
+    path, number = Path(name), 2
+    while name.lower() in used:
+        name, number = path.with_stem(f"{path.stem}_{number}").as_posix(), number + 1
+    return name
+
+
+def _renamed(text: bytes, name: str, place: str) -> bytes:
+    """Return a URDF in which a mesh has another file name; everything else stays as it is, to the byte."""
+    from xml.sax.saxutils import escape
+
+    written = {escape(name), name}
+    for form in written:
+        quoted = re.compile(rb"(filename\s*=\s*)([\"'])" + re.escape(form.encode()) + rb"\2")
+        text = quoted.sub(lambda match: match.group(1) + b'"' + escape(place).encode() + b'"', text)
+    return text

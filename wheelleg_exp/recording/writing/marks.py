@@ -1,0 +1,109 @@
+"""Marked moments: ends of episodes, interval events, and what happened to the recording itself."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from wheelleg_exp.definitions.definition import ending
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.env.host import host_copy
+from wheelleg_exp.recording import layout
+from wheelleg_exp.recording.layout import EnvPaths
+from wheelleg_exp.recording.writing.frames import Stamp
+
+EPISODES, EVENTS = "episodes", "events"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the log.
+
+    Attributes:
+        stamp: when.
+        kind: ``EPISODES``, ``EVENTS``, or what else there is to say.
+        text: what.
+        level: severity by rerun's names.
+    """
+
+    stamp: Stamp
+    kind: str
+    text: str
+    level: str
+
+
+def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> Entry | None:
+    """Return what ended the environment's episode in this step, None when it goes on."""
+    manager = env.termination_manager
+    failed = bool(host_copy(manager.terminated[env_id]))
+    if not failed and not host_copy(manager.time_outs[env_id]):
+        return None
+    reasons = [name for name in manager.active_terms if manager.get_fired(name)[env_id]]
+    seconds = int(env.episode_length_buf[env_id]) * env.step_dt
+    text = f"env {env_id}: ended by {ending(reasons)} after {seconds:.2f} s"
+    return Entry(stamp, EPISODES, text, "WARN" if failed else "INFO")
+
+
+def fired(env: ManagerBasedRLEnv, env_id: int) -> list[str]:
+    """Return the interval events that fired for the environment when they were last due."""
+    # A timer that all environments share has one flag.
+    return [name for name, due in env.event_manager.fired.items() if host_copy(due[env_id if len(due) > 1 else 0])]
+
+
+RECORDING = "recording"
+Piece = tuple[str, list[Stamp], Any]
+
+
+class Marks:
+    """The marked moments that are not in the file yet.
+
+    Interval events come after a step's capture, so that they are seen one step later, or between two steps.
+
+    Args:
+        env: the environment.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv) -> None:
+        self._env = env
+        self._lines: dict[str, list[Entry]] = defaultdict(list)
+        self._fired: dict[str, list[Stamp]] = defaultdict(list)
+        self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
+
+    def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
+        """Take up the ends of episodes in a captured step of some environments; its events are still to come."""
+        for env_id, paths in envs:
+            end = episode_end(self._env, env_id, stamp)
+            if end is not None:
+                self._lines[paths.data(layout.LOG, end.kind)].append(end)
+        self._awaiting = (stamp, envs)
+
+    def look_back(self, step: int) -> None:
+        """Take up the interval events that followed the last captured step, if that was ``step``."""
+        awaiting, self._awaiting = self._awaiting, None
+        if awaiting is None or awaiting[0].step != step:
+            return
+        stamp, envs = awaiting
+        for env_id, paths in envs:
+            for name in fired(self._env, env_id):
+                self._fired[paths.data("events", name)].append(stamp)
+                entry = Entry(stamp, EVENTS, f"env {env_id}: {name}", "INFO")
+                self._lines[paths.data(layout.LOG, EVENTS)].append(entry)
+
+    def say(self, text: str, level: str, stamp: Stamp) -> None:
+        """Take up what happened to the recording itself."""
+        self._lines[layout.join(layout.LOG, RECORDING)].append(Entry(stamp, RECORDING, text, level))
+
+    def pieces(self) -> Iterator[Piece]:
+        """Yield everything as columns, once."""
+        for entity, entries in self._lines.items():
+            texts, levels = [e.text for e in entries], [e.level for e in entries]
+            yield entity, [e.stamp for e in entries], rr.TextLog.columns(text=texts, level=levels)
+        for entity, stamps in self._fired.items():
+            yield entity, stamps, rr.Scalars.columns(scalars=np.ones(len(stamps)))
+        self._lines.clear()
+        self._fired.clear()

@@ -1,0 +1,250 @@
+"""One recorded environment: its frames, its shapes, and how its rows become columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.env.host import host_copy
+from wheelleg_exp.recording.blueprint import EnvLayout
+from wheelleg_exp.recording.layout import GROUND, EnvPaths
+from wheelleg_exp.recording.sample import Sample
+from wheelleg_exp.recording.writing import drawing, kinematics
+from wheelleg_exp.recording.writing.channels import has_forces, robot_channels, velocity_command
+from wheelleg_exp.recording.writing.channels_learning import learning_channels
+from wheelleg_exp.recording.writing.drawing import Columns, Contacts, Ground, VelocityArrows
+from wheelleg_exp.recording.writing.facts import interval_terms, joint_statics, term_statics
+from wheelleg_exp.recording.writing.frames import Episodes, Frames, Stamp
+from wheelleg_exp.recording.writing.geometry import Array, body_geoms, geom_name, is_plane, shape
+from wheelleg_exp.recording.writing.kinematics import Kinematics
+from wheelleg_exp.recording.writing.size import Cost
+
+# Arrow lengths in units of how tall the robot stands, so that they fit a robot of any size.
+_HEIGHTS_PER_WEIGHT = 0.6
+_HEIGHTS_PER_SPEED = 2.0
+_LIFT = 0.45
+
+_LIGHT, _DARK = (92, 98, 108, 255), (74, 79, 88, 255)
+_TILES = 40
+_EVENT = (235, 235, 235)
+_PALETTE = (
+    (86, 156, 255),
+    (255, 159, 64),
+    (92, 205, 120),
+    (240, 98, 98),
+    (178, 132, 255),
+    (214, 178, 94),
+    (255, 136, 200),
+    (96, 210, 214),
+    (170, 176, 186),
+    (190, 214, 72),
+    (150, 110, 90),
+    (120, 140, 255),
+)
+
+
+class Track:
+    """One recorded environment.
+
+    Poses are relative to the environment's origin at construction, so that the robot begins at the centre.
+
+    Args:
+        env: the environment.
+        env_id: which of its N.
+        paths: where it stands in the recording.
+        place: how many recorded environments stand before it; it is drawn that many places to the side.
+
+    Attributes:
+        stamps: the moments of the buffered frames.
+        sample: which steps are taken of a training.
+        episodes: numbers its recorded episodes.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:
+        self.env_id, self.paths = env_id, paths
+        self._model = env.scene.model
+        self._robot = env.scene.robot
+        self._root = int(self._model.body(self._robot.body_names[0]).id)
+        self._bodies = {b: paths.body(self._model.body(b).name or f"body_{b}") for b in range(1, self._model.nbody)}
+        self._origin: Array = host_copy(env.scene.env_origins[env_id].double())
+        self._solver = Kinematics(self._model)
+        self._size = self._solver.height(self._root, kinematics.default_pose(self._robot, self._model))
+        self._offset = np.array([0.0, 3.0 * self._size * place, 0.0])
+        self.stamps: list[Stamp] = []
+        self.sample = Sample()
+        self.episodes = Episodes()
+        learning = learning_channels(env, env_id, paths, self.episodes)
+        self.frames = Frames([*robot_channels(env, env_id, paths), *learning])
+        self._events = interval_terms(env)
+        self._reading = [*term_statics(env, paths), *joint_statics(env, env_id, paths)]
+        self._dry_run()
+        self._draw(env)
+        self._place = place
+        self.layout = EnvLayout(
+            label=f"env {env_id}",
+            paths=paths,
+            root=self._bodies[self._root],
+            size=self._size,
+            command=velocity_command(env),
+            sensors=tuple(contact.sensor for contact in self._contacts),
+            joints=_held(env),
+            rewards=tuple(env.reward_manager.active_terms),
+            observations={group: tuple(terms) for group, terms in env.observation_manager.active_terms.items()},
+        )
+
+    @property
+    def cost(self) -> Cost:
+        """What a frame takes in the file."""
+        entities = {entity for channel in self.frames.channels for entity in channel.entities}
+        numbers = sum(len(channel.names) for channel in self.frames.channels)
+        sensed = sum(len(contact.bodies) for contact in self._contacts)
+        drawn = 3 + 2 * len(self._contacts) + 2  # angles, norms and arrows, velocities
+        return Cost(len(entities) + drawn, numbers + 4 * sensed + 6, len(self._bodies))
+
+    def capture(self, stamp: Stamp, episode_step: int, *, ends: bool) -> None:
+        """Take up the state after a control step, with which the episode ends or not."""
+        self.episodes.advance(stamp.step, episode_step)
+        self.sample.steps.append(stamp.step)
+        self.sample.took(ends=ends)
+        self.frames.append()
+        self.stamps.append(stamp)
+
+    def clear(self) -> None:
+        """Forget the buffered frames."""
+        self.frames.clear()
+        self.stamps.clear()
+
+    def statics(self) -> Iterator[tuple[str, list[Any]]]:
+        """Yield what never changes: places, shapes, names of numbers, colours of arrows."""
+        if self._place:
+            for path in (self.paths.body(""), self.paths.overlay()):
+                yield path, [rr.Transform3D(translation=self._offset)]
+        for body, entity in self._bodies.items():
+            yield from self._shapes(body, entity)
+        yield from self._reading
+        yield from self._series()
+        yield from self._arrow_styles()
+
+    def surroundings(self) -> Iterator[tuple[str, list[Any]]]:
+        """Yield the ground and whatever else is fixed to the world, as seen from this environment."""
+        if self._ground is not None:
+            yield GROUND, [self._ground.mesh(_LIGHT, _DARK)]
+        drawn, _ = body_geoms(self._model, 0)
+        if drawn:
+            yield f"{GROUND}/terrain", [rr.Transform3D(translation=-self._origin)]
+        for geom in drawn:
+            yield f"{GROUND}/terrain/{geom_name(self._model, geom)}", shape(self._model, geom)
+
+    def columns(self) -> Iterator[Columns]:
+        """Yield the buffered frames as columns of entities."""
+        blocks = self._with_poses(self.frames.blocks())
+        yield from drawing.scalars([c for c in self.frames.channels if c.entities], blocks)
+        yield from drawing.orientation(self.paths, blocks)
+        yield from drawing.transforms(self._bodies, blocks)
+        for contact in self._contacts:
+            yield from contact.columns(self.paths, blocks)
+        if self._velocity is not None:
+            yield from self._velocity.columns(self.paths, blocks)
+        if self._ground is not None and self._place == 0:
+            yield from self._ground.columns(self.paths, blocks)
+
+    def _with_poses(self, blocks: dict[str, Array]) -> dict[str, Array]:
+        """Add the poses of all bodies (n, B, 3), (n, B, 4), and the base's angles (n, 3)."""
+        position, quaternion = self._solver.poses(blocks["qpos"])
+        angles = kinematics.roll_pitch_yaw(quaternion[:, self._root])
+        return {**blocks, "xpos": position - self._origin, "xquat": quaternion, "orientation": angles}
+
+    def _dry_run(self) -> None:
+        """Read every channel once, so that a width that does not fit is found now and not in a step."""
+        self.frames.append()
+        self.frames.clear()
+
+    def _draw(self, env: ManagerBasedRLEnv) -> None:
+        weight = kinematics.weight(self._model, self._root)
+        ids = {name: int(self._model.body(name).id) for name in self._robot.body_names}
+        self._contacts = [
+            Contacts(name, tuple(ids[b] for b in sensor.body_names), _HEIGHTS_PER_WEIGHT * self._size / weight)
+            for name, sensor in env.scene.sensors.items()
+            if has_forces(sensor)
+        ]
+        command = velocity_command(env)
+        self._velocity = None
+        if command is not None:
+            lift, scale = _LIFT * self._size, _HEIGHTS_PER_SPEED * self._size
+            self._velocity = VelocityArrows(f"commands/{command}", self._root, lift, scale)
+        planes = [g for g in range(self._model.ngeom) if is_plane(self._model, g)]
+        point = self._model.geom_pos[planes[0]] - self._origin if planes else np.zeros(3)
+        self._ground = Ground(self._root, _tile(self._size), _TILES, point) if planes else None
+
+    def _shapes(self, body: int, entity: str) -> Iterator[tuple[str, list[Any]]]:
+        drawn, colliders = body_geoms(self._model, body)
+        for geom in drawn:
+            if archetypes := shape(self._model, geom):
+                yield f"{entity}/{_part(self._model, geom)}", archetypes
+        place = self.paths.overlay("colliders", self._model.body(body).name or f"body_{body}")
+        for geom in colliders:
+            if archetypes := shape(self._model, geom):
+                # Moves with the body, although it stands in a tree of its own that one click hides.
+                yield f"{place}/{_part(self._model, geom)}", [*archetypes, rr.CoordinateFrame(f"tf#/{entity}")]
+
+    def _series(self) -> Iterator[tuple[str, list[Any]]]:
+        for channel in self.frames.channels:
+            if len(channel.entities) == 1:
+                yield channel.entities[0], [series(channel.names)]
+            else:
+                for i, (entity, name) in enumerate(zip(channel.entities, channel.names, strict=False)):
+                    yield entity, [series([name], first=i)]
+        for i, name in enumerate(drawing.ANGLES):
+            yield self.paths.data("base", name), [series([name], first=i)]
+        for name in self._events:
+            yield self.paths.data("events", name), [rr.SeriesPoints(names=[name], colors=[_EVENT], marker_sizes=[4.0])]
+        for contact in self._contacts:
+            names = [self._model.body(b).name for b in contact.bodies]
+            yield self.paths.data("contacts", contact.sensor), [series(names)]
+
+    def _arrow_styles(self) -> Iterator[tuple[str, list[Any]]]:
+        radius = 0.02 * self._size
+        for contact in self._contacts:
+            path = self.paths.overlay("contacts", contact.sensor)
+            yield path, [rr.Arrows3D.from_fields(colors=[drawing.FORCE], radii=[radius])]
+        if self._velocity is not None:
+            for name, shade in (("command", drawing.COMMANDED), ("actual", drawing.ACTUAL)):
+                path = self.paths.overlay("velocity", name)
+                yield path, [rr.Arrows3D.from_fields(colors=[shade], radii=[radius])]
+
+
+def series(names: Any, first: int = 0) -> Any:
+    """Return names and colours of the lines of a plot; commands and targets are paler than what they are for."""
+    shades = []
+    for i, name in enumerate(names):
+        shade = np.array(_PALETTE[(first + i) % len(_PALETTE)])
+        pale = name.endswith(("target", "command"))
+        shades.append((0.45 * shade + 0.55 * 255).astype(np.uint8) if pale else shade)
+    return rr.SeriesLines(names=list(names), colors=shades)
+
+
+def _held(env: ManagerBasedRLEnv) -> dict[str, bool]:
+    """Return for each joint whether an actuator holds it at a position; an undriven joint counts as held."""
+    robot = env.scene.robot
+    free = {
+        joint
+        for actuator in robot.actuators.values()
+        for joint, stiffness in zip(actuator.joint_names, actuator.stiffness.tolist(), strict=True)
+        if stiffness == 0.0
+    }
+    return {joint: joint not in free for joint in robot.joint_names}
+
+
+def _part(model: Any, geom: int) -> str:
+    return rr.escape_entity_path_part(geom_name(model, geom))
+
+
+def _tile(size: float) -> float:
+    """Return an edge of 1, 2 or 5 times a power of ten that is near two thirds of the robot's height, m."""
+    wanted = size / 1.5
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(power * max(k for k in (1, 2, 5) if k * power <= wanted * 1.001))

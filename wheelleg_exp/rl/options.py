@@ -1,0 +1,124 @@
+"""What may stand under ``agent``: the trainer's keys, and what rsl_rl's own parameters may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from wheelleg_exp.constraints import (
+    Above,
+    AtLeast,
+    AtMost,
+    Count,
+    MayBeInfinite,
+    NonNegative,
+    NotEmpty,
+    Positive,
+    Rising,
+    Share,
+)
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.terms.keys import below
+from wheelleg_exp.terms.sections import Section, section_errors
+from wheelleg_exp.terms.values import value_errors
+
+
+@dataclass(frozen=True)
+class Agent:
+    """``agent``: what rsl_rl's algorithm and networks read, and what the trainer reads.
+
+    Attributes:
+        max_non_finite: episodes that may end in one iteration because a number was not finite, as a share of the
+            environments; one always may. It changes no number of a training, only whether it has failed.
+    """
+
+    algorithm: Section
+    num_steps_per_env: Count
+    max_iterations: Count
+    save_interval: Count
+    obs_groups: dict[str, list[str]]
+    actor: Section
+    critic: Section
+    device: str
+    torch_threads: Annotated[int, AtLeast(1), AtMost(1024)]
+    clip_actions: Positive | None = None
+    logger: Literal["tensorboard"] | None = "tensorboard"
+    torch_compile_mode: str | None = None
+    max_non_finite: NonNegative = 0.1
+
+
+# By name, wherever they stand in rsl_rl's configuration: it takes what is wrong without a word, and fails or learns
+# nothing.
+PARAMETERS: dict[str, Any] = {
+    "num_learning_epochs": Count,
+    "num_mini_batches": Count,
+    "clip_param": Positive,
+    "gamma": Share,
+    "lam": Share,
+    "value_loss_coef": NonNegative,
+    "entropy_coef": NonNegative,
+    "learning_rate": Positive,
+    "max_grad_norm": Annotated[float, Above(0), MayBeInfinite()] | None,
+    "schedule": Literal["fixed", "adaptive"],
+    "desired_kl": Positive | None,
+    "grad_reduce_bucket_mb": Positive,
+    "gradient_length": Count,
+    "loss_type": Literal["mse", "huber"],
+    "mirror_loss_coeff": NonNegative,
+    "num_outputs": Count,
+    "hidden_dims": Annotated[Sequence[Count], NotEmpty()],
+    "rnn_type": Literal["lstm", "gru"],
+    "rnn_hidden_dim": Count,
+    "rnn_num_layers": Count,
+    "init_std": Positive,
+    "std_range": Annotated[Sequence[Positive], Rising()],
+    "std_type": Literal["scalar", "log"],
+    "action_range": Annotated[Sequence[float], Rising()],
+}
+
+
+def require_agent(agent: Mapping[str, Any], num_envs: int) -> None:
+    """Raise the first that is wrong with the section's values as a ConfigError."""
+    errors = section_errors("agent", agent, Agent) + parameter_errors(agent)
+    for error in errors or batch_errors(agent, num_envs):
+        raise error
+
+
+def parameter_errors(agent: Mapping[str, Any]) -> list[ConfigError]:
+    """Return what is wrong with the values of rsl_rl's parameters, by name."""
+    errors: list[ConfigError] = []
+    for name, section in agent.items():
+        if isinstance(section, Mapping) and name != "obs_groups":
+            errors += _below(below("agent", str(name)), section)
+    return errors
+
+
+def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
+    errors = []
+    for name, value in node.items():
+        key = below(path, str(name))
+        if name in PARAMETERS:
+            errors += value_errors(key, value, PARAMETERS[name])
+        elif isinstance(value, Mapping):
+            errors += _below(key, value)
+    return errors
+
+
+def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
+    """Return what is wrong with the number of samples of an iteration, of a config whose values are right each."""
+    samples = num_envs * int(agent["num_steps_per_env"])
+    if samples < 2:  # whose standard deviation the advantages are divided by
+        message = f"{samples} sample is too little to learn from"
+        return [
+            ConfigError(message, key="agent.num_steps_per_env", expected="at least 2 samples, env.num_envs times it")
+        ]
+    if agent["algorithm"].get("num_mini_batches", 1) <= samples:
+        return []
+    return [
+        ConfigError(
+            "there are fewer samples than minibatches",
+            key="agent.algorithm.num_mini_batches",
+            expected=f"at most {samples}, env.num_envs times agent.num_steps_per_env",
+        )
+    ]

@@ -1,0 +1,119 @@
+"""What the scene asks of an engine: N simulations of one model, seen as live tensors on one device."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import mujoco
+import torch
+
+from wheelleg_exp.state import Kept
+
+WRENCHES = "wrenches"
+
+
+class Engine(Kept, ABC):
+    """N simulations of one model.
+
+    State fields are always current. Position- and velocity-dependent outputs are computed for the new state once some
+    term has asked for one (``derived``), and cost nothing before. Torques and contact forces keep the values of the
+    last solve, which is the convention of PhysX and Isaac Lab.
+
+    Attributes:
+        exact: whether the same steps from the same state give the same bits.
+        model: the compiled model in the host's memory: names, ids, digests, defaults.
+        num_envs: number of simulations, N.
+        device: where all tensors are.
+        dtype: type of the engine's numbers.
+        state: one row of numbers a simulation, from which its next step follows, (N, k).
+        nthread: threads of the host that step the simulations.
+        expanded: the model fields that have one value a simulation, (N, ...) by name.
+        asked: what somebody has asked for to write beside states, until somebody empties it: model fields by name,
+            ``WRENCHES``.
+    """
+
+    exact: ClassVar[bool]
+    model: mujoco.MjModel
+    num_envs: int
+    device: torch.device
+    dtype: torch.dtype
+    state: torch.Tensor
+    nthread: int
+    expanded: dict[str, torch.Tensor]
+    asked: set[str]
+
+    def constant(self, name: str) -> torch.Tensor:
+        """Return a copy of a field of the compiled model, as MuJoCo has it."""
+        return torch.from_numpy(getattr(self.model, name).copy()).to(self.device)
+
+    @abstractmethod
+    def view(self, name: str) -> torch.Tensor:
+        """Return a live view (N, ...) of an MjData field.
+
+        State fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...) may be written. Others are outputs of the
+        last step, and must only be read, before ``forward`` is called: it leaves other simulations' values in them.
+        """
+
+    @abstractmethod
+    def derived(self, name: str) -> torch.Tensor:
+        """Return a live view (N, ...) of an output that depends on positions and velocities; it is kept current."""
+
+    @abstractmethod
+    def expand(self, name: str) -> torch.Tensor:
+        """Give a model field one value a simulation; return the live tensor (N, ...).
+
+        Call ``set_const`` after writing a field that constants are derived from (masses, inertias, CoM).
+        """
+
+    @abstractmethod
+    def set_const(self) -> None:
+        """Recompute the constants that are derived from the model fields of each simulation."""
+
+    @abstractmethod
+    def step(self) -> None:
+        """Advance every simulation by one physics step.
+
+        Raises:
+            SimulationFailure: the engine raised an error.
+        """
+
+    @abstractmethod
+    def forward(self, ids: torch.Tensor | None = None) -> None:
+        """Make derived outputs describe the present state of ``ids`` (all when None)."""
+
+    @abstractmethod
+    def reset(self, ids: torch.Tensor) -> None:
+        """Zero time, controls, applied forces, warm start and warnings of ``ids``; positions and velocities stay.
+
+        Values that are not finite become the model's defaults.
+        """
+
+    @abstractmethod
+    def unstable(self) -> torch.Tensor:
+        """Return which simulations (N,) bool have gone to NaN or huge values since their reset."""
+
+    def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
+        """Return one sum over positions, velocities and more of some simulations: finite only where they all are."""
+        return self.view("qpos")[rows].sum() + self.view("qvel")[rows].sum()
+
+    @abstractmethod
+    def ray(
+        self, origins: torch.Tensor, directions: torch.Tensor, geom_groups: Sequence[int] | None = None
+    ) -> torch.Tensor:
+        """Return how far rays go before they meet a geom, in lengths of their direction, (N, R); -1 is a miss.
+
+        Args:
+            origins: world, m, (N, R, 3).
+            directions: world, (N, R, 3).
+            geom_groups: MuJoCo's groups of the geoms that stop a ray; None is all.
+        """
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that the next step depends on."""
+
+    @abstractmethod
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""

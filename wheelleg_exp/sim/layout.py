@@ -1,0 +1,160 @@
+"""What is fixed about a robot: its bodies and joints in order, its default state, its limits, its ids in the model."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import torch
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.sim.names import values_by_name
+from wheelleg_exp.sim.options import RobotOptions
+from wheelleg_exp.state import Kept
+
+
+class RobotLayout(Kept):
+    """The robot's names, order, defaults and limits.
+
+    Args:
+        options: the ``env.robot`` section.
+        spec: the scene's spec, before compilation.
+        root_name: the robot's root body.
+        device: where the tensors are.
+
+    Raises:
+        ConfigError: the section does not fit the robot.
+    """
+
+    def __init__(self, options: RobotOptions, spec: mujoco.MjSpec, root_name: str, device: torch.device) -> None:
+        self._options = options
+        self._device = device
+        bodies = _breadth_first(spec.body(root_name))
+        self.body_names = [body.name for body in bodies]
+        self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
+        self._require_base()
+        found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
+        self.joint_names = self._order(found)
+        self._read_defaults()
+        if not self.floating:  # a fixed base stands where the config says, as a floating one starts there
+            bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
+
+    def bind(self, model: mujoco.MjModel) -> None:
+        """Read ids and limits from the compiled model; ConfigError when a default is outside its joint's limits."""
+        self.qpos_ids = self._ids(int(model.joint(j).qposadr[0]) for j in self.joint_names)
+        self.dof_ids = self._ids(int(model.joint(j).dofadr[0]) for j in self.joint_names)
+        self.body_ids = self._ids(int(model.body(b).id) for b in self.body_names)
+        self.actuated_ids = self._ids(())
+        self._read_limits(model)
+        self.velocity_limits = torch.full((len(self.joint_names),), torch.inf, device=self._device)
+        self.effort_limits = torch.full_like(self.velocity_limits, torch.inf)
+
+    def add_drive(self, joint_ids: torch.Tensor, velocity_limit: torch.Tensor, effort_limit: torch.Tensor) -> None:
+        """Take up the joints that an actuator group drives (k,), and their limits (k,), rad/s and N·m."""
+        self.actuated_ids = torch.cat((self.actuated_ids, joint_ids))
+        self.velocity_limits[joint_ids] = velocity_limit
+        self.effort_limits[joint_ids] = effort_limit
+
+    def _ids(self, ids: Iterable[int]) -> torch.Tensor:
+        return torch.tensor(list(ids), dtype=torch.long, device=self._device)
+
+    def _numbers(self, values: Any) -> torch.Tensor:
+        return torch.tensor(values, dtype=torch.float32, device=self._device)
+
+    def _require_base(self) -> None:
+        wanted = self._options.base
+        if wanted != "auto" and (wanted == "floating") != self.floating:
+            raise ConfigError(
+                f"is '{wanted}', but the model's base is {'floating' if self.floating else 'fixed'}",
+                key="env.robot.base",
+                expected="auto, or the base that the model has",
+            )
+
+    def _order(self, found: list[str]) -> list[str]:
+        wanted = self._options.joint_order
+        if wanted is None:
+            return found
+        for name in wanted:
+            if name not in found:
+                raise ConfigError(
+                    f"the robot has no joint '{name}'",
+                    key="env.robot.joint_order",
+                    expected="an order of " + ", ".join(found),
+                    nearest=nearest_name(name, found),
+                )
+        missing = [name for name in found if name not in wanted]
+        if missing or len(set(wanted)) != len(wanted):
+            raise ConfigError(
+                "must name each joint once" + (f", '{missing[0]}' is missing" if missing else ""),
+                key="env.robot.joint_order",
+                expected="an order of " + ", ".join(found),
+            )
+        return list(wanted)
+
+    def _read_defaults(self) -> None:
+        """Spread the initial state over the joints; a joint that no expression names starts at 0."""
+        init, names = self._options.init_state, self.joint_names
+        key = "env.robot.init_state"
+        pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
+        vel = values_by_name(init.joint_vel, names, 0.0, key=f"{key}.joint_vel", what="joint")
+        self._default_positions = [float(value) for value in pos]
+        self.default_joint_pos = self._numbers(self._default_positions)
+        self.default_joint_vel = self._numbers(vel)
+        self.default_root_pos = self._numbers(init.pos)
+        self.default_root_quat = torch.nn.functional.normalize(self._numbers(init.rot), dim=0)
+
+    def _read_limits(self, model: mujoco.MjModel) -> None:
+        """Read hard limits from the compiled model, derive soft ones, and hold the defaults against them."""
+        ranges = []
+        for name, value in zip(self.joint_names, self._default_positions, strict=True):
+            index = model.joint(name).id
+            low, high = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-torch.inf, torch.inf)
+            if not low <= value <= high:
+                raise ConfigError(
+                    f"the default position {value} of joint '{name}' is outside its limits",
+                    key="env.robot.init_state.joint_pos",
+                    expected=f"a value in [{low:.6g}, {high:.6g}]",
+                )
+            ranges.append((low, high))
+        limits = self._numbers(ranges).view(-1, 2)
+        middle, half = limits.mean(dim=1), (limits[:, 1] - limits[:, 0]) / 2
+        half = half * self._options.soft_joint_pos_limit_factor
+        soft = torch.stack((middle - half, middle + half), dim=1)
+        self.joint_pos_limits = limits
+        self.soft_joint_pos_limits = torch.where(limits.isfinite(), soft, limits)
+
+
+def _breadth_first(root: Any) -> list[Any]:
+    order, queue = [], deque([root])
+    while queue:
+        body = queue.popleft()
+        order.append(body)
+        queue.extend(body.bodies)
+    return order
+
+
+@dataclass
+class JointTargets(Kept):
+    """Targets of every joint in the robot's order, (N, J).
+
+    Attributes:
+        pos: positions, rad.
+        vel: velocities, rad/s.
+        effort: feed-forward efforts, N·m.
+    """
+
+    pos: torch.Tensor
+    vel: torch.Tensor
+    effort: torch.Tensor
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the targets."""
+        return {f"joint_{name}_target": value.clone() for name, value in vars(self).items()}
+
+    def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for name, value in vars(self).items():
+            value.copy_(saved[f"joint_{name}_target"])

@@ -1,0 +1,118 @@
+"""What every sensor has: a place in the model, a rhythm, a stream, a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import NonNegative
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.names import match_names
+from wheelleg_exp.state import Kept
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot import Robot
+
+
+class SensorBase(Kept):
+    """A sensor of the scene; one YAML node under ``env.scene.sensors``, from this package or a user's own.
+
+    A subclass adds what it needs to the spec, connects to the running simulations, and measures in ``measure``. Its
+    tensors are (N, ...) on the engine's device; what the coming steps depend on goes through ``state_dict``.
+
+    Args:
+        update_period: time between two measurements, s; 0 measures after every physics step.
+
+    Attributes:
+        name: the sensor's name in the scene, known from ``add_to`` on.
+        body_names: the bodies that it senses.
+    """
+
+    name: str
+    body_names: list[str]
+
+    def __init__(self, update_period: NonNegative = 0.0) -> None:
+        self.update_period = update_period
+
+    @property
+    def key(self) -> str:
+        """The sensor's config key."""
+        return f"env.scene.sensors.{self.name}"
+
+    def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
+        """Take a name, and add to the spec what the sensor needs, before the scene is compiled.
+
+        Args:
+            spec: the scene's spec.
+            name: the sensor's name.
+            robot: the robot, whose names are known and which does not run yet.
+
+        Raises:
+            ConfigError: an expression of the sensor's matches nothing.
+        """
+        del spec, robot
+        self.name, self.body_names = name, []
+
+    def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled.
+
+        Args:
+            sim: the simulations.
+            stream: returns the sensor's random stream; one that draws nothing does not ask for it.
+        """
+        del stream
+        self._sim = sim
+        self._dt = float(sim.model.opt.timestep)
+        self._elapsed = torch.full((sim.num_envs,), self.update_period, device=sim.device)
+
+    def update(self) -> None:
+        """Take up the physics step that has just run, and measure the environments whose time it is.
+
+        As in Isaac Lab the time runs in each environment by itself: an episode's first step is measured.
+        """
+        if self.update_period == 0.0:
+            self.measure(None, self._dt)
+            return
+        self._elapsed += self._dt
+        due = self._elapsed >= self.update_period - 1e-6
+        self.measure(due, self._elapsed)
+        self._elapsed.masked_fill_(due, 0.0)
+
+    def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
+        """Measure.
+
+        Args:
+            due: the environments (N,) bool, None for all; what was measured of others stays.
+            elapsed: time since the last measurement, s, (N,) or one for all.
+        """
+        raise NotImplementedError
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget what was measured of ``env_ids``; their new state is not there yet."""
+        self._elapsed[env_ids] = self.update_period
+
+    def refresh(self, env_ids: torch.Tensor) -> None:
+        """Take up the new state of ``env_ids`` after resets, for what the first observation reads."""
+
+    def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return what the log says of limits that the sensor could not keep, by name, over episodes that end now."""
+        del env_ids
+        return {}
+
+    def find_bodies(
+        self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
+    ) -> tuple[list[int], list[str]]:
+        """Return indices and names of the sensed bodies that match; ConfigError when an expression matches none."""
+        return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what the coming measurements depend on."""
+        return {} if self.update_period == 0.0 else {"elapsed": self._elapsed.clone()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        if self.update_period > 0.0:
+            self._elapsed.copy_(saved["elapsed"])

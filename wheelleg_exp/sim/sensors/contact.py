@@ -1,0 +1,201 @@
+"""Net normal contact forces on bodies, sampled after each physics step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import Count, Names, Natural, NonNegative
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.sensors.base import SensorBase
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot import Robot
+
+_FOUND, _FORCE, _NORMAL = (
+    1 << int(getattr(mujoco.mjtConDataField, name))
+    for name in ("mjCONDATA_FOUND", "mjCONDATA_FORCE", "mjCONDATA_NORMAL")
+)
+_WIDTH = 7  # found 1, force 3 (contact frame, normal first), normal 3 (world)
+
+
+class ContactSensor(SensorBase):
+    """Sum of the normal contact forces on each body, world axes, over the last physics step; friction excluded.
+
+    Args:
+        body_names: expressions of the sensed bodies.
+        history_length: physics steps kept, newest first.
+        track_air_time: whether to time contact and flight.
+        force_threshold: force above which a body is in contact, N.
+        max_contacts: most contacts of one body that are summed.
+        update_period: time between two measurements, s; 0 measures after every physics step.
+    """
+
+    def __init__(
+        self,
+        body_names: Names,
+        history_length: Natural,
+        track_air_time: bool,
+        force_threshold: NonNegative,
+        max_contacts: Count,
+        update_period: NonNegative = 0.0,
+    ) -> None:
+        super().__init__(update_period)
+        self._expressions = body_names
+        self._history_length = max(1, history_length)
+        self.track_air_time = track_air_time
+        self.force_threshold = force_threshold
+        self._slots = max_contacts
+
+    def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
+        """Find the sensed bodies and add one MuJoCo contact sensor a body."""
+        super().add_to(spec, name, robot)
+        _, self.body_names = robot.find_bodies(self._expressions, key=f"{self.key}.body_names")
+        for body in self.body_names:
+            spec.add_sensor(
+                name=f"{name}/{body}",
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=mujoco.mjtObj.mjOBJ_BODY,
+                objname=body,
+                intprm=[_FOUND | _FORCE | _NORMAL, 0, self._slots],
+            )
+
+    def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled."""
+        super().connect(sim, stream)
+        n, bodies, device = sim.num_envs, len(self.body_names), sim.device
+        start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
+        width = bodies * self._slots * _WIDTH
+        self._data = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
+        self._pressures, self._normals = self._data[..., 1].unsqueeze(2), self._data[..., 4:7]
+        self.net_forces_w_history = torch.zeros(n, self._history_length, bodies, 3, device=device)
+        self._norms: torch.Tensor | None = None
+        self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
+        times = ("current_air_time", "last_air_time", "current_contact_time", "last_contact_time")
+        self._times = {name: torch.zeros(n, bodies, device=device) for name in times}
+
+    @property
+    def net_forces_w(self) -> torch.Tensor:
+        """Net normal force of the last physics step, N, (N, B, 3)."""
+        return self.net_forces_w_history[:, 0]
+
+    @property
+    def current_air_time(self) -> torch.Tensor:
+        """Time since the body left the ground, s, 0 in contact, (N, B)."""
+        return self._times["current_air_time"]
+
+    @property
+    def last_air_time(self) -> torch.Tensor:
+        """Duration of the last flight, s, (N, B)."""
+        return self._times["last_air_time"]
+
+    @property
+    def current_contact_time(self) -> torch.Tensor:
+        """Time since the body touched down, s, 0 in the air, (N, B)."""
+        return self._times["current_contact_time"]
+
+    @property
+    def last_contact_time(self) -> torch.Tensor:
+        """Duration of the last contact, s, (N, B)."""
+        return self._times["last_contact_time"]
+
+    def max_force_norm(self) -> torch.Tensor:
+        """Largest norm over the history, N, (N, B)."""
+        if self._norms is None:
+            self._norms = torch.linalg.vector_norm(self.net_forces_w_history, dim=-1).amax(dim=1)
+        return self._norms
+
+    def compute_first_contact(self, dt: float) -> torch.Tensor:
+        """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
+        self._require_times()
+        time = self.current_contact_time
+        return (time > 0.0) & (time < dt + 1e-8)
+
+    def compute_first_air(self, dt: float) -> torch.Tensor:
+        """Return which bodies (N, B) left the ground within the last ``dt`` seconds."""
+        self._require_times()
+        time = self.current_air_time
+        return (time > 0.0) & (time < dt + 1e-8)
+
+    def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
+        """Sample the forces of the physics step that has just run."""
+        # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
+        torch.maximum(self._found, self._data[:, :, 0, 0], out=self._found)
+        force = torch.matmul(self._pressures, self._normals).transpose(1, 2).neg_().float()
+        history = torch.cat((force, self.net_forces_w_history[:, :-1]), dim=1)
+        if due is not None:
+            history = torch.where(due.view(-1, 1, 1, 1), history, self.net_forces_w_history)
+        self.net_forces_w_history = history
+        self._norms = None
+        if self.track_air_time:
+            self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Forget forces and times of ``ids``."""
+        super().reset(ids)
+        self.net_forces_w_history = self.net_forces_w_history.index_fill(0, ids, 0.0)
+        self._found[ids] = 0.0
+        self._norms = None
+        for value in self._times.values():
+            value[ids] = 0.0
+
+    def overflowed(self, ids: torch.Tensor) -> torch.Tensor:
+        """Return which of ``ids`` had more contacts on one body than ``max_contacts`` since their reset, (n,) bool."""
+        return (self._found[ids] > self._slots).any(dim=1)
+
+    def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""
+        return {"overflow": self.overflowed(env_ids).float().mean()}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the force history and the times."""
+        return {
+            **super().state_dict(),
+            "history": self.net_forces_w_history.clone(),
+            "found": self._found.clone(),
+            **{k: v.clone() for k, v in self._times.items()},
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        self.net_forces_w_history = saved["history"].clone()
+        self._found.copy_(saved["found"])
+        for name, value in self._times.items():
+            value.copy_(saved[name])
+        self._norms = None
+
+    def _require_times(self) -> None:
+        if not self.track_air_time:
+            raise ConfigError(
+                "contact and flight are not timed",
+                key=f"{self.key}.track_air_time",
+                expected="true, for a term that asks for first contacts",
+            )
+
+    def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
+        contact = torch.linalg.vector_norm(self.net_forces_w, dim=-1) > self.force_threshold
+        for mode, active in (("contact", contact), ("air", ~contact)):
+            current, last = self._times[f"current_{mode}_time"], self._times[f"last_{mode}_time"]
+            self._advance(current, last, active, elapsed, due)
+
+    def _advance(
+        self,
+        current: torch.Tensor,
+        last: torch.Tensor,
+        active: torch.Tensor,
+        elapsed: float | torch.Tensor,
+        due: torch.Tensor | None,
+    ) -> None:
+        """Count the time in a mode; where it has just ended, keep its duration."""
+        ended = ~active & (current > 0.0)
+        lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
+        if due is not None:
+            rows = due.unsqueeze(1)
+            lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
+        last.copy_(lasted)
+        current.copy_(counted)

@@ -1,0 +1,12 @@
+"""The ground of the scene.
+
+| name | what it is |
+|---|---|
+| `TerrainBase` | the base class of every ground, also of a user's own |
+| `Plane` | an infinite plane |
+"""
+
+from wheelleg_exp.sim.terrain.base import GROUND, TerrainBase, grid_origins, is_ground
+from wheelleg_exp.sim.terrain.plane import Plane
+
+__all__ = ["GROUND", "Plane", "TerrainBase", "grid_origins", "is_ground"]

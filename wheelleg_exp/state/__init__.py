@@ -1,0 +1,32 @@
+"""What objects keep between steps: found, saved, restored, or refused by name.
+
+| name | what it is for |
+|---|---|
+| `Stateful` | a base class whose attributes are its state |
+| `made`, `save`, `restore`, `stateful` | the same for objects of any class |
+| `Settings` | the settings of a term, which are state once something has changed them |
+| `Kept`, `NamedStream` | what somebody else saves, so that a reference to it is no state |
+| `Outside` | what a term changes although it is not its own: noticed and named |
+| `Memory` | tensors of one object that lie in the memory of another: refused |
+"""
+
+from wheelleg_exp.state.memory import Memory
+from wheelleg_exp.state.outside import Outside
+from wheelleg_exp.state.saved_or_refused import Stateful, made, restore, save, stateful
+from wheelleg_exp.state.settings import Settings
+from wheelleg_exp.state.values import Kept, NamedStream, cloned, same
+
+__all__ = [
+    "Kept",
+    "Memory",
+    "NamedStream",
+    "Outside",
+    "Settings",
+    "Stateful",
+    "cloned",
+    "made",
+    "restore",
+    "same",
+    "save",
+    "stateful",
+]

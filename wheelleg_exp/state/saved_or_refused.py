@@ -1,0 +1,149 @@
+"""Objects whose attributes are their state, found and saved without their author's help.
+
+Tensors among an object's attributes are always saved, but for those that the class names in ``settings``. Every other
+attribute is saved once it differs from what it was when the object was made, so that loading does not undo a setting
+that was changed in the config since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.state.rebuilding import made_again, writable
+from wheelleg_exp.state.values import NOTHING, Unsaveable, look, same
+
+_BASE = "_state_when_made"
+_TENSOR = "a tensor"  # stands for one that is saved whether it has changed or not
+
+
+class _Base(NamedTuple):
+    """What an object held when it was made, looked at, and the config key that messages name."""
+
+    values: dict[str, Any]
+    key: str | None
+
+
+class Stateful:
+    """An object that saves and restores its attributes (see the module).
+
+    Attributes:
+        settings: names of tensor attributes that come from the config, and are saved only when they have changed.
+    """
+
+    settings: ClassVar[tuple[str, ...]] = ()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what the coming steps depend on."""
+        return save(self)
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned, in an object that was made alike."""
+        restore(self, saved)
+
+
+def made(value: Any, key: str | None = None) -> None:
+    """Note what an object holds now as what it was made with.
+
+    Raises:
+        ConfigError: it keeps something whose state cannot be saved.
+    """
+    try:
+        _require_no_slots(value)
+        looked = {name: look(item, name) for name, item in attributes(value).items()}
+    except (Unsaveable, RecursionError) as error:
+        raise refusal(value, error, key) from error
+    always = {name for name, item in looked.items() if isinstance(item, torch.Tensor) and name not in _settings(value)}
+    vars(value)[_BASE] = _Base({n: _TENSOR if n in always else item for n, item in looked.items()}, key)
+
+
+def save(value: Any) -> dict[str, Any]:
+    """Return the state of an object as tensors and plain values.
+
+    Raises:
+        ConfigError: it now keeps something whose state cannot be saved.
+    """
+    if _BASE not in vars(value):
+        made(value)
+    base, key = vars(value)[_BASE]
+    settings, found = _settings(value), {}
+    try:
+        for name, item in attributes(value).items():
+            now, before = look(item, name), base.get(name, NOTHING)
+            if (isinstance(now, torch.Tensor) and name not in settings) or not same(now, before):
+                found[name] = writable(now, before, name)
+        for name in base.keys() - vars(value).keys():
+            raise Unsaveable(name, NOTHING, "an attribute that was deleted")
+    except (Unsaveable, RecursionError) as error:
+        raise refusal(value, error, key) from error
+    return found
+
+
+def restore(value: Any, saved: Mapping[str, Any]) -> None:
+    """Give an object the state that ``save`` returned; what was not saved goes back to what it was made with."""
+    if _BASE not in vars(value):
+        made(value)
+    base, held = vars(value)[_BASE].values, attributes(value)
+    for name in held.keys() - base.keys() - saved.keys():
+        delattr(value, name)
+    unchanged = {name: item for name, item in base.items() if name not in saved and item is not _TENSOR}
+    for name, item in {**unchanged, **saved}.items():
+        present = held.get(name)
+        if name in saved or not same(look(present, name), item):
+            vars(value)[name] = made_again(item, present)
+
+
+def attributes(value: Any) -> dict[str, Any]:
+    """Return an object's own attributes by name."""
+    return {name: item for name, item in vars(value).items() if name != _BASE}
+
+
+def _settings(value: Any) -> tuple[str, ...]:
+    found: tuple[str, ...] = getattr(type(value), "settings", ())
+    return found
+
+
+def _require_no_slots(value: Any) -> None:
+    for kind in type(value).__mro__:
+        if vars(kind).get("__slots__"):
+            raise Unsaveable("__slots__", value)
+
+
+def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
+    """Return the error that tells what an object keeps and may not."""
+    why = "points back at itself" if isinstance(error, RecursionError) else str(error)
+    return ConfigError(
+        f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ",
+        key=key,
+        expected="tensors, arrays, numbers, text, generators, lists and dictionaries of these (a list and the place in "
+        "it instead of an iterator), or objects with state_dict and load_state_dict of their own",
+    )
+
+
+class _Attributes:
+    """Saves the attributes of an object that has no ``state_dict``; of None, nothing."""
+
+    def __init__(self, value: Any, key: str) -> None:
+        self._value = value
+        if value is not None:
+            made(value, key)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {} if self._value is None else save(self._value)
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        if self._value is not None:
+            restore(self._value, saved)
+
+
+def stateful(value: Any, key: str) -> Any:
+    """Return what saves and restores ``value``: itself when it can, else its attributes.
+
+    Raises:
+        ConfigError: it keeps something whose state cannot be saved.
+    """
+    itself = hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
+    return value if itself else _Attributes(value, key)

@@ -1,0 +1,11 @@
+"""Configs of terms held against the code that they name, without torch and MuJoCo.
+
+| module | what it offers |
+|---|---|
+| `binding` | a term node: its target, the manager's fields, the parameters |
+| `allowed_targets` | which packages a `_target_` may come from |
+| `sections` | the fixed keys of the environment; any section against its dataclass |
+| `values` | whether a value fits an annotation |
+| `term_errors` | all that is wrong with a term node and the nodes in it |
+| `keys` | keys of the tree as text |
+"""

@@ -1,0 +1,226 @@
+"""What a term node is: a flat mapping of ``_target_``, the manager's own fields, and the term's parameters.
+
+Free of torch and MuJoCo, because the config commands read it as well as the managers.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Annotated, Any
+
+from wheelleg_exp import packages
+from wheelleg_exp.constraints import Bounds, Natural, Node, NonNegativeInterval, NotEmpty
+from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
+from wheelleg_exp.terms.allowed_targets import TARGET, require_allowed
+from wheelleg_exp.user_code import importing, in_words
+
+_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hydra's own instantiate
+
+# Names that a manager keeps for itself; no target may use one as a parameter.
+RESERVED: dict[str, tuple[str, ...]] = {
+    "commands": (),
+    "actions": (),
+    "observations": ("modifiers", "noise", "clip", "scale", "history_length", "flatten_history_dim"),
+    "events": ("mode", "interval_range_s", "is_global_time", "min_step_count_between_reset"),
+    "rewards": ("weight",),
+    "terminations": ("time_out",),
+    "curriculum": (),
+}
+
+# What the managers' own fields may be, and which of them every term of a section must have.
+FIELD_TYPES: dict[str, Any] = {
+    "weight": float,
+    "time_out": bool,
+    "mode": Annotated[str, NotEmpty()],
+    "interval_range_s": NonNegativeInterval | None,
+    "is_global_time": bool,
+    "min_step_count_between_reset": Natural,
+    "history_length": Natural,
+    "flatten_history_dim": bool,
+    "modifiers": Sequence[Node] | None,
+    "noise": Node | None,
+    "clip": Bounds | None,
+    "scale": float | Annotated[Sequence[float], NotEmpty()] | None,
+}
+REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
+# Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.
+EVENT_MODES = ("prestartup", "startup", "reset", "interval")
+# Fields that only events of one mode read.
+MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
+
+# What a manager passes to every target; never written in a config.
+INJECTED = ("env", "env_ids", "generator")
+
+# Where targets stand now that configs and runs of earlier versions name.
+_MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
+
+
+class NotSelected(ConfigError):
+    """There are settings for a term that no list names."""
+
+
+@dataclass(frozen=True)
+class TermNode:
+    """A term node, split: ``fields`` are the manager's, ``params`` go to the target."""
+
+    name: str
+    path: str
+    target: str
+    fields: dict[str, Any] = field(default_factory=dict)
+    params: dict[str, Any] = field(default_factory=dict)
+
+
+def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
+    """Take null terms out of a tree, give absent sections an empty mapping, and return the paths that were null."""
+    env = config.get("env")
+    if not isinstance(env, dict):
+        return ()
+    removed: list[str] = []
+    for section in RESERVED:
+        if env.get(section) is None:
+            env[section] = {}
+        removed += _drop_null(env, section, "env")
+    groups = env["observations"]
+    if isinstance(groups, dict):
+        for name, group in groups.items():
+            if isinstance(group, dict) and "terms" in group:
+                group["terms"] = {} if group["terms"] is None else group["terms"]
+                removed += _drop_null(group, "terms", f"env.observations.{name}")
+    return tuple(removed)
+
+
+def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
+    section = parent[key]
+    if not isinstance(section, dict):
+        return []
+    parent[key] = {name: node for name, node in section.items() if node is not None}
+    return [f"{path}.{key}.{name}" for name, node in section.items() if node is None]
+
+
+def split_node(kind: str, path: str, node: Any) -> TermNode:
+    """Split one term node into the manager's fields and the target's parameters.
+
+    Args:
+        kind: a key of ``RESERVED``, the section that the node stands in.
+        path: the node's config key, such as ``env.rewards.alive``.
+        node: the composed mapping.
+
+    Raises:
+        ConfigError: the node is no mapping or has no target.
+    """
+    if not isinstance(node, Mapping):
+        raise ConfigError(f"a term must be a mapping, not {node!r}", key=path, expected="_target_ and parameters")
+    if TARGET not in node:
+        short = (str(key) for key in node if len(str(key)) <= len(TARGET) + 1)
+        misspelled = next((key for key in short if nearest_name(key, [TARGET])), None)
+        if misspelled is not None:
+            expected = "_target_: package.module.name"
+            raise UnreadKey(key=f"{path}.{misspelled}", expected=expected, nearest=TARGET)
+        raise NotSelected(
+            "there are settings for this term, but the term is not selected (it has no _target_)",
+            key=path,
+            expected=f"the term in the task's list of {kind}, or no settings for it",
+        )
+    reserved = RESERVED[kind]
+    fields = {k: v for k, v in node.items() if k in reserved}
+    params = {k: v for k, v in node.items() if k not in reserved and k != TARGET}
+    return TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), fields, params)
+
+
+def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield ``(path, node)`` of each mapping at or below ``node``; list indices stand in brackets."""
+    if isinstance(node, Mapping):
+        yield path, node
+        for key, value in node.items():
+            yield from walk_nodes(value, f"{path}.{key}" if path else str(key))
+    elif isinstance(node, (list, tuple)):
+        for index, value in enumerate(node):
+            yield from walk_nodes(value, f"{path}[{index}]")
+
+
+def walk_targets(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield ``(path, target)`` for every ``_target_`` at or below ``node``."""
+    return ((where, str(part[TARGET])) for where, part in walk_nodes(node, path) if TARGET in part)
+
+
+def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """Return the keyword arguments of a ``_target_`` node.
+
+    Raises:
+        ConfigError: another of Hydra's special keys stands in it: a node is called with its keys, and nothing else.
+    """
+    for key in node:
+        if key in _HYDRA_ONLY:
+            raise ConfigError(
+                f"Hydra's '{key}' does not work here",
+                key=f"{path}.{key}",
+                expected=f"{TARGET} and its parameters alone",
+            )
+    return {str(key): value for key, value in node.items() if key != TARGET}
+
+
+def resolve_target(target: str, path: str) -> Callable[..., Any]:
+    """Import and return an allowed target.
+
+    Raises:
+        ConfigError: the target is not allowed, does not exist, or is not callable.
+    """
+    target = _MOVED.get(target, target)
+    require_allowed(target, path)
+    module_name, _, attribute = target.rpartition(".")
+    try:
+        packages.make_importable(target)
+    except ConfigError as error:
+        error.key = error.key or f"{path}.{TARGET}"
+        raise
+    try:
+        with importing(module_name):
+            module = import_module(module_name)
+    except Exception as error:  # a user's module may fail in any way
+        reason = str(error) if isinstance(error, ImportError) else in_words(error)
+        absent = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
+        expected = "package.module.name" if absent else "a module that can be imported"
+        raise ConfigError(
+            f"cannot import '{module_name}': {reason}", key=f"{path}.{TARGET}", expected=expected
+        ) from error
+    found = getattr(module, attribute, None)
+    if not callable(found):
+        public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
+        raise ConfigError(
+            f"'{module_name}' has no callable '{attribute}'",
+            key=f"{path}.{TARGET}",
+            nearest=target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public),
+        )
+    # What a module has only imported is not its own: a standard library function must not slip through.
+    require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
+    return found
+
+
+def resolve_class(name: Any) -> Any:
+    """Return what an allowed ``class_name`` of an agent names, as rsl_rl finds it; None when there is nothing.
+
+    Raises:
+        ConfigError: its module does not import.
+    """
+    from rsl_rl.utils import resolve_callable
+
+    text = str(name).replace(":", ".")
+    packages.make_importable(text)
+    try:
+        with importing(text):
+            return resolve_callable(name)
+    except Exception as error:
+        absent = isinstance(error, ImportError) and (error.name is None or f"{text}.".startswith(f"{error.name}."))
+        if absent or isinstance(error, AttributeError) or "." not in text:
+            return None
+        raise ConfigError(f"cannot import '{text}': {in_words(error)}", expected="a module that imports") from error
+
+
+def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters of ``target`` that a config may set."""
+    parameters = inspect.signature(target).parameters.values()
+    open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {p.name: p for p in parameters if p.name not in INJECTED and p.kind not in open_ended}

@@ -1,0 +1,131 @@
+"""Sections of the tree: the fixed keys of the environment, and any section held against the dataclass that reads it."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from wheelleg_exp.constraints import Count, Natural, Positive
+from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
+from wheelleg_exp.terms.keys import below
+from wheelleg_exp.terms.values import describe, options_in, value_errors
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+Section = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Env:
+    """``env``: the size and pace of the environments, and the sections that others read."""
+
+    num_envs: Count
+    episode_length_s: Positive
+    decimation: Count
+    sim: Section
+    scene: Section
+    robot: Section
+    commands: Section
+    actions: Section
+    observations: Section
+    events: Section
+    rewards: Section
+    terminations: Section
+    curriculum: Section
+
+
+@dataclass(frozen=True)
+class ObservationGroup:
+    """``env.observations.<group>``."""
+
+    terms: Section
+    concatenate_terms: bool = True
+    enable_corruption: bool = False
+    history_length: Natural | None = None
+    flatten_history_dim: bool = True
+
+
+_Options = TypeVar("_Options", bound="DataclassInstance")
+
+
+@dataclass(frozen=True)
+class Key:
+    """One allowed key of a section."""
+
+    name: str
+    annotation: Any
+    required: bool
+
+
+def keys_of(options: type) -> dict[str, Key]:
+    """Return the allowed keys of a section from the fields of its dataclass."""
+    hints = typing.get_type_hints(options, include_extras=True)
+    missing = dataclasses.MISSING
+    return {
+        f.name: Key(f.name, hints[f.name], f.default is missing and f.default_factory is missing)
+        for f in dataclasses.fields(options)
+        if f.init
+    }
+
+
+def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+    """Hold the keys and values of one section against the fields of a dataclass."""
+    keys = keys_of(options)
+    errors = []
+    for name, value in node.items():
+        key = below(path, str(name))
+        if name in keys:
+            errors += _value_errors(key, value, keys[name].annotation)
+        else:
+            errors.append(
+                UnreadKey(key=key, expected="one of " + ", ".join(keys), nearest=nearest_name(str(name), keys))
+            )
+    for absent in keys.values():
+        if absent.required and absent.name not in node:
+            errors.append(MissingValue(key=below(path, absent.name), expected=describe(absent.annotation)))
+    return errors
+
+
+def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
+    nested = dataclass_in(annotation)
+    if nested is not None and isinstance(value, Mapping):
+        return section_errors(key, value, nested)
+    return value_errors(key, value, annotation)
+
+
+def dataclass_in(annotation: Any) -> type | None:
+    """Return the dataclass that an annotation names, if any."""
+    kinds = (option for option in options_in(annotation) if isinstance(option, type))
+    return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
+
+
+def read_section(options: type[_Options], node: Any, path: str) -> _Options:
+    """Return a section as its dataclass.
+
+    Raises:
+        ConfigError: the section is missing, a key is missing or unknown, or a value is not what it may be.
+    """
+    if not isinstance(node, Mapping):
+        raise MissingValue(key=path, expected="a mapping")
+    for error in section_errors(path, node, options):
+        raise error
+    keys = keys_of(options)
+    nested = {name: dataclass_in(keys[name].annotation) for name, value in node.items() if isinstance(value, Mapping)}
+    return options(**{n: read_section(k, v, below(path, n)) if (k := nested.get(n)) else v for n, v in node.items()})
+
+
+def read_value(options: type, node: Any, path: str, name: str) -> Any:
+    """Return the value at one key of a section that may lack others.
+
+    Raises:
+        ConfigError: the value is missing, or not what it may be.
+    """
+    for error in section_errors(path, node, options):
+        if error.key == below(path, name):
+            raise error
+    return node[name]

@@ -1,0 +1,159 @@
+"""The manifest and the files that it lists."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.files import sha256
+from wheelleg_exp.run.directory import CHECKPOINT, NEEDED, checkpoint_iteration
+from wheelleg_exp.run.inventory import MANIFEST_NAME, FileFindings
+from wheelleg_exp.run.manifest_format import VALUES_DIGESTED
+from wheelleg_exp.run.recorded import written_config
+from wheelleg_exp.run.source.snapshot import RECORD_NAME
+from wheelleg_exp.verify.checked_run import Check, Subject
+
+# What a command takes for a part of the run when it lies there, whatever the manifest says.
+_BELIEVED = re.compile(
+    r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|environment\.txt|(params|\.hydra|source|asset|exported)/.*"
+)
+# What is written while a run goes on, and recorded at its end.
+_GROWING = re.compile(
+    r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|exported/.*"
+)
+_FORGED = "was changed after it was written: its own digest differs"
+
+
+def manifest(subject: Subject) -> Check:
+    """Check that the manifest is what was written, and tell what it says of the run."""
+    data = subject.data
+    notes: list[str] = []
+    holds = subject.manifest.seal_holds()
+    failures = [f"{MANIFEST_NAME} {_FORGED}"] if holds is False else []
+    if holds is None:
+        notes.append("it has no digest of itself, so a change in it may go unseen")
+    elif data["format"] == VALUES_DIGESTED:
+        notes.append("its digest is of its values: other digits of a number that rounds alike would go unseen")
+    if data.get("id") not in (None, subject.run.id):
+        notes.append(f"the run was called '{data['id']}' when it was made")
+    if subject.status == "crashed":
+        notes.append("its process is gone without an end: 'wheelleg resume' continues from the last checkpoint")
+    error = data.get("error")
+    if isinstance(error, Mapping):
+        notes.append(f"it ended with {error.get('type')}: {error.get('message')}")
+    resumes = [entry for entry in data["resumes"] if isinstance(entry, Mapping)]
+    notes += map(_resume_note, sorted(resumes, key=lambda entry: entry.get("exact") is not False))
+    return Check("manifest", f"format {data['format']}, {len(data['files'])} files recorded", failures, notes)
+
+
+def _resume_note(entry: Mapping[str, Any]) -> str:
+    where = "" if entry.get("iteration") is None else f" from iteration {entry['iteration']}"
+    words = " ".join(map(str, entry.get("overrides") or ()))
+    how = "" if "exact" not in entry else ", exactly" if entry["exact"] else ", not exactly"
+    reasons = "; ".join(map(str, entry.get("why") or ()))
+    return f"resumed on {entry.get('when')}{where}{how}" + "".join(f": {told}" for told in (words, reasons) if told)
+
+
+def files(subject: Subject) -> Check:
+    """Hold the files against their records: missing, changed, unreadable, not listed."""
+    found = subject.manifest.compare_files()
+    waiting = _waiting(subject)
+    others = [name for name in found.unlisted if not _is_growing(subject, name)]
+    growing = len(found.unlisted) - len(others)
+    notes = [f"{growing} files are recorded when the run ends"] if growing else []
+    notes += [f"{name} is not of the run: the manifest does not name it" for name in others if not _is_believed(name)]
+    notes += [f"{name} is a symbolic link, and not of the run" for name in found.links]
+    notes += [f"{name} is not changed yet: a resume broke off before that" for name in waiting]
+    records = subject.manifest.recorded_files()
+    size = sum(int(record["size"]) for record in records.values()) / 1e6
+    wrong = [f"{name} {what}" for name, what in _wrong(subject, found).items()]
+    return Check("files", f"{len(records)} files, {size:.1f} MB", wrong, notes)
+
+
+def damage(subject: Subject) -> dict[str, str]:
+    """Return what is wrong with each file that is not what the manifest recorded, the manifest itself included."""
+    wrong = {MANIFEST_NAME: _FORGED} if subject.manifest.seal_holds() is False else {}
+    return wrong | _wrong(subject, subject.manifest.compare_files())
+
+
+def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
+    waiting, root = _waiting(subject), subject.run.path
+    wrong = {name: _what_became_of(root / name) for name in found.missing}
+    wrong |= {name: f"was changed: {_how(subject, name)}" for name in found.changed if name not in waiting}
+    wrong |= {name: "cannot be read" for name in found.unreadable}
+    wrong |= {name: "is missing, and the manifest does not name it" for name in _never_recorded(subject)}
+    for name in found.unlisted:
+        if _is_believed(name) and not _is_growing(subject, name):
+            wrong[name] = "is not in the manifest, yet commands would take it for part of the run"
+    return wrong | _changed_before(subject)
+
+
+def _never_recorded(subject: Subject) -> list[str]:
+    """Return the files that a run with these settings leaves, of which its manifest knows nothing."""
+    if not subject.has_snapshot:
+        return []
+    expected = [*NEEDED, "environment.txt", f"source/{RECORD_NAME}"]
+    if subject.status == "finished":
+        expected += ["iterations.jsonl", *(f"exported/policy.{kind}" for kind in ("pt", "onnx", "json"))]
+        expected += ["recording.rrd"] if _records(subject) else []
+    return [name for name in expected if name not in subject.manifest.recorded_files()]
+
+
+def _records(subject: Subject) -> bool:
+    """Return whether the run's settings ask for a recording."""
+    options = written_config(subject.run).get("recording")
+    return isinstance(options, Mapping) and options.get("enabled") is True
+
+
+def _what_became_of(path: Path) -> str:
+    if path.is_symlink():
+        return "is a symbolic link, which may lead anywhere"
+    return "is missing" if not path.exists() else "is no file"
+
+
+def _is_believed(name: str) -> bool:
+    return _BELIEVED.fullmatch(name) is not None
+
+
+def _is_growing(subject: Subject, name: str) -> bool:
+    """Return whether a file that the manifest does not name will be recorded yet."""
+    return not subject.has_snapshot or (not subject.has_ended and _GROWING.fullmatch(name) is not None)
+
+
+def _waiting(subject: Subject) -> list[str]:
+    """Return the files that the last resume recorded and has yet to write; the next one does."""
+    entry = subject.data["resumes"][-1] if subject.data["resumes"] else None
+    texts = entry.get("files_to_write") if isinstance(entry, Mapping) else None
+    return sorted(texts) if isinstance(texts, Mapping) and not subject.has_ended else []
+
+
+def _how(subject: Subject, name: str) -> str:
+    recorded = int(subject.manifest.recorded_files()[name]["size"])
+    size = (subject.run.path / name).stat().st_size
+    return "same size, other content" if size == recorded else f"{size} bytes instead of {recorded}"
+
+
+def _changed_before(subject: Subject) -> dict[str, str]:
+    """Hold checkpoints that earlier processes recorded, and no resume has made anew, against their records."""
+    records: dict[str, Mapping[str, Any]] = {}
+    for entry in subject.data["resumes"]:
+        before = entry.get("before") if isinstance(entry, Mapping) else None
+        if isinstance(before, Mapping) and isinstance(before.get("files"), Mapping):
+            records |= {name: record for name, record in before["files"].items() if isinstance(record, Mapping)}
+            start = entry.get("iteration")
+            records = {name: record for name, record in records.items() if _is_before(name, start)}
+    wrong = {}
+    for name, record in records.items():
+        path = subject.run.path / name
+        if not path.is_file():
+            wrong[name] = _what_became_of(path)
+        elif sha256(path) != record.get("sha256"):
+            wrong[name] = "was changed after it was recorded"
+    return wrong
+
+
+def _is_before(name: str, start: Any) -> bool:
+    known = isinstance(start, int)
+    return CHECKPOINT.fullmatch(name) is not None and (not known or checkpoint_iteration(Path(name)) < start)

@@ -1,0 +1,157 @@
+"""The parts of a comparison in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from wheelleg_exp.verify.checkpoints import CheckpointComparison
+from wheelleg_exp.verify.compared_runs import Measured
+from wheelleg_exp.verify.divergence import Divergence
+from wheelleg_exp.verify.made_with import FactDifference
+from wheelleg_exp.verify.settings import Change
+
+_WIDEST = 40  # letters of a value before it is cut
+_FACTS = 12  # differences of the environment that are shown
+_DIGITS = 10
+
+
+def run_line(name: str, side: Measured) -> str:
+    """Return which run it is, how it ended, and its length."""
+    return f"{name}  {side.label}  {side.status}, {len(side.log.lines)} iterations"
+
+
+def divergence_lines(first: Divergence) -> list[str]:
+    """Return where two runs part, for people."""
+    place = "" if first.iteration is None else f"iteration {first.iteration}: "
+    lines = [f"first difference: {place}{_what(first)}"]
+    if first.part in ("digests", "scalars"):
+        lines += list(_log_lines(first.details))
+    inside = first.details.get("numbers")
+    if inside is not None:
+        lines.append(f"  numbers part at: {_place(inside)}")
+    checkpoint = first.details.get("checkpoint")
+    if checkpoint is not None:
+        lines.append(f"  first differing checkpoint: {_checkpoint_text(checkpoint)}")
+    return lines
+
+
+def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change], *, equal: bool) -> Iterator[str]:
+    """Yield what else differs: of the environment, and the settings that change no number; ``equal`` if none did."""
+    harmless = [change for change in settings if not change.decides]
+    if not (found or harmless):
+        yield from ("", "environment: nothing that is recorded differs")
+        return
+    title = "differs, and changed no number" if equal else "differs, and may be why"
+    yield from ("", title)
+    rows = [_fact_row(difference) for difference in _by_weight(found)]
+    rows += [(change.key, brief(change.a), brief(change.b), "changes no number") for change in harmless]
+    widths = [max(len(row[column]) for row in rows[:_FACTS]) for column in range(3)]
+    for row in rows[:_FACTS]:
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
+        yield "  " + "  ".join([*cells, row[3]]).rstrip()
+    for note in dict.fromkeys(d.note for d in found if d.note):
+        yield f"  {note}"
+    if len(rows) > _FACTS:
+        yield f"  and {len(rows) - _FACTS} more (--json tells all)"
+
+
+def checkpoints_text(found: CheckpointComparison) -> str:
+    """Return one line on all pairs of checkpoints."""
+    states = [pair.state for pair in found.pairs]
+    kinds = (
+        ("bytes", "byte for byte"),
+        ("content", "equal, stored in other bytes"),
+        ("different", "different"),
+        ("unreadable", "unreadable"),
+    )
+    told = [f"{states.count(state)} {words}" for state, words in kinds if state in states]
+    told += [f"{len(only)} only in {side}" for side, only in (("A", found.only_a), ("B", found.only_b)) if only]
+    first = next((pair for pair in found.pairs if not pair.equal), None)
+    if first is not None:
+        told.append(first.problem or f"the first model_{first.iteration}.pt")
+    return ", ".join(told)
+
+
+def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
+    """Return settings that differ, the first few with their values."""
+    told = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
+    return ", ".join(told) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
+
+
+def brief(value: Any) -> str:
+    """Return a value on one short line; of a term its target's name."""
+    if isinstance(value, Mapping) and "_target_" in value:
+        value = str(value["_target_"]).rsplit(".", 1)[-1]
+    written = repr(value) if isinstance(value, float) else str(value)
+    return written if len(written) <= _WIDEST else written[: _WIDEST - 1] + "…"
+
+
+def _what(first: Divergence) -> str:
+    if first.part in ("settings", "robot"):
+        return f"{first.part}: {first.name}: {brief(first.a)} in A, {brief(first.b)} in B"
+    if first.part == "length":
+        return f"{first.name} ({first.a} and {first.b} iterations)"
+    if first.part == "digests":
+        still = first.details["equal_digests"]
+        return f"digests of {', '.join(first.details['digests'])}" + (
+            f" ({', '.join(still)} still equal)" if still else ""
+        )
+    if first.part == "scalars":
+        return f"scalars, while the digests {'are equal' if first.details['equal_digests'] else 'cannot be compared'}"
+    if first.part == "checkpoints" and first.iteration is not None:
+        return _checkpoint_text(
+            {"iteration": first.iteration, "name": first.name, "a": first.a, "b": first.b, "details": first.details}
+        )
+    return f"{first.part}: {first.name}"
+
+
+def _log_lines(details: Mapping[str, Any]) -> Iterator[str]:
+    scalars = details["scalars"]
+    for name, (one, other) in list(scalars.items())[:3]:
+        yield f"  {name}: {brief(one)} in A, {brief(other)} in B"
+    if len(scalars) > 3:
+        yield f"  and {len(scalars) - 3} more scalars"
+
+
+def _place(inside: Mapping[str, Any]) -> str:
+    place = "" if inside["iteration"] is None else f"iteration {inside['iteration']}, "
+    return f"{place}{inside['part']}, {inside['name']}"
+
+
+def _checkpoint_text(found: Mapping[str, Any]) -> str:
+    details = found["details"]
+    name = f"model_{found['iteration']}.pt: "
+    if "kind" not in details:
+        return name + str(found["name"])
+    parts = ", ".join(f"{count} in {part}" for part, count in details["by_part"].items())
+    count = f"{details['differing']} of {details['of']} entries differ ({parts}); "
+    return name + count + _leaf(found["name"], details["kind"], details, found["a"], found["b"])
+
+
+def _leaf(name: str, kind: str, details: Mapping[str, Any], a: Any, b: Any) -> str:
+    if kind != "values":
+        return f"{name}: {kind} ({brief(a)} and {brief(b)})"
+    index = f"[{', '.join(map(str, details['index']))}]" if details["index"] else ""
+    if details["largest"] is None:
+        return f"{name}{index}: {brief(a)} and {brief(b)}"
+    relative = "" if details["relative"] is None else f", relative {details['relative']:.1e}"
+    return f"largest at {name}{index}: {brief(a)} and {brief(b)}, apart {details['largest']:.1e}{relative}"
+
+
+def _by_weight(differences: Sequence[FactDifference]) -> list[FactDifference]:
+    """Order: code first, then what allows other numbers, then the rest; installed distributions last."""
+    return sorted(differences, key=lambda d: (d.section == "distributions", not d.forbids, d.allows is None))
+
+
+def _fact_row(difference: FactDifference) -> tuple[str, str, str, str]:
+    a, b = difference.a, difference.b
+    if isinstance(a, list) and isinstance(b, list):
+        a, b = ([x for x in one if x not in other] for one, other in ((a, b), (b, a)))
+    values = [_hash(x) if difference.section == "code" else x for x in (a, b)]
+    allows = f"allows other rounding: {difference.allows}" if difference.allows else ""
+    return f"{difference.section}.{difference.name}", brief(values[0]), brief(values[1]), allows
+
+
+def _hash(value: Any) -> Any:
+    return value[:_DIGITS] if isinstance(value, str) and len(value) in (40, 64) else value
