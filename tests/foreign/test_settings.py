@@ -242,6 +242,13 @@ def test_no_recorded_word_leads_hydra_anywhere(trial, word, monkeypatch):
     assert "trial_module" not in sys.modules
 
 
+@pytest.mark.parametrize("text", ["{a: 1}", "seed=3", "3"])
+def test_overrides_that_are_no_list_are_told(trial, text):
+    trial.write(".hydra/overrides.yaml", text)
+    trial.record()
+    trial.try_("resume", 2, "holds no list", ".hydra/overrides.yaml")
+
+
 def test_no_recorded_task_or_folder_leads_a_report_to_files_of_the_user(trial):
     secret = trial.root / "here" / "task"
     secret.mkdir()

@@ -182,6 +182,7 @@ def test_a_flipped_byte_is_read_or_told_and_never_anything_else(file):
     """Every byte of the pickled part, and some of the rest, turned over in turn."""
     data, chance = file.read_bytes(), random.Random(0)
     head = range(data.index(b"data.pkl"), data.index(b"data.pkl") + 500)
+    told = 0
     for place in [*head, *(chance.randrange(len(data)) for _ in range(200))]:
         changed = bytearray(data)
         changed[place] ^= 1 << chance.randrange(8)
@@ -189,7 +190,8 @@ def test_a_flipped_byte_is_read_or_told_and_never_anything_else(file):
         try:
             load(file)
         except RunDirectoryError:
-            continue
+            told += 1
+    assert told > 200  # of 700: the others are in what no reader looks at, or in numbers
 
 
 @pytest.mark.parametrize("key", ["format_version", "iter", "actor_state_dict", "critic_state_dict"])

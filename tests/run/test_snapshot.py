@@ -248,7 +248,9 @@ def test_a_variable_whose_name_says_secret_is_not_asked_for(tmp_path, monkeypatc
 
 
 def test_a_config_that_cannot_be_resolved_here_is_kept_as_it_is_written(tmp_path):
-    snapshot_of(tmp_path, hydra_files={"config": "a: '${oc.env:NOWHERE_SET}'\n"})
+    snapshot_of(tmp_path, hydra_files={"config.yaml": (written := "a: '${oc.env:NOWHERE_SET}'\n")})
+    (kept,) = tmp_path.rglob(".hydra/config.yaml")
+    assert kept.read_text() == written
 
 
 def test_what_a_run_holds_already_is_not_asked_about_again():

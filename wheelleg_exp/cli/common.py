@@ -7,10 +7,13 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from wheelleg_exp.errors import WheellegError, nearest_name, printable
 from wheelleg_exp.files import dump_json, json_plain
+
+if TYPE_CHECKING:
+    from wheelleg_exp.config.composing.provenance import Source
 
 
 class UsageError(WheellegError):
@@ -110,3 +113,15 @@ def print_json(document: Any) -> None:
     if printable(text) != text:  # what would be shown by its code is so in the way of JSON
         text = json.dumps(json_plain(document), indent=2, allow_nan=False) + "\n"
     print(text, end="")
+
+
+def source_document(source: Source) -> dict[str, Any]:
+    """Return one writer of a leaf as JSON has it."""
+    return {
+        "path": source.path,
+        "value": source.value,
+        "where": source.where,
+        "file": None if source.file is None else str(source.file),
+        "line": source.line,
+        "override": source.override,
+    }

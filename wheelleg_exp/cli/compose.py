@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json, source_document
 from wheelleg_exp.cli.printing.tables import hanging, print_table, screen_width
 from wheelleg_exp.config.checking.diagnose import nearest_path
 from wheelleg_exp.config.composing.compose import Composed, compose
@@ -159,15 +159,3 @@ def _shapes_document(found: Shapes) -> dict[str, Any]:
 def _group_document(group: GroupShape) -> dict[str, Any]:
     terms = {term.name: {k: v for k, v in asdict(term).items() if k != "name"} for term in group.terms}
     return {"shape": group.shape, "terms": terms}
-
-
-def source_document(source: Source) -> dict[str, Any]:
-    """Return one writer of a leaf as JSON has it."""
-    return {
-        "path": source.path,
-        "value": source.value,
-        "where": source.where,
-        "file": None if source.file is None else str(source.file),
-        "line": source.line,
-        "override": source.override,
-    }

@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json
-from wheelleg_exp.cli.compose import source_document
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json, source_document
 from wheelleg_exp.cli.printing.tables import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.mounts import Mount

@@ -71,11 +71,13 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
     """Return the overrides that a run was composed with, none where none are kept.
 
     Raises:
-        RunDirectoryError: they cannot be read.
+        RunDirectoryError: they cannot be read, or are no list.
     """
     path = Path(directory) / OVERRIDES
-    found = read_yaml(path) if path.is_file() else None
-    return [str(word) for word in found] if isinstance(found, list) else []
+    found = read_yaml(path) if path.is_file() else []
+    if not isinstance(found, list):
+        raise RunDirectoryError("holds no list", key=str(path), expected="the overrides of the run")
+    return [str(word) for word in found]
 
 
 def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:

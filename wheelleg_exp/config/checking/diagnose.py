@@ -16,7 +16,6 @@ from hydra.errors import (
     MissingConfigException,
 )
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from wheelleg_exp.config.checking.diagnose_groups import (
     IN_FILE,
@@ -28,7 +27,7 @@ from wheelleg_exp.config.checking.diagnose_groups import (
     where_of,
 )
 from wheelleg_exp.config.composing.headers import missing_headers
-from wheelleg_exp.config.composing.loader import Loader, Repository
+from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, Repository
 from wheelleg_exp.config.problems import AbsentKey, join
 from wheelleg_exp.config.tree import Keys, defaults_items, dotted, node_paths, scalar_line, show_file, split_path
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -135,18 +134,18 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
         return join(misplaced)
     try:
         defaults = loader.defaults(primary, parsed)
-    except (HydraException, OmegaConfBaseException, ValueError, AssertionError) as problem:
+    except COMPOSING_ERRORS as problem:
         return defaults_problem(problem, loader, parsed)
     try:
         cfg = loader._compose_config_from_defaults_list(defaults.defaults, loader.repository_used)
-    except (HydraException, OmegaConfBaseException, ValueError) as problem:
+    except COMPOSING_ERRORS as problem:
         return _merge_problem(problem, loader.repository_used)
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
         try:
             ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
-        except Exception as problem:  # OmegaConf fails in any way where a value does not merge
+        except COMPOSING_ERRORS as problem:
             problems.append(_override_problem(problem, override, cfg, loader.groups()))
     return join(problems) if problems else ConfigError(flat(error), key=primary)
 

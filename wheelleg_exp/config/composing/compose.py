@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from wheelleg_exp.config.checking.diagnose import explain, nearest_path
 from wheelleg_exp.config.composing.hydra_keys import unread_overrides
-from wheelleg_exp.config.composing.loader import Loader, hydra_globals, require_folder
+from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
 from wheelleg_exp.config.composing.provenance import MISSING, Provenance, trace
 from wheelleg_exp.config.problems import UnknownName, raise_all
 from wheelleg_exp.config.tree import dotted, leaves, node_paths
@@ -123,7 +123,7 @@ def compose(
             raw = used.load(primary, texts)
         except ConfigError:
             raise
-        except Exception as error:  # OmegaConf fails in any way where a value does not merge
+        except COMPOSING_ERRORS as error:
             raise explain(error, used, primary, texts) from error
         parsed = OverridesParser.create().parse_overrides(texts)
     OmegaConf.set_struct(raw, False)

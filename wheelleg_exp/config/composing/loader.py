@@ -22,9 +22,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobRuntime, setup_globals
+from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from wheelleg_exp.config.composing.replacing import chosen_file
 from wheelleg_exp.config.tree import show_file
@@ -34,6 +36,8 @@ from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.reading import Unreadable, yaml_tree
 
 VERSION_BASE = "1.3"
+# What composing a wrong config raises: beside their own errors, those that values which do not merge lead to.
+COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +\S+\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
 

@@ -21,7 +21,7 @@ from wheelleg_exp.config.checking.diagnose import explain
 from wheelleg_exp.config.checking.diagnose_groups import where_of
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.hydra_keys import is_unread, unread
-from wheelleg_exp.config.composing.loader import Loader, hydra_globals, require_folder
+from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
 from wheelleg_exp.config.problems import override_of, parts, raise_all
 from wheelleg_exp.errors import ConfigError, nearest_name
 
@@ -182,7 +182,7 @@ def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig 
     texts = [*(str(override.input_line) for override in parsed), _MULTIRUN]
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
-    except Exception:  # OmegaConf fails in any way where a value does not merge
+    except (*COMPOSING_ERRORS, ConfigError):
         return None  # the jobs' own mistakes say why, and in better words
 
 
