@@ -4,7 +4,8 @@
 |---|---|
 | `examine` | the whole look, and `RULES`, all rules by name |
 | `case` | what a rule looks at |
-| `robot_facts`, `collider_depth` | masses, wheels, heights and drives of the compiled robot |
+| `anatomy/` | what its parts are for: wheels, legs, forward, mirror images |
+| `robot_facts`, `collider_depth` | masses, heights and drives of the compiled robot |
 | `reward_tolerances` | what each reward is worth |
 | `findings` | what rules find, how they are registered, and rounding |
 | `rules_*` | the rules, a file for each subject |

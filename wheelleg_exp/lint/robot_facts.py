@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from wheelleg_exp.lint.anatomy.examine import anatomy_of
+from wheelleg_exp.lint.anatomy.parts import Anatomy
 from wheelleg_exp.lint.collider_depth import lowest_point
 from wheelleg_exp.sim.actuators import IdealPDActuator
 from wheelleg_exp.sim.robot import Robot
-
-_HORIZONTAL = 0.5  # largest vertical part of a wheel's axis
 
 
 @dataclass(frozen=True)
@@ -133,21 +133,21 @@ class RobotFacts:
         return min(speeds) * self.wheel_radius if speeds else 0.0
 
 
-def measure(model: mujoco.MjModel, robot: Robot, wheels: Sequence[str] | None = None) -> RobotFacts:
+def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None) -> RobotFacts:
     """Measure a robot at its default pose.
 
     Args:
         model: the compiled scene.
         robot: the robot that the scene was compiled with.
-        wheels: the joints that wheels turn on; by default unlimited hinges about a horizontal axis, with a solid body.
+        anatomy: what its parts are for, where that is known already.
     """
-    data = _at_default(model, robot)
+    data = at_default(model, robot)
+    anatomy = anatomy or anatomy_of(model, data.qpos)
     gravity = float(np.linalg.norm(model.opt.gravity))
     bodies = [model.body(name).id for name in robot.body_names]
-    wheels = _wheels(model, data, robot) if wheels is None else list(wheels)
+    wheels, radius = anatomy.wheel_joints, max((wheel.radius for wheel in anatomy.wheels), default=0.0)
     lowest = lowest_point(model, data, bodies)
     root_height = float(data.xpos[bodies[0]][2])
-    radius = _radius(model, data, wheels)
     return RobotFacts(
         mass=float(model.body_mass[bodies].sum()),
         gravity=gravity,
@@ -162,7 +162,8 @@ def measure(model: mujoco.MjModel, robot: Robot, wheels: Sequence[str] | None = 
     )
 
 
-def _at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
+def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
+    """Return a robot where its episodes begin, with everything computed that follows from its pose."""
     data = mujoco.MjData(model)
     if robot.floating:
         data.qpos[0:3] = robot.default_root_pos.numpy()
@@ -173,27 +174,8 @@ def _at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
     return data
 
 
-def _wheels(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> list[str]:
-    """Return the joints that wheels turn on: unlimited hinges about a horizontal axis, with a solid body."""
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    found = []
-    for name in robot.joint_names:
-        joint = model.joint(name)
-        hinge = model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE and not model.jnt_limited[joint.id]
-        touches = bool(solid[model.geom_bodyid == model.jnt_bodyid[joint.id]].any())
-        if hinge and touches and abs(data.xaxis[joint.id][2]) < _HORIZONTAL:
-            found.append(name)
-    return found
-
-
 def _joint_bodies(model: mujoco.MjModel, wheels: Sequence[str]) -> list[int]:
     return [int(model.jnt_bodyid[model.joint(name).id]) for name in wheels]
-
-
-def _radius(model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[str]) -> float:
-    heights = [float(data.xanchor[model.joint(name).id][2]) for name in wheels]
-    lowest = [lowest_point(model, data, [body]) for body in _joint_bodies(model, wheels)]
-    return max((h - low for h, low in zip(heights, lowest, strict=True)), default=0.0)
 
 
 def _track(model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[str]) -> float:

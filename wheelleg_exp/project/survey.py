@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from wheelleg_exp.asset import Conversion, RobotDescription, convert
 from wheelleg_exp.asset.description import Dof
 from wheelleg_exp.errors import AssetError
+from wheelleg_exp.lint.anatomy.examine import anatomy_of
+from wheelleg_exp.lint.anatomy.parts import Anatomy
 from wheelleg_exp.lint.collider_depth import lowest_point
 from wheelleg_exp.lint.robot_facts import RobotFacts, measure
 from wheelleg_exp.managers import SceneManager
@@ -23,9 +24,7 @@ from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
 
 _INSIDE = 0.25  # share of a joint's range between a default position and the limit that it was moved away from
-_HORIZONTAL = 0.5  # largest vertical part of a wheel's axis
 _GROUND = 0.05  # of the standing height: a body this near to the ground stands on it
-_SMALLEST = 1e-3  # m, radius of a wheel
 _LEVEL = 0.99  # cosine of the tilt up to which a root link counts as upright
 
 
@@ -41,6 +40,7 @@ class Survey:
         positions: default positions, rad (m), by joint.
         rotation: of the root link, (w, x, y, z).
         facts: masses, inertias and heights at the default pose.
+        anatomy: what its parts are for.
         radius: of the wheels, m; 0 without.
         size: the larger of the heights of root link and centre of mass over the ground, m.
         up: the root link's axis that points up, (0, 0, 1) for most.
@@ -58,6 +58,7 @@ class Survey:
     positions: dict[str, float]
     rotation: tuple[float, float, float, float]
     facts: RobotFacts
+    anatomy: Anatomy
     radius: float
     size: float
     up: tuple[float, float, float]
@@ -157,11 +158,12 @@ def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, posit
     dofs = {dof.name: dof for dof in description.dofs}
     dofs = {name: dofs[name] for name in robot.joint_names}
     data = _at(model, robot, positions)
-    wheels = _wheels(model, data, dofs)
-    facts = measure(model, robot)
+    anatomy = anatomy_of(model, data.qpos)
+    wheels = anatomy.wheel_joints
+    facts = measure(model, robot, anatomy)
     legs, passive = _driven(description, dofs, wheels)
-    solid = {name: _solid_below(model, data, name) for name in wheels}
-    touching = [model.body(body).name for bodies in solid.values() for body in bodies]
+    turned = [name for wheel in anatomy.wheels for name in wheel.bodies]
+    touching = [name for name in turned if math.isfinite(lowest_point(model, data, [model.body(name).id]))]
     raised = _raised(model, data, robot.body_names, facts.standing_height)
     root = robot.body_names[0]
     w, x, y, z = (float(f"{part:.6g}") for part in robot.default_root_quat.tolist())
@@ -175,14 +177,15 @@ def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, posit
         positions={name: positions[name] for name in dofs},
         rotation=(w, x, y, z),
         facts=facts,
-        radius=_radius(model, data, solid),
+        anatomy=anatomy,
+        radius=facts.wheel_radius,
         size=max(facts.standing_height, mass_height),
         up=(up_x, up_y, up_z),
         root=root,
         root_mass=float(model.body_mass[model.body(root).id]),
         wheel_bodies=[name for name in robot.body_names if name in touching],
         raised_bodies=[name for name in raised if name not in touching],
-        notes=_notes(conversion, up_z >= _LEVEL, wheels, legs, passive),
+        notes=_notes(conversion, up_z >= _LEVEL, anatomy, legs, passive),
     )
 
 
@@ -194,40 +197,6 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
         data.qpos[model.joint(name).qposadr[0]] = positions[name]
     mujoco.mj_forward(model, data)
     return data
-
-
-def _solid_below(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> list[int]:
-    """Return the bodies with colliders that a joint turns."""
-    bodies = _below(model, int(model.jnt_bodyid[model.joint(joint).id]))
-    return [body for body in bodies if math.isfinite(lowest_point(model, data, [body]))]
-
-
-def _radius(model: mujoco.MjModel, data: mujoco.MjData, wheels: Mapping[str, Sequence[int]]) -> float:
-    centres = {name: float(data.xanchor[model.joint(name).id][2]) for name in wheels}
-    return max((centres[name] - lowest_point(model, data, bodies) for name, bodies in wheels.items()), default=0.0)
-
-
-def _wheels(model: mujoco.MjModel, data: mujoco.MjData, dofs: Mapping[str, Dof]) -> list[str]:
-    """Return the joints that wheels turn on: unlimited hinges, level, last on their limb, with colliders."""
-    found = []
-    for name, dof in dofs.items():
-        joint = model.joint(name).id
-        body = int(model.jnt_bodyid[joint])
-        last = int(np.sum(model.body_jntnum[_below(model, body)])) == 1
-        level = abs(data.xaxis[joint][2]) < _HORIZONTAL
-        rolls = _radius(model, data, {name: _solid_below(model, data, name)}) > _SMALLEST
-        if dof.kind == "hinge" and dof.range is None and last and level and rolls:
-            found.append(name)
-    return found
-
-
-def _below(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return a body and those that hang on it."""
-    found = [body]
-    for other in range(body + 1, model.nbody):
-        if int(model.body_parentid[other]) in found:
-            found.append(other)
-    return found
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -251,15 +220,19 @@ def _raised(model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str], he
 
 
 def _notes(
-    conversion: Conversion, upright: bool, wheels: Sequence[str], legs: Sequence[str], passive: Sequence[str]
+    conversion: Conversion, upright: bool, anatomy: Anatomy, legs: Sequence[str], passive: Sequence[str]
 ) -> list[str]:
     notes = list(conversion.report.warnings)
     if not upright:
         notes.append(
             "the root link's z axis does not point up in the file, so the task leaves out terms that take it to"
         )
-    if not wheels:
-        notes.append("no joint is a wheel's (unlimited, about a level axis, with a collider), so the task has none")
+    if not anatomy.wheels:
+        notes.append(
+            "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so the "
+            "task has none"
+        )
+    notes += [f"joint '{name}' would be a wheel's, but {why}" for name, why in anatomy.near.items()]
     if not legs:
         notes.append("no joint is a leg's, so the task drives wheels alone")
     if passive:

@@ -1,0 +1,228 @@
+"""What the parts of a robot are for: told by shape and motion, whatever they are called."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from lint.bodies import RADIUS, THIGH, TRACK, WHEEL, leg, mjcf, two_legged
+from wheelleg_exp.lint.anatomy.examine import anatomy_of
+from wheelleg_exp.lint.anatomy.parts import Anatomy
+
+
+def look(text: str, **given) -> Anatomy:
+    return anatomy_of(mujoco.MjModel.from_xml_string(text), **given)
+
+
+def ring(corners: int, radius: float = RADIUS, x: float = 0.0) -> str:
+    """Return the vertices of a disc about y."""
+    angles = [2 * math.pi * k / corners for k in range(corners)]
+    points = [(x + radius * math.cos(a), y, radius * math.sin(a)) for a in angles for y in (-0.02, 0.02)]
+    return " ".join(f"{part:.9g}" for point in points for part in point)
+
+
+def disc(corners: int, **shape: float) -> str:
+    return f'<mesh name="disc" vertex="{ring(corners, **shape)}"/>'
+
+
+MESH = '<geom type="mesh" mesh="disc"/>'
+
+
+def with_mesh(corners: int, **shape: float) -> str:
+    return mjcf(leg("l", 0.2, wheel=MESH) + leg("r", -0.2, wheel=MESH), asset=disc(corners, **shape))
+
+
+def test_two_serial_legs():
+    found = look(two_legged())
+    assert found.wheel_joints == ["l_axle", "r_axle"]
+    left, right = found.wheels
+    assert (left.side, right.side, left.sign, right.sign) == ("left", "right", 1, 1)
+    assert left.radius == pytest.approx(RADIUS)
+    assert left.width == pytest.approx(0.04)
+    assert left.contact == pytest.approx((0, TRACK / 2, -0.6 - RADIUS))
+    assert [leg.joints for leg in found.legs] == [("l_hip", "l_knee"), ("r_hip", "r_knee")]
+    assert (found.base, found.floating, found.forward, found.up) == ("trunk", True, (1, 0, 0), (0, 0, 1))
+    assert found.support_height == pytest.approx(-0.7)
+    assert (found.support_width, found.support_length) == (pytest.approx(TRACK), pytest.approx(0.0))
+    assert found.one_axle
+    assert [(p.left, p.right, p.sign) for p in found.mirrored] == [
+        ("l_hip", "r_hip", 1),
+        ("l_knee", "r_knee", 1),
+        ("l_axle", "r_axle", 1),
+    ]
+    assert found.others == found.unmatched == ()
+
+
+def test_joints_without_limits_on_a_leg_are_no_wheels():
+    """Each link of the legs but the wheels is long, and joints hang on it."""
+    assert look(two_legged(hip="")).wheel_joints == ["l_axle", "r_axle"]
+
+
+def test_a_leg_that_ends_without_a_wheel_has_none():
+    foot = '<geom type="capsule" fromto="0 0 0 0 0 -0.1" size="0.02"/>'
+    assert look(two_legged(hip="", wheel=foot)).wheels == ()
+    point = '<geom type="sphere" pos="0 0 -0.1" size="0.03"/>'
+    found = look(two_legged(hip="", wheel=point))
+    assert (found.wheels, found.forward, found.support_height) == ((), None, None)
+    assert found.others == ("l_hip", "l_knee", "l_axle", "r_hip", "r_knee", "r_axle")
+
+
+@pytest.mark.parametrize("limits", ["-1e6 1e6", "-6.3 6.3"])
+def test_limits_of_more_than_a_turn_and_a_half_are_none(limits):
+    found = look(two_legged(axle=f'axis="0 1 0" range="{limits}"'))
+    assert found.wheel_joints == ["l_axle", "r_axle"]
+
+
+def test_a_wheel_within_limits_is_told_of():
+    found = look(two_legged(axle='axis="0 1 0" range="-3.1416 3.1416"'))
+    assert found.wheels == ()
+    assert set(found.near) == {"l_axle", "r_axle"}
+    assert "-3.142 to 3.142 rad" in found.near["l_axle"]
+
+
+def test_a_round_ankle_is_no_wheel():
+    found = look(two_legged(axle='axis="0 1 0" range="-0.5 0.5"'))
+    assert (found.wheels, found.near) == ((), {})
+
+
+def test_a_wheel_that_is_only_drawn_is_told_of():
+    drawn = WHEEL.replace("<geom", '<geom contype="0" conaffinity="0"')
+    found = look(two_legged(wheel=drawn))
+    assert found.wheels == ()
+    assert found.near == dict.fromkeys(("l_axle", "r_axle"), "nothing of what it turns collides")
+
+
+@pytest.mark.parametrize("corners", [8, 64])
+def test_a_mesh_is_a_wheel_when_it_is_round(corners):
+    found = look(with_mesh(corners))
+    assert found.wheel_joints == ["l_axle", "r_axle"]
+    assert found.wheels[0].radius == pytest.approx(RADIUS, rel=1e-6)
+    assert found.wheels[0].roundness == pytest.approx(math.cos(math.pi / corners), rel=0.01)
+
+
+def test_a_mesh_beside_its_axis_is_no_wheel():
+    assert look(with_mesh(64, x=0.05)).wheels == ()
+
+
+def test_a_square_collider_is_a_wheel_when_its_masses_say_so():
+    box = f'<geom type="box" size="{RADIUS} 0.02 {RADIUS}"/>'
+    found = look(two_legged(wheel=box))
+    assert found.wheel_joints == ["l_axle", "r_axle"]
+    assert found.wheels[0].roundness == pytest.approx(math.sqrt(0.5))
+    uneven = box.replace("/>", ' mass="1"/>') + '<geom type="sphere" size="0.02" pos="0.05 0 0" mass="1"/>'
+    text = two_legged(wheel=uneven).replace('<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>', "")
+    assert look(text).wheels == ()
+
+
+def test_wheels_that_roll_along_y():
+    turned = f'<body quat="{math.sqrt(0.5)} 0 0 {math.sqrt(0.5)}">{leg("l", 0.2)}{leg("r", -0.2)}</body>'
+    found = look(mjcf(turned))
+    assert found.forward == pytest.approx((0, 1, 0), abs=1e-9)
+    assert [(wheel.side, wheel.sign) for wheel in found.wheels] == [("left", 1), ("right", 1)]
+
+
+def test_a_wheel_that_turns_the_other_way():
+    found = look(mjcf(leg("l", 0.2) + leg("r", -0.2, axle='axis="0 -1 0"')))
+    assert [wheel.sign for wheel in found.wheels] == [1, -1]
+    assert [(pair.left, pair.sign) for pair in found.mirrored][-1] == ("l_axle", -1)
+
+
+def test_four_legs_with_wheels():
+    legs = "".join(leg(f"{s}{e}", y, x) for s, y in (("l", 0.2), ("r", -0.2)) for e, x in (("f", 0.3), ("h", -0.3)))
+    found = look(mjcf(legs))
+    assert len(found.wheels) == len(found.legs) == 4
+    assert (found.support_width, found.support_length) == (pytest.approx(0.4), pytest.approx(0.6))
+    assert not found.one_axle
+    assert len(found.mirrored) == 6
+
+
+FIVE_BAR = """
+  <body name="{side}_fore" pos="0.1 {y} 0"><joint name="{side}_1" axis="0 1 0" range="-1 1"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0 -0.2" size="0.01"/>
+    <body name="{side}_fore_shank" pos="0.1 0 -0.2"><joint name="{side}_2" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 -0.2 0 -0.3" size="0.01"/>
+      <body name="{side}_wheel" pos="-0.2 0 -0.3"><joint name="{side}_3" axis="0 1 0"/>
+        <geom type="cylinder" size="0.1 0.02" euler="90 0 0"/></body>
+    </body></body>
+  <body name="{side}_hind" pos="-0.1 {y} 0"><joint name="{side}_4" axis="0 1 0" range="-1 1"/>
+    <geom type="capsule" fromto="0 0 0 -0.1 0 -0.2" size="0.01"/>
+    <body name="{side}_hind_shank" pos="-0.1 0 -0.2"><joint name="{side}_5" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0.2 0 -0.3" size="0.01"/></body></body>"""
+LOOPS = """<equality>
+  <connect name="close_{s}" body1="{s}_hind_shank" body2="{s}_fore_shank" anchor="0.2 0 -0.3"/></equality>"""
+
+
+def test_a_five_bar_closes_a_loop_beside_the_wheels_chain():
+    body = FIVE_BAR.format(side="l", y=0.2) + FIVE_BAR.format(side="r", y=-0.2)
+    motors = "".join(f'<motor joint="{s}_{n}"/>' for s in "lr" for n in (1, 3, 4))
+    found = look(mjcf(body, LOOPS.format(s="l") + LOOPS.format(s="r") + f"<actuator>{motors}</actuator>"))
+    assert found.wheel_joints == ["l_3", "r_3"]
+    left, right = found.legs
+    assert (left.joints, left.passive, left.beside, left.loops) == (
+        ("l_1", "l_2"),
+        ("l_2",),
+        ("l_4", "l_5"),
+        ("close_l",),
+    )
+    assert right.beside == ("r_4", "r_5")
+    assert found.others == ()
+
+
+def test_what_spins_on_the_trunk_or_an_arm_is_no_wheel():
+    top = '<body name="gyro" pos="0 0 0.2"><joint name="spin" axis="0 1 0"/>' + WHEEL + "</body>"
+    arm = (
+        '<body pos="0.2 0 0.1"><joint name="elbow" axis="0 1 0" range="-1 1"/>'
+        '<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><body pos="0.35 0 0">'
+        '<joint name="wrist" axis="1 0 0"/><geom type="cylinder" size="0.03 0.02" euler="0 1.5707963 0"/></body></body>'
+    )
+    found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + top + arm))
+    assert found.wheel_joints == ["l_axle", "r_axle"]
+    assert found.others == ("spin", "elbow", "wrist")
+
+
+def test_a_caster_is_steered_and_may_be_passive():
+    fork = '<geom type="box" size="0.01 0.01 0.05" pos="0 0.05 0.1"/>'
+    caster = f"""<body name="fork" pos="0.3 0 -0.65"><joint name="swivel" axis="0 0 1"/>{fork}
+      <body name="roller" pos="-0.03 0 0"><joint name="roll" axis="0 1 0"/>
+      <geom type="cylinder" size="0.05 0.01" euler="90 0 0"/></body></body>"""
+    drive = '<actuator><motor joint="l_axle"/><motor joint="r_axle"/></actuator>'
+    found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + caster, drive))
+    kinds = {wheel.joint: (wheel.side, wheel.driven, wheel.steered) for wheel in found.wheels}
+    assert kinds == {
+        "l_axle": ("left", True, False),
+        "r_axle": ("right", True, False),
+        "roll": ("middle", False, True),
+    }
+
+
+def test_a_mirror_image_is_measured():
+    model = mujoco.MjModel.from_xml_string(mjcf(leg("l", 0.2) + leg("r", -0.2, x=0.01)))
+    found = anatomy_of(model)
+    assert [pair.offset for pair in found.mirrored] == pytest.approx([0.01] * 3)
+
+
+def test_the_pose_decides_where_things_are():
+    model = mujoco.MjModel.from_xml_string(two_legged())
+    qpos = model.qpos0.copy()
+    qpos[model.joint("l_hip").qposadr[0]] = qpos[model.joint("r_hip").qposadr[0]] = 0.5
+    found = anatomy_of(model, qpos)
+    assert found.support_height == pytest.approx(-2 * THIGH * math.cos(0.5) - RADIUS)
+    assert found.wheels[0].centre[0] == pytest.approx(-2 * THIGH * math.sin(0.5))
+
+
+def test_up_is_against_gravity_and_forward_level_whatever_way_the_base_is_drawn():
+    quat = [math.sqrt(0.5), math.sqrt(0.5), 0, 0]  # the base's y points up in the world
+    text = mjcf(f'<body quat="{quat[0]} {-quat[1]} 0 0">{leg("l", 0.2)}{leg("r", -0.2)}</body>')
+    model = mujoco.MjModel.from_xml_string(text)
+    found = anatomy_of(model, np.array([0, 0, 1, *quat, *model.qpos0[7:]]))
+    assert found.up == pytest.approx((0, 1, 0), abs=1e-9)
+    assert found.forward == pytest.approx((1, 0, 0), abs=1e-9)
+    assert found.left == pytest.approx((0, 0, -1), abs=1e-9)
+
+
+def test_a_model_without_bodies_is_refused():
+    with pytest.raises(ValueError, match="no bodies"):
+        anatomy_of(mujoco.MjModel.from_xml_string("<mujoco/>"))

@@ -1,0 +1,154 @@
+"""Which hinges wheels turn on: by the shape and the motion of what they move, never by a name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.lint.anatomy.tree import Array, Tree
+from wheelleg_exp.lint.collider_depth import colliders, reach
+
+TURNS = 3 * math.pi  # rad: a range beyond one and a half turns is none
+LEVEL = 0.5  # largest upright part of an axle
+_ROUND = 0.9  # least reach across the axle over the largest; that of a hull of seven corners
+_ROUGH = 0.6  # the same, of a square box, where the masses lie as those of a wheel
+_LOW = 0.4  # of the robot's height: where wheels end above its lowest point
+_SMALLEST = 1e-3  # m, radius
+_EQUAL = 0.1  # of the larger: between two moments of inertia that count as equal
+_CENTRED = 0.1  # of the radius: from the axle to the centre of mass
+_HALF_TURN = math.pi  # rad: from here on the limits of a round thing are worth a word
+_AROUND = 48
+
+
+@dataclass(frozen=True)
+class Found:
+    """A hinge that a wheel turns on; world frame, m.
+
+    Attributes:
+        joint: its number.
+        bodies: the bodies that it moves.
+        axis: unit vector.
+        centre: of the colliders, on the axis.
+        radius: largest reach across the axis.
+        width: extent along the axis.
+        roundness: least reach across the axis over the largest.
+        why: how it is known.
+    """
+
+    joint: int
+    bodies: tuple[int, ...]
+    axis: Array
+    centre: Array
+    radius: float
+    width: float
+    roundness: float
+    why: str
+
+
+def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
+    """Return the hinges that wheels turn on, and those that lack one thing to be one, with what."""
+    found, near = [], {}
+    bottom, top = _height(tree)
+    for joint in tree.joints:
+        if not _may_roll(tree, joint):
+            continue
+        bodies = tree.below(int(tree.model.jnt_bodyid[joint]))
+        solid = colliders(tree.model, bodies)
+        drawn = [geom for geom in range(tree.model.ngeom) if int(tree.model.geom_bodyid[geom]) in bodies]
+        if not solid:
+            shown = _measured(tree, joint, bodies, drawn) if drawn else None
+            if tree.turns(joint) > TURNS and shown is not None and shown.roundness >= _ROUND:
+                near[joint] = "nothing of what it turns collides"
+            continue
+        shape = _measured(tree, joint, bodies, solid)
+        if not _is_round(tree, shape):
+            continue
+        low = float(shape.centre @ tree.up) - shape.radius
+        if low > bottom + _LOW * (top - bottom):
+            continue
+        if tree.turns(joint) > TURNS:
+            found.append(shape)
+        elif tree.turns(joint) >= _HALF_TURN:
+            low_limit, high_limit = tree.model.jnt_range[joint]
+            near[joint] = f"its limits of {low_limit:.4g} to {high_limit:.4g} rad keep it from rolling on"
+    return found, near
+
+
+def _may_roll(tree: Tree, joint: int) -> bool:
+    """Return whether a joint is a level hinge, the only one of its body and the last of its chain."""
+    body = int(tree.model.jnt_bodyid[joint])
+    last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
+    return tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL
+
+
+def _height(tree: Tree) -> tuple[float, float]:
+    """Return how low and how high the robot's colliders reach, m in the world."""
+    solid = colliders(tree.model, tree.bodies)
+    down, up = reach(tree.model, tree.data, solid, np.zeros(3), np.array([-tree.up, tree.up]))
+    return (-float(down), float(up)) if solid else (0.0, 0.0)
+
+
+def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int]) -> Found:
+    model, data = tree.model, tree.data
+    axis, anchor = data.xaxis[joint].copy(), data.xanchor[joint].copy()
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
+    circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
+    outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
+    there, back = outline[-2], outline[-1]
+    outline = outline[:-2]
+    radius = float(outline.max())
+    roundness = float(outline.min()) / radius if radius > 0 else 0.0
+    return Found(
+        joint=joint,
+        bodies=tuple(bodies),
+        axis=axis,
+        centre=anchor + axis * (there - back) / 2,
+        radius=radius,
+        width=float(there + back),
+        roundness=roundness,
+        why=f"turns without end about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
+        f"from the axis all round, {100 * (1 - roundness):.2g} % less at least",
+    )
+
+
+def _is_round(tree: Tree, shape: Found) -> bool:
+    if shape.radius < _SMALLEST or shape.roundness < _ROUGH:
+        return False
+    return shape.roundness >= _ROUND or _spins_freely(tree, shape)
+
+
+def _spins_freely(tree: Tree, shape: Found) -> bool:
+    """Return whether masses lie about an axis as a wheel's: centred on it, equal moments across it."""
+    model, data = tree.model, tree.data
+    bodies = list(shape.bodies)
+    mass = model.body_mass[bodies]
+    if mass.sum() <= 0:
+        return False
+    centre = mass @ data.xipos[bodies] / mass.sum()
+    arm = centre - data.xanchor[shape.joint]
+    if np.linalg.norm(arm - (arm @ shape.axis) * shape.axis) > _CENTRED * shape.radius:
+        return False
+    inertia = np.zeros((3, 3))
+    for body, weight in zip(bodies, mass, strict=True):
+        frame = data.ximat[body].reshape(3, 3)
+        offset = data.xipos[body] - centre
+        inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
+        inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # two directions across the axis
+    moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
+    skew = np.linalg.norm(cross @ inertia @ shape.axis)
+    return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
+
+
+def driven_joints(model: mujoco.MjModel) -> set[int]:
+    """Return the joints that an actuator of the model turns; all but followers where it has none."""
+    followers = set(model.eq_obj1id[(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)].tolist())
+    through = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+    moved = {int(model.actuator_trnid[i, 0]) for i in range(model.nu) if int(model.actuator_trntype[i]) in through}
+    return moved or set(range(model.njnt)) - followers
