@@ -11,10 +11,8 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
@@ -80,6 +78,8 @@ def read_project(folder: Path) -> Project | None:
         return None
     if ENTRY_POINT_GROUP not in text:
         return None
+    import tomllib
+
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -206,6 +206,8 @@ def _installed_configs(package: str) -> Path | None:
 
 def installed_packages() -> tuple[str, ...]:
     """Return the packages that installed distributions declare."""
+    from importlib import metadata  # with a parser of mails, which composing does not wait for
+
     points = metadata.entry_points(group=ENTRY_POINT_GROUP)
     return tuple(sorted({point.value.split(":")[0] for point in points}))
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import atexit
+import gc
 import signal
 import sys
 import threading
@@ -73,9 +75,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the words after ``wheelleg``; by default the process's own.
     """
     prepare_threads()
+    if argv is None:
+        _collect_seldom()
     words = list(sys.argv[1:] if argv is None else argv)
     with lasting_streams():
         return _answer(words, "--debug" in words)
+
+
+def _collect_seldom() -> None:
+    """Look for garbage after ten thousand new objects instead of hundreds, and not as the process ends.
+
+    What is imported stays: a second of a short training went into looking through it again and again.
+    """
+    gc.set_threshold(10_000)
+    atexit.register(gc.freeze)
 
 
 def _answer(words: list[str], debug: bool) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,6 @@ from wheelleg_exp.run.source.secrecy import secret_content, secret_keys, secret_
 from wheelleg_exp.run.source.snapshot import snapshot_source
 
 _HYDRA_NAME = re.compile(r"[A-Za-z0-9_-]+(\.yaml)?")
-_CONFIG = "config.yaml"
 _NO_SECRETS = "no keys or tokens in a config; let the code that needs one read it from the environment"
 _SUMMARY = ("status", "root", "commit", "branch", "tree", "dirty", "note")
 
@@ -39,7 +37,8 @@ def begin(
 ) -> Manifest:
     """Write the manifest (status ``running``) of a run that is about to start, then its snapshot.
 
-    A run that is killed while its source is read can thus be seen, and a snapshot that fails says so.
+    A run that is killed while its source is read can thus be seen, and a snapshot that fails says so. What would be
+    kept has been looked through for secrets before (``refuse_secrets``).
 
     Args:
         directory: a directory that was just created.
@@ -56,10 +55,8 @@ def begin(
         The manifest, to be finished by the caller.
 
     Raises:
-        ConfigError: a key or a token would get into the run (nothing has been written).
         RunDirectoryError: a parameter is not plain or holds ``${``, or the directory holds a run already.
     """
-    refuse_secrets(command, hydra_files, {**_resolved(hydra_files), **params})
     require_resolved(params)
     hydra_paths = {directory.hydra / _hydra_name(name): text for name, text in hydra_files.items()}
     manifest = Manifest.begin(directory.path, task=task, seed=seed, command=command, threads=threads)
@@ -131,20 +128,6 @@ def refuse_secrets(
     found += [(place, reason) for place, text in named.items() if (reason := secret_content(os.fsencode(text)))]
     for key, reason in found:
         raise ConfigError(f"this would be kept in the run directory, and {reason}", key=key, expected=_NO_SECRETS)
-
-
-def _resolved(hydra_files: Mapping[str, str]) -> dict[str, Any]:
-    """Return the config of Hydra's files, resolved; a section that cannot be resolved here is left out."""
-    from omegaconf import DictConfig, OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-
-    config = OmegaConf.create(next((text for name, text in hydra_files.items() if _hydra_name(name) == _CONFIG), ""))
-    found: dict[str, Any] = {}
-    for key in config if isinstance(config, DictConfig) else ():
-        with contextlib.suppress(OmegaConfBaseException):
-            value = OmegaConf.select(config, str(key))
-            found[str(key)] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
-    return found
 
 
 def _hydra_name(name: str) -> str:
