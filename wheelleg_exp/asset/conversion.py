@@ -14,7 +14,8 @@ from wheelleg_exp.asset.allocation import bounded_memory
 from wheelleg_exp.asset.description import BaseMode, RobotDescription
 from wheelleg_exp.asset.mjcf.acceleration_drives import with_force_gains
 from wheelleg_exp.asset.mjcf.document import Writer, file_name, obj_text
-from wheelleg_exp.asset.mjcf.verify import load, verify
+from wheelleg_exp.asset.mjcf.refused import without_refused
+from wheelleg_exp.asset.mjcf.verify import ModelRefused, load, verify
 from wheelleg_exp.asset.report import Report
 from wheelleg_exp.asset.sources import require_near
 from wheelleg_exp.asset.urdf.robot import SUFFIXES as URDF
@@ -55,9 +56,18 @@ def convert(
     with _told_by_mujoco() as told, bounded_memory(source):
         robot, report = read(source, base, variants or {})
         _require_apart(source, report, output)
-        robot = with_force_gains(robot)
-        write(robot, report, output)
-    return Conversion(output, robot, replace(report, warnings=report.warnings + tuple(dict.fromkeys(told))))
+        try:
+            made = _made(robot, report, output)
+        except ModelRefused:
+            robot, report = without_refused(robot, report)
+            made = _made(robot, report, output)
+    return Conversion(output, made, replace(report, warnings=report.warnings + tuple(dict.fromkeys(told))))
+
+
+def _made(robot: RobotDescription, report: Report, output: Path) -> RobotDescription:
+    robot = with_force_gains(robot)
+    write(robot, report, output)
+    return robot
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from wheelleg_exp.asset.findings import Finding
 from wheelleg_exp.reading import json_value
 
 VERSION = 1
@@ -52,7 +53,8 @@ class Report:
     """The whole story of one conversion.
 
     ``layers`` maps each layer that the stage is made of to the sha256 of its bytes. ``velocity_limits`` holds
-    what MuJoCo has no place for and a controller still wants, in rad/s (m/s) by degree of freedom.
+    what MuJoCo has no place for and a controller still wants, in rad/s (m/s) by degree of freedom. ``findings`` are
+    what is odd about the file, one record each.
     """
 
     source: str
@@ -71,6 +73,7 @@ class Report:
     left_out: tuple[LeftOut, ...] = ()
     warnings: tuple[str, ...] = ()
     unresolved: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     layers: dict[str, str] = field(default_factory=dict)
     version: int = VERSION
 
@@ -101,4 +104,5 @@ def _parse(data: Mapping[str, Any]) -> Report:
     fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
     fields["warnings"] = tuple(data["warnings"])
     fields["unresolved"] = tuple(data["unresolved"])
+    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))  # of older reports: none
     return Report(**fields)

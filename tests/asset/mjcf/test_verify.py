@@ -20,7 +20,7 @@ from wheelleg_exp.asset.description import (
     Tendon,
 )
 from wheelleg_exp.asset.mjcf.document import Writer
-from wheelleg_exp.asset.mjcf.verify import verify
+from wheelleg_exp.asset.mjcf.verify import ModelRefused, load, verify
 from wheelleg_exp.errors import AssetError
 
 from ..small_usd import MASS, converted, cube_inside, link, two_links, write
@@ -129,6 +129,25 @@ def test_a_frame_without_mass_passes():
     whole = replace(nothing, mass=1.0, moments=(0.1, 0.1, 0.1))
     robot = RobotDescription("r", (Body("a", "/a", None, Pose(), whole), Body("b", "/b", "a", Pose(), nothing)))
     verify(mujoco.MjModel.from_xml_string(Writer(robot, "").text()), robot, "r")
+
+
+@pytest.mark.parametrize(
+    ("inside", "told"),
+    [
+        ('<body name="b"><freejoint/></body>', "(at 'b')"),
+        ('<body name="b"><geom size="1 2 3 4 5 6"/></body>', "(at 'geom')"),
+        ('<geom type="mesh" mesh="none"/>', "none"),
+    ],
+)
+def test_what_mujoco_refuses_is_told_by_name_and_not_by_lines_that_nobody_sees(tmp_path, inside, told):
+    path = tmp_path / "draft.xml"
+    path.write_text(f"<mujoco><worldbody>{inside}</worldbody></mujoco>")
+    with pytest.raises(ModelRefused) as caught:
+        load(path, "bot.usda")
+    assert "'bot.usda'" in caught.value.message
+    assert told in caught.value.message
+    assert "line" not in caught.value.message
+    assert str(tmp_path) not in caught.value.message
 
 
 def test_a_missing_body_is_refused(pair):

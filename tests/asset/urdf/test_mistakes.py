@@ -52,6 +52,8 @@ def refused(folder, text: str, name: str = "bot.urdf") -> str:
         ('<link name="world"/>', "the file holds the world and nothing in it"),
         ('<xacro:include filename="x"/>' + link("a"), "the file still holds xacro"),
         (link("${prefix}a"), "the file still holds xacro"),
+        (link("$(find pkg)/a"), "the file still holds xacro"),
+        ('<material name="m"><texture filename="$(find pkg)/$(arg a).png"/></material>' + link("a"), "holds xacro"),
     ],
 )
 def test_a_mistake_is_told_with_its_element(tmp_path, inside, message):

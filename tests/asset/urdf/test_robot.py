@@ -242,6 +242,29 @@ def test_links_without_mass_are_frames_on_what_they_are_welded_to(tmp_path):
     assert [path for path, _ in assumed(conversion, "no mass: a frame")] == ["/robot/link[frame]", "/robot/link[foot]"]
 
 
+def test_a_link_without_inertial_weighs_nothing_beside_what_has_one(tmp_path):
+    """As in ROS: shapes on one link, the mass on another that is welded to it, in either order and over a third."""
+    robot = link("base", BOX, inertial="") + link("spacer", inertial="") + link("weight")
+    robot += joint("m", "base", "spacer", "fixed") + joint("n", "spacer", "weight", "fixed")
+    robot += link("leg") + link("sole", BOX, inertial="") + joint("j", "base", "leg", "continuous")
+    model, conversion = made(tmp_path, robot + joint("k", "leg", "sole", "fixed"))
+    assert [model.body(name).mass[0] for name in ("base", "spacer", "weight", "leg", "sole")] == [0, 0, 1, 1, 0]
+    assert conversion.report.totals["mass"] == 2
+    assert not any("kg" in warning for warning in conversion.report.warnings)
+    found = {item.subject: item.numbers for item in conversion.report.findings if item.kind == "no_inertial"}
+    assert found == {name: {"mass": 0} for name in ("base", "spacer", "sole")}
+
+
+def test_a_frame_that_weighs_a_rounding_error_carries_nobody(tmp_path):
+    speck = inertial(4e-15, tensor="2e-27 2e-27 2e-27 0 0 0")
+    welded = link("base", BOX, inertial="") + link("imu", inertial=speck) + joint("m", "base", "imu", "fixed")
+    model, conversion = made(tmp_path, welded)
+    assert model.body("base").mass[0] == pytest.approx(8)  # 0.008 m³ of water
+    assert "weighs 8 kg" in conversion.report.warnings[0]
+    (found,) = [item for item in conversion.report.findings if item.kind == "no_inertial"]
+    assert (found.subject, found.numbers["mass"]) == ("base", pytest.approx(8))
+
+
 def test_a_root_without_mass_may_float_with_what_is_welded_to_it(tmp_path):
     model, _ = made(tmp_path, '<link name="base"/>' + link("a") + joint("j", "base", "a", "fixed"))
     assert [model.body(name).mass[0] for name in ("base", "a")] == [0, 1]

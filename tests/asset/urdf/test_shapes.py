@@ -254,6 +254,9 @@ def test_nodes_of_a_collada_file_that_refer_to_each_other_end(tmp_path):
     "name",
     [
         "package://my_robot/meshes/part.obj",
+        "$(find my_robot)/meshes/part.obj",
+        "$(find-pkg-share my_robot)/meshes/part.obj",
+        "file://$(find my_robot)/meshes/part.obj",
         "model://my_robot/meshes/part.obj",
         "../meshes/part.obj",
         "..\\meshes\\part.obj",

@@ -11,7 +11,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from wheelleg_exp.errors import AssetError
 
-from ..small_usd import MASS, converted, link, tensor, write
+from ..small_usd import MASS, converted, hinge, link, tensor, write
 
 SEEDS = range(40)
 TILT = "(0.98480775, 0, 0, 0.17364818)"  # 20° about z
@@ -281,6 +281,27 @@ def test_a_mass_too_small_for_mujoco_is_told_with_its_prim(tmp_path):
     with pytest.raises(AssetError, match="too small") as told:
         converted(write(tmp_path, link("a", mass=MASS.replace("mass = 1", "mass = 1e-30"))))
     assert told.value.key == "/bot/a"
+
+
+SPECK = MASS.replace("mass = 1", "mass = 4e-15").replace("(0.1, 0.1, 0.1)", "(1.7e-27, 1.7e-27, 1.7e-27)")
+
+
+def test_a_welded_frame_may_weigh_a_rounding_error(tmp_path):
+    fixed = hinge("w", "a", "imu", kind="Fixed", text="point3f physics:localPos0 = (1, 0, 0)")
+    model, done = converted(write(tmp_path, link("a") + link("imu", "(1, 0, 0)", mass=SPECK) + fixed))
+    assert model.body("imu").mass[0] == pytest.approx(4e-15)
+    np.testing.assert_allclose(model.body("imu").inertia, 1.7e-27, rtol=1e-6)
+    (found,) = done.report.findings
+    assert (found.kind, found.subject, found.path) == ("tiny_inertia", "imu", "/bot/imu")
+    assert found.numbers == pytest.approx({"mass": 4e-15, "largest": 1.7e-27})
+    assert not done.report.warnings
+
+
+def test_moments_too_small_for_what_moves_are_those_of_its_shapes(tmp_path):
+    tiny = MASS.replace("(0.1, 0.1, 0.1)", "(1e-27, 1e-27, 1e-27)")
+    model, done = converted(write(tmp_path, link("a", mass=tiny, inside=cube("cube"))))
+    np.testing.assert_allclose(model.body("a").inertia, 0.2**2 / 6, rtol=1e-6)
+    assert any("/bot/a" in text and "moments below" in text for text in done.report.warnings)
 
 
 def test_a_mass_of_zero_means_not_given(tmp_path):

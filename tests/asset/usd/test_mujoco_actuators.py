@@ -36,6 +36,25 @@ def pair(folder, text: str = "", *, target: str = "j", inside: str = "", joint: 
     return converted(write(folder, body + actuator(target, text)))
 
 
+def test_an_attribute_that_mujoco_refuses_is_left_out_by_name_and_nothing_else(tmp_path):
+    refused = "uniform int mjc:actDim = 3\n uniform double[] mjc:gear = [3]"
+    model, done = pair(tmp_path, refused)
+    np.testing.assert_array_equal(model.actuator("motor").gear, [3, 0, 0, 0, 0, 0])
+    (warning,) = done.report.warnings
+    assert warning.startswith("/bot/motor: mjc:actDim was left out: MuJoCo refuses it: ")
+    (left,) = [item for item in done.report.left_out if item.name == "mjc:actDim"]
+    assert left.values == {"/bot/motor": "3"}
+    assert ("/bot/motor", "mjc:actDim") not in {(item.path, item.name) for item in done.report.mapped}
+
+
+def test_two_refused_attributes_are_both_left_out(tmp_path):
+    body = link("a") + link("b", "(1, 0, 0)") + hinge("j", "a", "b", text="point3f physics:localPos0 = (1, 0, 0)")
+    body += actuator("j", "uniform int mjc:actDim = 3") + actuator("j", "uniform int mjc:actDim = 2", "other")
+    model, done = converted(write(tmp_path, body))
+    assert model.nu == 2
+    assert [text.split(":")[0] for text in done.report.warnings] == ["/bot/motor", "/bot/other"]
+
+
 BOTH = "float physics:lowerLimit = -30\n        float physics:upperLimit = 40"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,13 +31,17 @@ TARGETS = {
 }
 
 
+class ModelRefused(AssetError):
+    """MuJoCo does not take a model."""
+
+
 def load(path: Path, source: str) -> mujoco.MjModel:
     """Load an MJCF.
 
     Raises:
-        AssetError: MuJoCo refuses it, with MuJoCo's reason.
+        ModelRefused: MuJoCo does not take it, with its reason.
     """
-    with _refusals(source):
+    with refusals(source, path.parent):
         return mujoco.MjModel.from_xml_path(str(path))
 
 
@@ -44,19 +49,28 @@ def build(text: str, files: Mapping[str, bytes], source: str) -> mujoco.MjModel:
     """Compile the text of an MJCF and the files that it names.
 
     Raises:
-        AssetError: MuJoCo refuses it, with MuJoCo's reason.
+        ModelRefused: MuJoCo does not take it, with its reason.
     """
-    with _refusals(source):
+    with refusals(source):
         return mujoco.MjModel.from_xml_string(text, dict(files))
 
 
+_PLACE = re.compile(r",? *Element (?:name )?'(?P<name>[^']*)'(?:, (?:id|line|column) -?\d+)*")
+
+
 @contextmanager
-def _refusals(source: str) -> Iterator[None]:
+def refusals(source: str, folder: Path | None = None) -> Iterator[None]:
+    """Turn MuJoCo's refusals into errors about ``source``, without lines and the folder of what nobody else sees.
+
+    Raises:
+        ModelRefused: MuJoCo refuses something, with its reason and the element's name.
+    """
     try:
         yield
     except (ValueError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split())
-        raise AssetError(f"MuJoCo cannot build a model of '{source}': {reason}") from None
+        reason = " ".join(str(error).split()).replace(f"{folder}/", "")
+        reason = _PLACE.sub(lambda found: f" (at '{found['name']}')" if found["name"] else "", reason)
+        raise ModelRefused(f"MuJoCo cannot build a model of '{source}': {reason.removeprefix('Error: ')}") from None
 
 
 def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:

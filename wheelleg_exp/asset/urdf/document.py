@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -128,9 +129,14 @@ def _name_paths(root: Element) -> None:
             child.path = f"{element.path}/{child.tag}{label}"
 
 
+PACKAGE = re.compile(r"^(?:file:/{0,2})?\$\(find(?:-pkg-share)? +([^)\s]+) *\)/*")
+"""How launch files name a package in a file's name; it means what ``package://NAME/`` means."""
+
+
 def _refuse_xacro(document: Document) -> None:
-    """Refuse macros and substitutions that nobody has carried out."""
+    """Refuse macros and substitutions that nobody has carried out, but for those that name a file's package."""
     for element in document.root.walk():
-        values = (element.text, *element.attributes.values())
+        values = [PACKAGE.sub("", v) if key == "filename" else v for key, v in element.attributes.items()]
+        values.append(element.text)
         if element.tag.startswith("xacro:") or any("${" in value or "$(" in value for value in values):
             document.fail(element, "the file still holds xacro, which is not carried out here", "xacro IN -o OUT first")

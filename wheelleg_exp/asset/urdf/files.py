@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from wheelleg_exp.asset.sources import LARGEST_TEXT, require_plain_file
-from wheelleg_exp.asset.urdf.document import Document
+from wheelleg_exp.asset.urdf.document import PACKAGE, Document
 from wheelleg_exp.asset.urdf.meshes import READERS
 from wheelleg_exp.asset.usd.stage import file_hash, relative_name
 from wheelleg_exp.errors import AssetError
@@ -43,7 +43,8 @@ class Files:
         if not name.lower().endswith(endings):
             return None
         if name not in self._found:
-            path = next((path for path in self._candidates(name.replace("\\", "/")) if _readable(path)), None)
+            plain = PACKAGE.sub(r"package://\1/", name).replace("\\", "/")
+            path = next((path for path in self._candidates(plain) if _readable(path)), None)
             self._found[name] = path
             if path is None:
                 self.missing[name] = None

@@ -1,6 +1,7 @@
-"""Mass properties of links: what is written, else what the colliders weigh, and nothing for a mere frame.
+"""Mass properties of links: what is written, and nothing for a mere frame.
 
-A written mass of 0 is meant, unlike in USD: such a link is a frame on the link that it is welded to.
+A link without mass is a frame on what it is welded to: written as 0, or without ``<inertial>``, as ROS writes the links
+that only carry shapes or names. Where nothing of what moves as one has a mass, the colliders weigh.
 """
 
 from __future__ import annotations
@@ -52,8 +53,10 @@ def inertials(
     for group in _welded(tree, base):
         top = group[0]
         moves = top.joint is not None or not (base == "fixed" or top is tree.world)
-        if moves and not any(found[link.name].mass > 0 for link in group):
-            found.update(_moving(document, group, colliders))
+        unweighed = [link for link in group if not found[link.name].mass]
+        if moves and unweighed and not any(_enough(found[link.name]) for link in group):
+            found.update(_moving(document, unweighed, colliders))
+        _note_unweighed(document, group, found)
         if moves and not any(_enough(found[link.name]) for link in group):
             message = f"it moves, and its mass or inertia is below {SMALLEST:g}"
             document.fail(top.element, message, "numbers that MuJoCo can divide by")
@@ -76,6 +79,13 @@ def _moving(document: Document, group: list[Link], colliders: dict[str, list[Sha
     return heavy
 
 
+def _note_unweighed(document: Document, group: list[Link], found: dict[str, Part]) -> None:
+    """Record the links of a group that have no ``<inertial>``, with the kilograms that they got."""
+    for link in group:
+        if link.element.first("inertial") is None:
+            document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
+
+
 def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
     """Return the links in groups that move as one, each with the link nearest to the root first."""
     groups: dict[str, list[Link]] = {}
@@ -95,9 +105,7 @@ def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) ->
         turn = seen.inertia_frame.rotation
         return Part(seen.mass, center, turn @ tensor @ turn.T)
     if seen.mass == 0:
-        written = link.element.first("inertial") is not None  # a mass of 0 that somebody wrote is meant
-        volume = None if written else _by_volume(document, link, colliders)
-        return volume or Part(0.0, center, np.zeros((3, 3)))
+        return Part(0.0, center, np.zeros((3, 3)))
     parts = _weights(colliders)
     if not parts:
         return _bare(document, link, seen.mass, center)

@@ -15,11 +15,11 @@ import numpy as np
 
 from wheelleg_exp.asset.description import DofKind, Pose, Vec3
 from wheelleg_exp.asset.geometry import Frame
+from wheelleg_exp.asset.mjcf.verify import refusals
 from wheelleg_exp.asset.mjcf.xml import Element as Xml
 from wheelleg_exp.asset.urdf.document import Document
 from wheelleg_exp.asset.urdf.kinematics import WORLD, Joint, Link, Tree
 from wheelleg_exp.asset.urdf.xml import Element
-from wheelleg_exp.errors import AssetError
 
 KEEP_ALL: dict[str, Any] = {"discardvisual": False, "fusestatic": False, "strippath": False}
 SHAPES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
@@ -68,11 +68,8 @@ def read_with_mujoco(document: Document, tree: Tree) -> dict[str, Seen]:
     if tree.world is not None:
         ids[tree.world.name] = WORLD
     text = _plain(document, tree, ids).text()
-    try:
+    with refusals(document.source.name):
         spec = mujoco.MjSpec.from_string(text)
-    except (ValueError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split())
-        raise AssetError(f"MuJoCo cannot read '{document.source.name}': {reason}") from None
     return {name: _seen(spec.body(ids[name]), link) for name, link in tree.links.items()}
 
 

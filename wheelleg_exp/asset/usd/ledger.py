@@ -6,6 +6,7 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
+from wheelleg_exp.asset.findings import Finding, Kind
 from wheelleg_exp.asset.report import Assumption, LeftOut, Mapped
 from wheelleg_exp.asset.usd.attributes import kind_of, value_of
 
@@ -19,6 +20,7 @@ class Ledger:
         self._left: dict[tuple[str, str], dict[str, str]] = {}
         self._left_names: set[tuple[str, str]] = set()
         self._warnings: dict[str, None] = {}
+        self._found: dict[tuple[str, str], Finding] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
         """Return an attribute's authored value in plain Python, or None.
@@ -64,6 +66,19 @@ class Ledger:
     def warn(self, text: str) -> None:
         """Note something that people should know."""
         self._warnings[text] = None
+
+    def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
+        """Record something odd, once for each kind and subject; what the numbers are stands in ``findings``."""
+        self._found[kind, subject] = Finding(kind, subject, str(path), numbers)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Return everything odd, in the order of finding."""
+        return tuple(self._found.values())
+
+    def assumed(self, path: object, rule: str) -> bool:
+        """Return whether a rule was followed somewhere."""
+        return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
         """Return whether something is accounted for: it became something, or was left out for a reason."""

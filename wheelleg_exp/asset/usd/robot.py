@@ -110,7 +110,7 @@ class _Parts:
             parent=node.parent.name if node.parent else None,
             pose=node.pose,
             inertial=inertial_of(
-                self.stage, link, self.shapes.pieces_of(link), still=node.joint is not None and not dofs
+                self.stage, link, self.shapes.pieces_of(link), welded=node.joint is not None and not dofs
             ),
             floating=node.floating,
             velocity=velocity_of(self.stage, link) if node.floating else (0.0,) * 6,

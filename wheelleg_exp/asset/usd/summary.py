@@ -66,6 +66,7 @@ def report_of(
         left_out=left,
         warnings=warnings,
         unresolved=unresolved,
+        findings=ledger.findings,
         layers=layers,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,14 +31,14 @@ from wheelleg_exp.errors import AssetError
 SMALLEST = 1e-15  # kg, kg m²; MuJoCo refuses less on bodies that move
 
 
-def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], still: bool = False) -> Inertial:
+def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
     """Return a body's mass, centre and principal moments.
 
     Args:
         stage: the open stage.
         link: the body.
         pieces: its shapes; those with a carrier count, switched off or not.
-        still: whether nothing moves it in its parent, so that MuJoCo lets it weigh nothing.
+        welded: whether nothing moves it in its parent, so that MuJoCo lets it weigh nothing.
 
     Raises:
         AssetError: the mass is too small for MuJoCo.
@@ -46,11 +47,11 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], still: bool =
     parts: list[Part] = []
     if authored is None or center is None or moments is None:  # the colliders say what the file does not
         parts = parts_of(stage, link, pieces)
-    if authored is None and not parts and moments is None and still and find_scene(stage) is not None:
+    if authored is None and not parts and moments is None and welded and find_scene(stage) is not None:
         stage.ledger.assume(link.path, "no mass and no collider: none, as MuJoCo", "0 kg")
         return Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     mass = _computed_mass(stage, link, parts) if authored is None else authored
-    if mass < SMALLEST:
+    if mass < SMALLEST and not welded:
         raise AssetError(f"a mass of {mass:g} kg is too small", key=link.path, expected=f"more than {SMALLEST:g} kg")
     if center is None:
         center = combined_center(parts)
@@ -58,7 +59,27 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], still: bool =
             stage.ledger.assume(link.path, "no centre of mass: that of the colliders", str(vec3(center)))
     values, axes = _moments(stage, link, parts, mass, center, moments)
     x, y, z = (plain_float(value) for value in values)
+    if max(x, y, z) < SMALLEST:
+        tiny = Inertial(plain_float(mass), vec3(center), (x, y, z), axes)
+        return _tiny(stage, link, tiny, None if welded else parts or parts_of(stage, link, pieces))
     return Inertial(plain_float(mass), vec3(center), _possible(stage, link, (x, y, z)), axes)
+
+
+def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -> Inertial:
+    """Return a body whose moments MuJoCo refuses on what moves: as they are without ``parts``, else those of parts."""
+    largest = max(found.moments)
+    stage.ledger.find("tiny_inertia", link.name, link.path, mass=found.mass, largest=largest)
+    if parts is None:
+        return replace(found, moments=balanced(found.moments) if largest > 0 else found.moments)
+    rule = f"moments below {SMALLEST:g} kg m² on a body that moves: as if they were not given"
+    stage.ledger.assume(link.path, rule, f"{largest:g}")
+    center = np.array(found.center_of_mass)
+    moments, axes = principal(_computed_tensor(stage, link, parts, found.mass, center, True))
+    if max(moments) < SMALLEST:
+        message = f"principal moments of {found.moments} kg m² are too small"
+        raise AssetError(message, key=link.path, expected=f"more than {SMALLEST:g}")
+    stage.ledger.warn(f"{link.path}: {rule}; the model has {moments}")
+    return replace(found, moments=moments, axes=axes)
 
 
 def _moments(
@@ -161,10 +182,6 @@ def _computed_tensor(
 
 def _possible(stage: Stage, link: Link, moments: Vec3) -> Vec3:
     """Return moments that MuJoCo accepts, and say so when the file's are not."""
-    if max(moments) < SMALLEST:
-        raise AssetError(
-            f"principal moments of {moments} kg m² are too small", key=link.path, expected=f"more than {SMALLEST:g}"
-        )
     able = balanced(moments)
     if able == moments:
         return moments
