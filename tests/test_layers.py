@@ -17,7 +17,7 @@ LAYERS = (
     ("user_code", "trusted_folders"),
     ("packages", "definitions"),
     ("terms",),
-    ("asset", "state"),
+    ("asset", "state", "rendering"),
     ("sim",),
     ("managers",),
     ("mdp", "env"),

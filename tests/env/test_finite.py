@@ -116,7 +116,7 @@ def test_an_observation_of_a_group_that_is_not_joined_names_its_term(make_env):
 
 def test_who_resets_by_hand_is_shown_what_has_failed(make_env):
     env = make_env()
-    env.auto_reset = False
+    env.autoreset = "disabled"
     env.reset()
     action = STILL.clone()
     action[1] = math.nan

@@ -152,7 +152,7 @@ def test_a_final_observation_is_read_before_anything_is_reset(env):
 
 def test_without_automatic_resets_nothing_is_reset(env):
     env.reset()
-    env.auto_reset = False
+    env.autoreset = "disabled"
     spies.VALUES["done"] = torch.tensor([0.0, 1.0, 0.0])
     said = _calls(lambda: env.step(torch.zeros(3, 1)))
     assert not [line for line in said if "reset" in line]

@@ -188,5 +188,35 @@ def test_whose_numbers_were_not_finite_is_told(env):
     *_, terminated, _, info = env.step(np.full(6, np.nan, np.float32))
     assert terminated
     assert info == {"non_finite": ["env.actions"]}
-    observations, _ = env.reset()
+    observations, info = env.reset()
     assert all(np.isfinite(value).all() for value in observations.values())
+    assert info["log"]["Episode_Reward/alive"] == 0.0  # what the failed step was worth
+
+
+def test_a_reset_tells_what_the_managers_say_of_the_episode_that_was_left(env):
+    _, info = env.reset(seed=0)
+    rewards = [env.step(action)[1] for action in actions(5)]
+    _, info = env.reset()
+    parts = [value for key, value in info["log"].items() if key.startswith("Episode_Reward/")]
+    assert sum(parts) * 5.0 == pytest.approx(sum(rewards), rel=1e-5)  # over the longest episode's 5 s
+    assert env.reset()[1] == {}
+
+
+@pytest.mark.parametrize(("bound", "high"), [(2, [2] * 6), ([1, 2, 3, 4, 5, 6], [1, 2, 3, 4, 5, 6])])
+def test_actions_may_have_bounds(bound, high):
+    space = make(action_bound=bound).action_space
+    assert (space.high.tolist(), space.low.tolist()) == (high, [-x for x in high])
+    assert space.dtype == np.float32
+
+
+def test_actions_beyond_the_bound_are_simulated_as_they_are(env):
+    """The bound is the space's alone: whoever wants actions clipped wraps it in ClipAction."""
+    bounded = make(action_bound=0.1)
+    assert same(rollout(bounded, 5), rollout(env, 5))
+
+
+@pytest.mark.parametrize("bound", [0, -1.0, float("inf"), float("nan"), [1, 2], "wide"])
+def test_a_bound_that_is_none_is_told(bound):
+    with pytest.raises(ConfigError, match="a number above 0, 6 such, or None") as caught:
+        make(action_bound=bound)
+    assert caught.value.key == "action_bound"

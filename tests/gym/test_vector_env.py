@@ -69,7 +69,7 @@ def by_hand():
     """The same environment, run by hand and without autoreset."""
     config = compose(["task=stand", *ONE_THREAD, f"env.num_envs={N}"]).config
     env = build_env(config)
-    env.auto_reset = False
+    env.autoreset = "disabled"
     return env
 
 
@@ -95,7 +95,9 @@ def test_final_obs_is_the_terminal_observation_and_the_returned_one_begins_the_n
     assert done.any()
     assert not done.all()
     for group in observations:
-        np.testing.assert_array_equal(infos["final_obs"][group][done], expected[group].numpy()[done])
+        last = np.stack([row[group] for row in infos["final_obs"][done]])
+        np.testing.assert_array_equal(last, expected[group].numpy()[done])
+    assert all(row is None for row in infos["final_obs"][running])
     begun, _ = by_hand.reset(env_ids=torch.from_numpy(done).nonzero().squeeze(1))
     for group in observations:
         np.testing.assert_array_equal(observations[group][done], begun[group].numpy()[done])
@@ -112,7 +114,7 @@ def test_the_returned_observation_knows_nothing_of_the_last_episode(env):
     assert (gravity == gravity[0]).all()  # the first sample fills the history
     assert gravity[0, 2] < -0.99
     assert (row[105:135] == 0).all()  # no last action
-    assert not (infos["final_obs"]["policy"][terminated][0][105:135] == 0).all()
+    assert not (infos["final_obs"][terminated][0]["policy"][105:135] == 0).all()
 
 
 def test_time_outs_are_truncations():
@@ -129,9 +131,9 @@ def test_the_managers_log_comes_with_the_resets_alone():
     infos = [env.step(np.zeros((N, 6), np.float32))[4] for _ in range(7)]
     assert ["log" in info for info in infos] == [k == 5 for k in range(7)]
     log = infos[5]["log"]
-    assert log["Episode_Termination/time_out"] == 1.0
+    assert log["Episode_Termination/time_out"].tolist() == [1.0] * N
     # 6 steps of weight 5 over the longest episode's 0.1 s
-    assert log["Episode_Reward/alive"] == pytest.approx(5.0 * 6 / 60 / 0.1)
+    assert log["Episode_Reward/alive"] == pytest.approx([5.0 * 6 / 60 / 0.1] * N)
 
 
 def rollout(env, seed):
@@ -195,8 +197,36 @@ def test_whose_numbers_were_not_finite_is_told(env):
     wrong = np.zeros((N, 6), np.float32)
     wrong[2, 1] = np.nan
     observations, rewards, terminated, _, infos = env.step(wrong)
-    assert infos["_non_finite"].tolist() == terminated.tolist() == [False, False, True, False]
-    assert infos["non_finite"].tolist() == [None, None, ["env.actions"], None]
+    last = infos["final_info"]
+    assert last["_non_finite"].tolist() == terminated.tolist() == [False, False, True, False]
+    assert last["non_finite"].tolist() == [None, None, ["env.actions"], None]
     assert np.isfinite(rewards).all()
     assert all(np.isfinite(value).all() for value in observations.values())
-    assert "non_finite" not in env.step(np.zeros((N, 6), np.float32))[4]
+    assert env.step(np.zeros((N, 6), np.float32))[4] == {}
+
+
+@pytest.mark.parametrize(
+    ("given", "mode"),
+    [
+        ("same_step", AutoresetMode.SAME_STEP),
+        ("next_step", AutoresetMode.NEXT_STEP),
+        ("disabled", AutoresetMode.DISABLED),
+        ("NextStep", AutoresetMode.NEXT_STEP),  # the enum's value, as SyncVectorEnv takes it
+        (AutoresetMode.DISABLED, AutoresetMode.DISABLED),
+    ],
+)
+def test_the_mode_of_autoreset_is_said_where_wrappers_look(given, mode):
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, autoreset_mode=given, overrides=ONE_THREAD)
+    assert env.metadata["autoreset_mode"] is mode
+    assert type(env.unwrapped).metadata["autoreset_mode"] is AutoresetMode.SAME_STEP  # no other env's
+
+
+def test_an_unknown_mode_of_autoreset_is_told_with_the_nearest():
+    with pytest.raises(ConfigError, match="same_step, next_step, disabled") as caught:
+        gymnasium.make_vec(ENV_ID, num_envs=2, autoreset_mode="next_stp")
+    assert (caught.value.key, caught.value.nearest) == ("autoreset_mode", "next_step")
+
+
+def test_each_environment_is_asked_as_gymnasiums_own_are(env):
+    assert env.unwrapped.call("render_mode") == (None,) * N
+    assert env.unwrapped.call("render") == (None,) * N

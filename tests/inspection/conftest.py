@@ -8,10 +8,10 @@ import pytest
 from inspection.written import write_recording
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.pictures.recorded_scene import Scene
-from wheelleg_exp.inspection.pictures.render_job import Order
-from wheelleg_exp.inspection.pictures.renderer import drawing
 from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.rendering.render_job import Order
+from wheelleg_exp.rendering.renderer import drawing
+from wheelleg_exp.rendering.scene import Scene
 
 
 @pytest.fixture(scope="session")

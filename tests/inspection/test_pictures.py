@@ -14,12 +14,14 @@ from inspection.written import CONTACT, DT, FELL_AT, HEIGHT, base_x, write_recor
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.pictures import captions, pictures, renderer
-from wheelleg_exp.inspection.pictures.camera import Camera, axes, follow
+from wheelleg_exp.inspection.pictures import captions, pictures
+from wheelleg_exp.inspection.pictures.camera import Camera, follow
 from wheelleg_exp.inspection.pictures.pictures import Scenery, row_at, scenery
-from wheelleg_exp.inspection.pictures.recorded_scene import points
-from wheelleg_exp.inspection.pictures.recorded_shapes import Shape
 from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.rendering import renderer
+from wheelleg_exp.rendering.scene import points
+from wheelleg_exp.rendering.shapes import Shape
+from wheelleg_exp.rendering.viewpoint import axes
 
 pytestmark = pytest.mark.pictures
 

@@ -19,11 +19,11 @@ from patience import PATIENCE_S, wait_until
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.pictures.renderer import NoGraphics
 from wheelleg_exp.inspection.viewer import viewer, viewer_process, web
 from wheelleg_exp.inspection.viewer.web import WebViewer
 from wheelleg_exp.recording.reading.reader import Recording
 from wheelleg_exp.recording.writing.feed import free_port
+from wheelleg_exp.rendering.renderer import NoGraphics
 
 pytestmark = pytest.mark.pictures
 

@@ -4,8 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.recording.writing.geometry import body_geoms, colour, shape, xyzw
-from wheelleg_exp.recording.writing.kinematics import Kinematics, weight
+from wheelleg_exp.recording.writing.geometry import shape, xyzw
+from wheelleg_exp.recording.writing.kinematics import weight
+from wheelleg_exp.rendering.compiled import body_geoms, colour
+from wheelleg_exp.rendering.poses import Kinematics
 
 HALF = np.sqrt(0.5)
 

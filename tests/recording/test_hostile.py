@@ -104,7 +104,7 @@ SHAPED = [name for name in HOSTILE if name.startswith(("a box", "a capsule", "a 
 @pytest.mark.parametrize("name", SHAPED)
 def test_its_robot_is_understood_or_it_is_told_why_not(name, folder):
     from wheelleg_exp.inspection.pictures import pictures
-    from wheelleg_exp.inspection.pictures.render_model import build
+    from wheelleg_exp.rendering.render_model import build
 
     (folder / "x.rrd").write_bytes(HOSTILE[name]())
     try:

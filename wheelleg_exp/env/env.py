@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -32,6 +32,7 @@ from wheelleg_exp.terms.sections import Env, read_value
 _LEAST_PER_ENV = 10_000  # bytes: state, outputs and observations of one small robot
 
 Observations = dict[str, Group]
+AutoresetMode = Literal["same_step", "next_step", "disabled"]
 StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
@@ -45,7 +46,8 @@ class ManagerBasedRLEnv(Kept):
 
     Attributes:
         device: where all tensors are; nobody else says so.
-        auto_reset: whether an environment that is done is reset within the step.
+        autoreset: when an environment that is done is reset: within the step; in the next, which counts for nothing;
+            or by the caller.
         keep_final_obs: whether ``extras["final_obs"]`` holds the last observation of the episodes that end.
         observers: called in every step after the rewards and before the resets.
 
@@ -71,7 +73,7 @@ class ManagerBasedRLEnv(Kept):
         self.streams = Streams(seed, self.device)
         self.extras: dict[str, Any] = {}
         self.keep_final_obs = False
-        self.auto_reset = True
+        self.autoreset: AutoresetMode = "same_step"
         self.observers: list[Callable[[], None]] = []
 
         self.scene_manager = SceneManager(cfg, mjcf, self.num_envs)
@@ -88,6 +90,7 @@ class ManagerBasedRLEnv(Kept):
         self.curriculum_manager = CurriculumManager(cfg.get("curriculum"), self)
         self.event_manager.apply("startup")
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
+        self._none = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         self._term_state = TermState(self, self.managers, cfg)
 
     @property
@@ -121,6 +124,7 @@ class ManagerBasedRLEnv(Kept):
         Raises:
             SimulationFailure: observations, or what an event wrote, are not finite: the run cannot go on.
         """
+        waiting = self._waiting()
         self.action_manager.process_action(action)
         self.scene.robot.data.begin_control_step()
         for _ in range(self.decimation):
@@ -132,9 +136,9 @@ class ManagerBasedRLEnv(Kept):
         self.common_step_counter += 1
 
         self.extras.pop("non_finite", None)
-        done = self.termination_manager.compute()
-        self.reward_buf = self.reward_manager.compute(self.step_dt)
-        unstable = ids_where(self.scene.unstable())
+        done = self.termination_manager.compute(waiting)
+        self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
+        unstable = ids_where(self.scene.unstable() if waiting is None else self.scene.unstable() & ~waiting)
         if len(unstable) or self.reward_manager.non_finite:
             done = self._end_failed(unstable)
         for observe in self.observers:
@@ -142,7 +146,7 @@ class ManagerBasedRLEnv(Kept):
 
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
-        ended = ids_where(done & self.auto_reset)
+        ended = ids_where(done if self.autoreset == "same_step" else self._none if waiting is None else waiting)
         if len(ended):
             if self.keep_final_obs:
                 self.extras["final_obs"] = self.observation_manager.peek()
@@ -151,15 +155,21 @@ class ManagerBasedRLEnv(Kept):
         self.event_manager.apply_interval(self.step_dt)
         self.scene.refresh()
         observations = self.observation_manager.compute()
-        if self.auto_reset:  # else those that have failed still show it
+        if self.autoreset == "same_step":  # else those that have failed still show it
             require_finite_observations(self)
         terminated, time_outs = self.termination_manager.terminated, self.termination_manager.time_outs
         return observations, self.reward_buf, terminated.clone(), time_outs.clone(), self.extras
 
+    def _waiting(self) -> torch.Tensor | None:
+        """Return which environments ended in the last step and begin anew in this one, (N,) bool (``next_step``)."""
+        if self.autoreset != "next_step":
+            return None
+        return self.termination_manager.dones & (self.episode_length_buf > 0)
+
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset environments and return the observations of all.
+        """Reset environments and return the observations of all; those of the others stay as they were.
 
         Commands are drawn but not post-processed here: the first observation shows the drawn command of an
         environment that is to stand still, as in Isaac Lab.
@@ -175,8 +185,9 @@ class ManagerBasedRLEnv(Kept):
         if len(ids):
             self._reset_idx(ids)
         self.scene.refresh()
-        observations = self.observation_manager.compute()
-        require_finite_observations(self)
+        only = None if env_ids is None else torch.zeros_like(self._none).index_fill(0, ids, True)
+        observations = self.observation_manager.compute(only)
+        require_finite_observations(self, only)
         return observations, self.extras
 
     def _reset_idx(self, env_ids: torch.Tensor) -> None:

@@ -14,7 +14,7 @@ from wheelleg_exp.state.saved_or_refused import refusal
 from wheelleg_exp.state.values import NOTHING, Reference, Unsaveable, look, same
 
 # What the environment and those who drive it change themselves.
-_OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "auto_reset", "observers", "cfg")
+_OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg")
 _PLAIN = (bool, int, float, str, type(None))
 
 

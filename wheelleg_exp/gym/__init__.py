@@ -4,6 +4,7 @@
 |---|---|
 | `task` | a task's name becomes an environment and its spaces |
 | `single_env`, `vector_env` | the two faces of it |
+| `pictures` | `render_mode="rgb_array"` |
 """
 
 from __future__ import annotations

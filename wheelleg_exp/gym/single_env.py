@@ -9,8 +9,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from wheelleg_exp.gym.task import Arrays, action_space, as_arrays, observation_space, task_env
+from wheelleg_exp.gym.pictures import RENDER_MODES, Pictures
+from wheelleg_exp.gym.task import Arrays, action_space, as_arrays, log_of, observation_space, task_env
 
 
 class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
@@ -20,26 +22,45 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         task: a task's name.
         overrides: Hydra overrides.
         config_dirs: folders of the user's own configs.
+        action_bound: the largest size of an action, of all or of each (A,): the bound of ``action_space``; None is
+            unbounded. Actions beyond it are simulated as they are.
+        render_mode: ``rgb_array``, or None.
+        width: of pictures, px.
+        height: of pictures, px.
 
     Raises:
-        WheellegError: the task, an override or the robot is wrong.
+        WheellegError: the task, an override or the robot is wrong, or one of these arguments.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 60}  # noqa: RUF012
 
     def __init__(
-        self, task: str = "stand", overrides: Sequence[str] = (), config_dirs: Sequence[str | Path] = ()
+        self,
+        task: str = "stand",
+        overrides: Sequence[str] = (),
+        config_dirs: Sequence[str | Path] = (),
+        action_bound: float | Sequence[float] | None = None,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
     ) -> None:
         self.env = task_env(task, 1, overrides, config_dirs)
-        self.env.auto_reset = False
+        self.env.autoreset = "disabled"
         self.observation_space: gymnasium.Space[Arrays] = observation_space(self.env)  # type: ignore[assignment]
-        self.action_space = action_space(self.env)
+        self.action_space = action_space(self.env, action_bound)
+        self.render_mode = render_mode
+        self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / self.env.step_dt)}
+        self._pictures = Pictures(self.env, render_mode, width, height)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
-        """Begin an episode; a seed starts all random streams anew."""
+        """Begin an episode; a seed starts all random streams anew.
+
+        ``log`` in the info is what the managers say of the episode that was left, if there was one.
+        """
         super().reset(seed=seed, options=options)
-        observations, _ = self.env.reset(seed=seed)
-        return _first(as_arrays(observations)), {}
+        has_run = bool(self.env.episode_length_buf[0])
+        observations, extras = self.env.reset(seed=seed)
+        return _first(as_arrays(observations)), {"log": log_of(extras)} if has_run else {}
 
     def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
         """Advance by one control step, for a raw action (A,).
@@ -51,6 +72,19 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         observations, reward, terminated, truncated, extras = self.env.step(raw)
         info = {"non_finite": extras["non_finite"]["keys"][0]} if "non_finite" in extras else {}
         return _first(as_arrays(observations)), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture (height, width, 3), or None without a ``render_mode``.
+
+        Raises:
+            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+        """
+        drawn = self._pictures.draw()
+        return None if drawn is None else drawn[0]
+
+    def close(self) -> None:
+        """End the process that draws."""
+        self._pictures.close()
 
 
 def _first(arrays: Arrays) -> Arrays:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -57,11 +58,35 @@ def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
     )
 
 
-def action_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Box:
-    """Return the space of one environment's actions: unbounded, as the raw actions are never clipped."""
-    return gymnasium.spaces.Box(-np.inf, np.inf, (env.action_manager.total_action_dim,), np.float32)
+def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) -> gymnasium.spaces.Box:
+    """Return the space of one environment's raw actions.
+
+    Args:
+        env: the environment.
+        bound: the largest size of an action, of all or of each; None is unbounded.
+
+    Raises:
+        ConfigError: the bound is no bound.
+    """
+    width = env.action_manager.total_action_dim
+    if bound is None:
+        return gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
+    try:
+        high = np.broadcast_to(np.asarray(bound, dtype=np.float32), (width,)).copy()
+    except (ValueError, TypeError):
+        high = np.full(1, np.nan)
+    if not (np.isfinite(high).all() and (high > 0).all()):
+        raise ConfigError(
+            f"{bound!r} bounds no action", key="action_bound", expected=f"a number above 0, {width} such, or None"
+        )
+    return gymnasium.spaces.Box(-high, high, dtype=np.float32)
 
 
 def as_arrays(observations: Observations) -> Arrays:
     """Return observations as arrays of their own."""
     return {group: host_copy(value) for group, value in observations.items() if isinstance(value, torch.Tensor)}
+
+
+def log_of(extras: dict[str, Any]) -> dict[str, float]:
+    """Return what the managers say of the episodes that were reset last, by name."""
+    return {key: float(value) for key, value in extras["log"].items()}

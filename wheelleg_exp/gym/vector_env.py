@@ -8,32 +8,54 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
 from wheelleg_exp.env.host import host_copy
-from wheelleg_exp.gym.task import Arrays, action_space, as_arrays, observation_space, task_env
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.gym.pictures import RENDER_MODES, Pictures
+from wheelleg_exp.gym.task import Arrays, action_space, as_arrays, log_of, observation_space, task_env
+
+_MODES = {
+    "same_step": AutoresetMode.SAME_STEP,
+    "next_step": AutoresetMode.NEXT_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
 
 
 class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
-    """A task as a vector environment with same-step autoreset.
+    """A task as a vector environment, whose infos are laid out as Gymnasium's own ``SyncVectorEnv`` lays them out.
 
-    An environment that is done is reset within the step: its last observation stands in ``infos["final_obs"]``
-    (rows where ``infos["_final_obs"]`` is true), the returned one begins the next episode. Where a reward or the
-    physics was not finite, the environment has failed with a reward of 0: ``infos["non_finite"]`` says whose numbers
-    these were.
+    ``same_step``: an environment that is done is reset within the step, its last observation and info stand in
+    ``final_obs`` and ``final_info``, the returned one begins the next episode. ``next_step``: it is reset in the step
+    after, whose action and reward count for nothing. ``disabled``: by ``reset(options={"reset_mask": ...})``.
+    ``log`` in the infos is what the managers say of the episodes that were left in this step, the mean over all of
+    them. Where a reward or the physics was not finite, the environment has failed with a reward of 0, and
+    ``non_finite`` says whose numbers these were.
 
     Args:
         num_envs: number of environments, N.
         task: a task's name.
         overrides: Hydra overrides.
         config_dirs: folders of the user's own configs.
+        action_bound: the largest size of an action, of all or of each (A,): the bound of ``single_action_space``;
+            None is unbounded. Actions beyond it are simulated as they are.
+        render_mode: ``rgb_array``, or None.
+        width: of pictures, px.
+        height: of pictures, px.
+        autoreset_mode: ``same_step``, ``next_step``, ``disabled``, or Gymnasium's ``AutoresetMode``.
 
     Raises:
-        WheellegError: the task, an override or the robot is wrong.
+        WheellegError: the task, an override or the robot is wrong, or one of these arguments.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": RENDER_MODES,
+        "render_fps": 60,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
 
     def __init__(
         self,
@@ -41,39 +63,131 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         task: str = "stand",
         overrides: Sequence[str] = (),
         config_dirs: Sequence[str | Path] = (),
+        action_bound: float | Sequence[float] | None = None,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
     ) -> None:
+        self._mode = _autoreset(autoreset_mode)
         self.env = task_env(task, num_envs, overrides, config_dirs)
-        self.env.keep_final_obs = True
+        self.env.autoreset = self._mode.name.lower()  # type: ignore[assignment]
+        self.env.keep_final_obs = self._mode is AutoresetMode.SAME_STEP
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.env)
-        self.single_action_space = action_space(self.env)
+        self.single_action_space = action_space(self.env, action_bound)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self.render_mode = render_mode
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": round(1 / self.env.step_dt),
+            "autoreset_mode": self._mode,
+        }
+        self._pictures = Pictures(self.env, render_mode, width, height)
+        self._done = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Arrays, dict[str, Any]]:
-        """Reset every environment; one seed starts all random streams anew."""
+        """Reset every environment, or those of ``options["reset_mask"]`` (N,) bool.
+
+        One seed starts all random streams anew.
+        """
         if isinstance(seed, list):
             raise ValueError("the environments share their random streams: give one seed, not a list")
+        mask = _reset_mask(options, self.num_envs)
+        if mask is not None and seed is not None:
+            raise ValueError("the environments share their random streams: a seed is for a reset of all of them")
         super().reset(seed=seed, options=options)
-        observations, _ = self.env.reset(seed=seed)
-        return as_arrays(observations), {}
+        left = host_copy(self.env.episode_length_buf > 0)
+        if mask is None:
+            observations, extras = self.env.reset(seed=seed)
+            self._done[:] = False
+        else:
+            observations, extras = self.env.reset(env_ids=torch.from_numpy(mask).nonzero().squeeze(1))
+            self._done[mask] = False
+            left &= mask
+        return as_arrays(observations), _log(extras, left) if left.any() else {}
 
     def step(self, actions: np.ndarray) -> tuple[Arrays, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance every environment by one control step, for raw actions (N, A)."""
+        """Advance every environment by one control step, for raw actions (N, A).
+
+        Raises:
+            ResetNeeded: without autoreset, an environment that is done was not reset.
+        """
+        if self._mode is AutoresetMode.DISABLED and self._done.any():
+            raise ResetNeeded(f"{np.flatnonzero(self._done).tolist()} are done: reset them with options['reset_mask']")
+        begun = self._done
         action = torch.as_tensor(np.asarray(actions, dtype=np.float32))
         observations, reward, terminated, truncated, extras = self.env.step(action)
+        self._done = host_copy(terminated | truncated)
         infos: dict[str, Any] = {}
-        if "final_obs" in extras:
-            infos["final_obs"] = as_arrays(extras["final_obs"])
-            infos["_final_obs"] = host_copy(terminated | truncated)
-        if extras["log_is_fresh"]:
-            infos["log"] = {key: float(value) for key, value in extras["log"].items()}
-        if "non_finite" in extras:
-            infos["non_finite"] = np.full(self.num_envs, None, dtype=object)
+        if self._mode is AutoresetMode.SAME_STEP and self._done.any():
+            begun = self._done
+            self._add_final(infos, as_arrays(extras["final_obs"]), extras)
+        elif "non_finite" in extras:
             for env_id, keys in extras["non_finite"]["keys"].items():
-                infos["non_finite"][env_id] = keys
-            infos["_non_finite"] = np.array([keys is not None for keys in infos["non_finite"]])
+                self._add_info(infos, {"non_finite": keys}, env_id)
+        if extras["log_is_fresh"]:
+            infos |= _log(extras, begun)
         rewards = host_copy(reward.double())
         return as_arrays(observations), rewards, host_copy(terminated), host_copy(truncated), infos
+
+    def _add_final(self, infos: dict[str, Any], final_obs: Arrays, extras: dict[str, Any]) -> None:
+        """Add the last observation and info of each episode that has just ended."""
+        non_finite = extras["non_finite"]["keys"] if "non_finite" in extras else {}
+        for env_id in np.flatnonzero(self._done).tolist():
+            info = {"non_finite": non_finite[env_id]} if env_id in non_finite else {}
+            last = {group: value[env_id] for group, value in final_obs.items()}
+            self._add_info(infos, {"final_obs": last, "final_info": info}, env_id)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture (height, width, 3) of every environment, or None without a ``render_mode``.
+
+        Raises:
+            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+        """
+        return self._pictures.draw()
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Return what each environment has or answers by a name, as ``SyncVectorEnv.call`` does."""
+        found = getattr(self, name)
+        answer = found(*args, **kwargs) if callable(found) else found
+        return answer if name == "render" and answer is not None else (answer,) * self.num_envs
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the process that draws."""
+        del kwargs
+        self._pictures.close()
+
+
+def _autoreset(mode: str | AutoresetMode) -> AutoresetMode:
+    if isinstance(mode, AutoresetMode):
+        return mode
+    found = _MODES.get(mode) or next((known for known in AutoresetMode if known.value == mode), None)
+    if found is None:
+        expected = "one of " + ", ".join(_MODES)
+        nearest = nearest_name(str(mode), _MODES)
+        raise ConfigError(f"there is no mode '{mode}'", key="autoreset_mode", expected=expected, nearest=nearest)
+    return found
+
+
+def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.bool_] | None:
+    """Return which environments are to be reset; None is all."""
+    if not options or "reset_mask" not in options:
+        return None
+    mask = options["reset_mask"]
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+        raise TypeError(f"options['reset_mask'] is a {type(mask).__name__}; expected an array of bool")
+    if mask.shape != (num_envs,) or not mask.any():
+        raise ValueError(f"options['reset_mask'] is {mask}; expected ({num_envs},) with at least one True")
+    return mask
+
+
+def _log(extras: dict[str, Any], which: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the managers' log, as Gymnasium lays out what some environments (N,) bool have each."""
+    log: dict[str, Any] = {}
+    for key, value in log_of(extras).items():
+        log |= {key: np.where(which, value, 0.0), f"_{key}": which.copy()}
+    return {"log": log, "_log": which.copy()}

@@ -110,8 +110,12 @@ def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: tor
             raise failure(env, path, f"wrote numbers that are not finite into {name}", found)
 
 
-def require_finite_observations(env: Env) -> None:
+def require_finite_observations(env: Env, only: torch.Tensor | None = None) -> None:
     """Refuse observations that are no numbers.
+
+    Args:
+        env: the environment.
+        only: environments (N,) bool that are looked at; None is all.
 
     Raises:
         SimulationFailure: with the key of the first such term.
@@ -120,7 +124,7 @@ def require_finite_observations(env: Env) -> None:
     parts = [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
     if parts and may_fail(part.sum() for part in parts):
         for path, part in _observed(env):
-            bad = failed_rows(part)
+            bad = failed_rows(part if only is None else part.masked_fill(~only.view(-1, *[1] * (part.ndim - 1)), 0.0))
             if len(bad):
                 raise failure(env, path, "gave observations that are not finite", bad)
 

@@ -17,7 +17,7 @@ from wheelleg_exp.managers.returned import row_form
 from wheelleg_exp.managers.term import Term, bind_terms
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
-from wheelleg_exp.state import Kept, cloned, made, stateful
+from wheelleg_exp.state import Kept, cloned, made, merged, stateful
 from wheelleg_exp.terms.sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.sections import read_section
 
@@ -243,8 +243,14 @@ class ObservationManager(Kept):
             return value
         return {name: value[..., part] for name, part in self.term_slices(group).items()}
 
-    def compute(self) -> dict[str, Group]:
-        """Return every group's observation; advances noise, modifiers and histories."""
+    def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
+        """Return every group's observation; advances noise, modifiers and histories.
+
+        Args:
+            only: environments (N,) bool that are observed anew: the others' observations, modifiers and histories stay
+                as they are.
+        """
+        kept = None if only is None else self.state_dict()
         first = self._first_ids()
         self.obs_buf = {
             group: self._joined(group, {name: term.compute(first) for name, term in terms.items()})
@@ -253,6 +259,8 @@ class ObservationManager(Kept):
         if self._any_first:
             self._is_first.fill_(False)
             self._any_first = False
+        if only is not None:
+            self.load_state_dict(merged(kept, self.state_dict(), only))
         return self.obs_buf
 
     def peek(self) -> dict[str, Group]:

@@ -32,11 +32,15 @@ class RewardManager(ManagerBase):
         """Weighted values per second of this step, those that are not finite included, (terms, N)."""
         return self._raw_values if self.non_finite else self.step_reward
 
-    def compute(self, dt: float) -> torch.Tensor:
+    def compute(self, dt: float, but: torch.Tensor | None = None) -> torch.Tensor:
         """Return this step's reward (N,); ``step_reward`` keeps each term's weighted value per second.
 
         A value that is not finite is never summed: its environment's step counts for nothing, and
         ``non_finite`` names the terms.
+
+        Args:
+            dt: what the step lasts, s.
+            but: environments (N,) bool whose step counts for nothing.
         """
         for row, term in zip(self.step_reward, self._terms.values(), strict=True):
             weight = term.fields["weight"]
@@ -44,6 +48,8 @@ class RewardManager(ManagerBase):
                 row.zero_()
             else:
                 torch.mul(term(self._env), weight, out=row)
+        if but is not None:
+            self.step_reward.masked_fill_(but, 0.0)
         reward = self.step_reward.sum(dim=0).mul_(dt)
         self.non_finite.clear()
         bad = ids_where(~reward.isfinite())

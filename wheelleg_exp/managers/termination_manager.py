@@ -48,10 +48,16 @@ class TerminationManager(ManagerBase):
         """
         return _endings(self.active_terms, self._fired[:, env_ids])
 
-    def compute(self) -> torch.Tensor:
-        """Evaluate every term and return which environments are done, (N,) bool."""
+    def compute(self, but: torch.Tensor | None = None) -> torch.Tensor:
+        """Evaluate every term and return which environments are done, (N,) bool.
+
+        Args:
+            but: environments (N,) bool that nothing ends.
+        """
         for row, term in zip(self._fired, self._terms.values(), strict=True):
             row.copy_(term(self._env))
+        if but is not None:
+            self._fired &= ~but
         self.time_outs.copy_((self._fired & self._time_out_rows).any(dim=0))
         self.terminated.copy_((self._fired & ~self._time_out_rows).any(dim=0))
         done = self.dones

@@ -7,11 +7,13 @@
 | `Settings` | the settings of a term, which are state once something has changed them |
 | `Kept`, `NamedStream` | what somebody else saves, so that a reference to it is no state |
 | `Outside` | what a term changes although it is not its own: noticed and named |
+| `merged` | the states of some environments put together with those of the others |
 | `Memory` | tensors of one object that lie in the memory of another: refused |
 """
 
 from wheelleg_exp.state.memory import Memory
 from wheelleg_exp.state.outside import Outside
+from wheelleg_exp.state.rows import merged
 from wheelleg_exp.state.saved_or_refused import Stateful, made, restore, save, stateful
 from wheelleg_exp.state.settings import Settings
 from wheelleg_exp.state.values import Kept, NamedStream, cloned, same
@@ -25,6 +27,7 @@ __all__ = [
     "Stateful",
     "cloned",
     "made",
+    "merged",
     "restore",
     "same",
     "save",

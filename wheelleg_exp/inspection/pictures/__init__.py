@@ -5,5 +5,4 @@
 | ``pictures``, ``video`` | what is asked for: pictures at moments, a film of a span |
 | ``recorded_scene``, ``recorded_shapes`` | the scene of a recording as plain arrays |
 | ``camera``, ``captions`` | where it is seen from, and what is written into it |
-| ``renderer``, ``render_job``, ``render_model`` | the process that draws, seen from both sides, and its model |
 """

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelleg_exp.inspection.pictures.recorded_scene import Motion, Scene, points
-from wheelleg_exp.inspection.plots.plot_data import Array
+from wheelleg_exp.inspection.pictures.recorded_scene import Motion
+from wheelleg_exp.rendering import viewpoint
+from wheelleg_exp.rendering.scene import Scene, points
+from wheelleg_exp.rendering.shapes import Array
 
-AZIMUTH, ELEVATION = 142.0, -14.0
-_FOV = np.radians(30.0)  # upright; render_model.FOV
-_FILLED = 0.64  # of the picture's height and width: the rest is for arrows and captions
 _SMOOTH_S = 0.2
 _LOOKED_AT = 12
 
@@ -40,25 +39,8 @@ def follow(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) 
     low = np.median([cloud.min(axis=0) for cloud in clouds], axis=0)
     high = np.median([cloud.max(axis=0) for cloud in clouds], axis=0)
     centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
-    distance = max(_distance(cloud - centre, aspect) for cloud in clouds)
+    distance = max(viewpoint.distance(cloud - centre, aspect) for cloud in clouds)
     return Camera(distance, _smoothed(root, motion.time[rows], scene.size) + centre)
-
-
-def _distance(cloud: Array, aspect: float) -> float:
-    """Return the distance at which a cloud of points about the origin fills its part of the picture."""
-    right, up, back = axes()
-    tall = _FILLED * np.tan(_FOV / 2)
-    wide = tall * aspect
-    return float(np.max(cloud @ back + np.maximum(np.abs(cloud @ right) / wide, np.abs(cloud @ up) / tall)))
-
-
-def axes() -> tuple[Array, Array, Array]:
-    """Return the camera's axes in the world: right, up, and back (towards the viewer)."""
-    a, e = np.radians(AZIMUTH), np.radians(ELEVATION)
-    forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return right, np.cross(right, forward), -forward
 
 
 def _smoothed(path: Array, time: Array, size: float) -> Array:

@@ -14,13 +14,15 @@ from PIL import Image
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.files import require_new, write_new
 from wheelleg_exp.inspection.pictures import captions
-from wheelleg_exp.inspection.pictures.camera import AZIMUTH, ELEVATION, Camera, follow
-from wheelleg_exp.inspection.pictures.recorded_scene import Motion, Scene, frames_of, motion_of, scene_of
-from wheelleg_exp.inspection.pictures.render_job import Arrow, Order, View
-from wheelleg_exp.inspection.pictures.renderer import drawing
+from wheelleg_exp.inspection.pictures.camera import Camera, follow
+from wheelleg_exp.inspection.pictures.recorded_scene import Motion, frames_of, motion_of, scene_of
 from wheelleg_exp.inspection.plots.plot_data import Sample, Source
 from wheelleg_exp.inspection.questions.spans import Length, parse_length
 from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.rendering.render_job import Arrow, Order, View
+from wheelleg_exp.rendering.renderer import drawing
+from wheelleg_exp.rendering.scene import Scene
+from wheelleg_exp.rendering.viewpoint import AZIMUTH, ELEVATION
 
 _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 _FINER = 2  # drawn so many times larger and then shrunk, against jagged edges

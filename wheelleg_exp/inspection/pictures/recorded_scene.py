@@ -13,39 +13,14 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.inspection.pictures.recorded_shapes import FAR, Shape, moved, rgba_of, rotated, shapes_in
+from wheelleg_exp.inspection.pictures.recorded_shapes import rgba_of, shapes_in
 from wheelleg_exp.inspection.plots.plot_data import Array, Sample, Source, seconds
 from wheelleg_exp.recording.layout import GROUND, ITERATION, OVERLAY, STEP, WORLD, join
 from wheelleg_exp.recording.reading.plain import as_number
+from wheelleg_exp.rendering.scene import Ground, Scene, points
+from wheelleg_exp.rendering.shapes import FAR, Shape, moved
 
 _ARROWS = {"actual": "velocity", "command": "commanded velocity"}
-
-
-@dataclass(frozen=True)
-class Ground:
-    """The checkered plane: its height and the edge of a tile, m."""
-
-    height: float
-    tile: float
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What is drawn.
-
-    Attributes:
-        bodies: the shapes of each moving body, by name.
-        fixed: shapes that never move.
-        ground: the plane, or None.
-        root: which body the eye follows.
-        size: about how tall the robot stands, m.
-    """
-
-    bodies: Mapping[str, Sequence[Shape]]
-    fixed: Sequence[Shape]
-    ground: Ground | None
-    root: int
-    size: float
 
 
 @dataclass(frozen=True)
@@ -126,16 +101,6 @@ def motion_of(source: Source, scene: Scene) -> Motion:
         iteration = np.asarray(first.column(ITERATION).combine_chunks().cast(pa.int64()).fill_null(-1))
     arrows = list(_arrows(source, step))
     return Motion(step, seconds(first), iteration, pos, quat, arrows, _commands(source, step))
-
-
-def points(scene: Scene, pos: Array, quat: Array) -> Array:
-    """Return points (n, 3), m, between which the robot lies when its bodies are at (B, 3), (B, 4)."""
-    found = [
-        rotated(quat[b], np.concatenate([shape.corners() for shape in shapes])) + pos[b]
-        for b, shapes in enumerate(scene.bodies.values())
-        if shapes
-    ]
-    return np.concatenate(found)
 
 
 def source_body(source: Source, name: str) -> str:

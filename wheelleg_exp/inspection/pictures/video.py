@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.files import for_people, require_new
+from wheelleg_exp.files import require_new
 from wheelleg_exp.inspection.pictures import captions
 from wheelleg_exp.inspection.pictures.camera import follow
 from wheelleg_exp.inspection.pictures.pictures import Scenery, require_size, scenery, view
 from wheelleg_exp.inspection.pictures.recorded_scene import frames_of
-from wheelleg_exp.inspection.pictures.render_job import Order
-from wheelleg_exp.inspection.pictures.renderer import Drawing, drawing
 from wheelleg_exp.inspection.plots.plot_data import chosen_rows
 from wheelleg_exp.inspection.questions.selection import Selection
 from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.rendering import film
+from wheelleg_exp.rendering.render_job import Order
+from wheelleg_exp.rendering.renderer import Drawing, drawing
 
-KINDS = {".mp4": "mp4", ".mkv": "matroska", ".mov": "mov"}
-_CODECS = ("libx264", "h264", "libopenh264", "mpeg4")
 _SAMPLES = 4
 _MOST_PICTURES = 200_000
-_QUALITY = {"crf": "20", "preset": "medium"}
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,7 @@ def video(
     width: int = 960,
     height: int = 540,
     caption: bool = True,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Video:
     """Write a video of the robot (H.264 in an .mp4, as browsers play it); whole or not at all.
 
@@ -78,20 +72,21 @@ def video(
         WheellegError: something of this is wrong, or nothing can be drawn on this machine.
     """
     path = Path(path)
-    kind = _checked(path, fps, speed, width, height)
+    _require(path, fps, speed, width, height)
     chosen = Selection() if selection is None else selection
     shown = scenery(recording, chosen.env_id)
     takes = [_resampled(shown, rows, fps, speed) for rows in _takes(shown, chosen)]
     pictures = _pictures(shown, takes, width, height, caption)
     total = sum(map(len, takes))
-    codec = _encode(path, kind, pictures, total, fps, (width, height), progress)
+    told = None if progress is None else lambda done: progress(done, total)
+    codec = film.write(path, pictures, fps, (width, height), told)
     return Video(total, fps, codec, shown.env_id)
 
 
-def _checked(path: Path, fps: float, speed: float, width: int, height: int) -> str:
-    kind = KINDS.get(path.suffix.lower())
-    if kind is None:
-        raise WheellegError(f"'{path}' says no kind of video", expected="a name that ends with " + ", ".join(KINDS))
+def _require(path: Path, fps: float, speed: float, width: int, height: int) -> None:
+    if path.suffix.lower() not in film.KINDS:
+        expected = "a name that ends with " + ", ".join(film.KINDS)
+        raise WheellegError(f"'{path}' says no kind of video", expected=expected)
     require_new(path)
     require_size(width, height)
     if width % 2 or height % 2:
@@ -100,7 +95,6 @@ def _checked(path: Path, fps: float, speed: float, width: int, height: int) -> s
         raise WheellegError(f"{fps:g} pictures a second", key="--fps", expected="1 to 240")
     if not (1e-3 <= speed <= 1e3):
         raise WheellegError(f"a speed of {speed:g}", key="--speed", expected="0.001 to 1000")
-    return kind
 
 
 def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
@@ -155,57 +149,3 @@ def _picture(shown: Scenery, process: Drawing, row: int, lookat: Any, distance: 
     return (
         pixels if colours is None else captions.write(pixels, captions.lines(shown.motion, row, shown.env_id), colours)
     )
-
-
-def _encode(
-    path: Path,
-    kind: str,
-    pictures: Iterator[NDArray[np.uint8]],
-    total: int,
-    fps: float,
-    size: tuple[int, int],
-    progress: Progress | None,
-) -> str:
-    """Write pictures beside the file and move them to its place; return the codec's name."""
-    import av
-
-    aside = path.with_name(f".{path.name}.tmp")
-    try:
-        with for_people(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with av.open(str(aside), "w", format=kind, options=_options(kind)) as container:
-                stream, codec = _stream(container, fps, size)
-                for done, pixels in enumerate(pictures, start=1):
-                    container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), "rgb24")))
-                    if progress is not None:
-                        progress(done, total)
-                container.mux(stream.encode())
-            require_new(path)
-            aside.replace(path)
-    finally:
-        with suppress(OSError):
-            aside.unlink(missing_ok=True)
-    return codec
-
-
-def _options(kind: str) -> dict[str, str]:
-    """Return the container's options: the index at the front, so that a browser starts before it has read all."""
-    return {"movflags": "+faststart"} if kind in ("mp4", "mov") else {}
-
-
-def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
-    """Return an encoder and its name: H.264 where this PyAV brings one, else what every player knows."""
-    import av
-
-    for codec in _CODECS:
-        if codec not in av.codecs_available:
-            continue
-        try:
-            stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
-        except (ValueError, av.FFmpegError):  # the name is a decoder's
-            continue
-        stream.width, stream.height = size
-        stream.pix_fmt = "yuv420p"
-        stream.options = dict(_QUALITY) if codec == "libx264" else {}
-        return stream, codec
-    raise WheellegError("PyAV has no encoder for videos", expected="PyAV from its wheels: pip install av")

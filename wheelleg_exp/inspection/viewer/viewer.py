@@ -15,11 +15,11 @@ from typing import IO, Any
 
 from wheelleg_exp.errors import SimulationFailure, WheellegError
 from wheelleg_exp.files import require_new, write_new
-from wheelleg_exp.inspection.pictures.renderer import NoGraphics
 from wheelleg_exp.inspection.viewer.viewer_process import last_words, viewer
 from wheelleg_exp.inspection.viewer.web import WebViewer
 from wheelleg_exp.recording.layout import SIM_TIME
 from wheelleg_exp.recording.writing.feed import LOOPBACK, free_port
+from wheelleg_exp.rendering.renderer import NoGraphics
 
 INSTALL = "a Vulkan driver; on Debian or Ubuntu: apt install mesa-vulkan-drivers libvulkan1"
 _START_S, _ENDING_S, _SETTLE_S, _STILL = 30.0, 2.0, 0.4, 3

@@ -11,7 +11,8 @@ import rerun as rr
 
 from wheelleg_exp.recording.layout import GROUND, EnvPaths
 from wheelleg_exp.recording.writing.channels import Channel
-from wheelleg_exp.recording.writing.geometry import Array, xyzw
+from wheelleg_exp.recording.writing.geometry import xyzw
+from wheelleg_exp.rendering.shapes import Array
 
 COMMANDED, ACTUAL, FORCE = (60, 200, 90), (70, 130, 255), (255, 170, 40)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelleg_exp.recording.writing.channels import Channel
-from wheelleg_exp.recording.writing.geometry import Array
+from wheelleg_exp.rendering.shapes import Array
 
 _FIRST_CAPACITY = 256
 

@@ -19,9 +19,11 @@ from wheelleg_exp.recording.writing.channels_learning import learning_channels
 from wheelleg_exp.recording.writing.drawing import Columns, Contacts, Ground, VelocityArrows
 from wheelleg_exp.recording.writing.facts import interval_terms, joint_statics, term_statics
 from wheelleg_exp.recording.writing.frames import Episodes, Frames, Stamp
-from wheelleg_exp.recording.writing.geometry import Array, body_geoms, geom_name, is_plane, shape
-from wheelleg_exp.recording.writing.kinematics import Kinematics
+from wheelleg_exp.recording.writing.geometry import geom_name, shape
 from wheelleg_exp.recording.writing.size import Cost
+from wheelleg_exp.rendering.compiled import body_geoms, is_plane
+from wheelleg_exp.rendering.poses import Kinematics
+from wheelleg_exp.rendering.shapes import Array
 
 # Arrow lengths in units of how tall the robot stands, so that they fit a robot of any size.
 _HEIGHTS_PER_WEIGHT = 0.6

@@ -8,8 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from wheelleg_exp.inspection.pictures.recorded_scene import Scene
-from wheelleg_exp.inspection.pictures.recorded_shapes import Shape
+from wheelleg_exp.rendering.scene import Scene
+from wheelleg_exp.rendering.shapes import Shape
 
 FOV = 30.0  # degrees, as MuJoCo wants it: a long lens, so that small robots are not distorted
 RIG = "rig"

@@ -14,8 +14,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from wheelleg_exp.inspection.pictures.recorded_scene import Scene
-from wheelleg_exp.inspection.plots.plot_data import Array
+from wheelleg_exp.rendering.scene import Scene
+from wheelleg_exp.rendering.shapes import Array
 
 READY = b"ready\n"
 
@@ -64,7 +64,7 @@ def main() -> None:
     order: Order = pickle.load(source)
     import mujoco
 
-    from wheelleg_exp.inspection.pictures.render_model import build
+    from wheelleg_exp.rendering.render_model import build
 
     model = build(order.scene, order.width, order.height, order.samples)
     data = mujoco.MjData(model)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import wheelleg_exp
 from wheelleg_exp.errors import SimulationFailure, WheellegError
-from wheelleg_exp.inspection.pictures.render_job import READY, Order, View
+from wheelleg_exp.rendering.render_job import READY, Order, View
 
 BACKENDS = ("egl", "osmesa")
 INSTALL = (
@@ -39,7 +39,7 @@ class Drawing:
         self._size = (order.height, order.width, 3)
         self._errors = errors
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "wheelleg_exp.inspection.pictures.render_job"],
+            [sys.executable, "-m", "wheelleg_exp.rendering.render_job"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,

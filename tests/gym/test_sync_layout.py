@@ -1,0 +1,204 @@
+"""The vector env beside Gymnasium's own ``SyncVectorEnv`` over the rows of a batch that is run by hand."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.gym import ENV_ID
+
+N, STEPS = 4, 90
+# The batch by hand is observed once more where a row is reset, so that nothing may be drawn in an observation;
+# 1 s is 60 control steps.
+OVERRIDES = ["env.sim.nthread=1", "env.episode_length_s=1.0"]
+
+
+class Batch:
+    """Environments of one batch that are stepped and reset together, as soon as the first of them is asked to."""
+
+    def __init__(self, next_step: bool) -> None:
+        self.env = build_env(compose(["task=stand", *OVERRIDES, f"env.num_envs={N}"]).config)
+        self.env.autoreset = "disabled"
+        self.next_step = next_step
+        self.done = np.zeros(N, bool)
+        self.mask = np.ones(N, bool)
+
+    def begin(self, seed: int) -> None:
+        self.observed, self.log = self.env.reset(seed=seed)[0], None
+
+    def round(self, actions: np.ndarray) -> None:
+        """Advance all; then those are reset together that ended now, or in the last round."""
+        left = self.done
+        done = self.step(actions)
+        self.done = done & ~left if self.next_step else done
+        self.reset(left if self.next_step else done)
+
+    def step(self, actions: np.ndarray) -> np.ndarray:
+        self.last, *self.stepped, extras = self.env.step(torch.from_numpy(actions))
+        self.non_finite = dict(extras.get("non_finite", {}).get("keys", {}))
+        return (self.stepped[1] | self.stepped[2]).numpy()
+
+    def reset(self, mask: np.ndarray) -> None:
+        self.log = None
+        if mask.any():
+            self.observed, extras = self.env.reset(env_ids=torch.from_numpy(mask).nonzero().squeeze(1))
+            self.log = {key: float(value) for key, value in extras["log"].items()}
+
+
+class Row(gymnasium.Env):
+    """One environment of the batch."""
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(self, batch: Batch, row: int, spaces: gymnasium.vector.VectorEnv) -> None:
+        self.batch, self.row = batch, row
+        self.observation_space, self.action_space = spaces.single_observation_space, spaces.single_action_space
+
+    def reset(self, *, seed=None, options=None):
+        log = self.batch.log
+        return self._of(self.batch.observed), {} if log is None else {"log": dict(log)}
+
+    def step(self, action):
+        reward, terminated, truncated = (part[self.row] for part in self.batch.stepped)
+        keys = self.batch.non_finite
+        info = {"non_finite": keys[self.row]} if self.row in keys else {}
+        return self._of(self.batch.last), float(reward), bool(terminated), bool(truncated), info
+
+    def _of(self, observations):
+        return {group: value[self.row].numpy().copy() for group, value in observations.items()}
+
+
+def require_same(found, expected, path="", *, loosely=()):
+    """Require equal types, shapes and values, all the way down; of what is ``loosely`` the same, no values."""
+    assert type(found) is type(expected), path
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys(), path
+        for key in expected:
+            require_same(found[key], expected[key], f"{path}/{key}", loosely=loosely)
+    elif isinstance(expected, (tuple, list)):
+        assert len(found) == len(expected), path
+        for i, (a, b) in enumerate(zip(found, expected, strict=True)):
+            require_same(a, b, f"{path}/{i}", loosely=loosely)
+    elif isinstance(expected, np.ndarray):
+        assert (found.shape, found.dtype) == (expected.shape, expected.dtype), path
+        if expected.dtype == object:
+            require_same(found.tolist(), expected.tolist(), path, loosely=loosely)
+        elif not any(part in path for part in loosely):
+            np.testing.assert_array_equal(found, expected, path)
+    else:
+        assert found == expected, path
+
+
+def actions_of(round_):
+    return np.random.default_rng(round_).uniform(-1.0, 1.0, (N, 6)).astype(np.float32)
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_everything_is_laid_out_as_gymnasium_does_it(mode):
+    ours = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode=mode)
+    batch = Batch(next_step=mode is AutoresetMode.NEXT_STEP)
+    theirs = SyncVectorEnv([lambda row=row: Row(batch, row, ours) for row in range(N)], autoreset_mode=mode)
+    batch.begin(3)
+    require_same(ours.reset(seed=3), theirs.reset(seed=3))
+    # By hand the managers see more of an episode: commands are measured in its last step as well, and in next_step the
+    # step that only waits for the reset counts. What they say has tests of its own.
+    loosely = ("/log/",) if mode is AutoresetMode.NEXT_STEP else ("Metrics/",)
+    seen, ends = set(), 0
+    for k in range(STEPS):
+        actions = actions_of(k)
+        if k == 20:
+            actions[1, 2] = np.nan  # fails, and says so in its info
+        if mode is AutoresetMode.DISABLED:
+            batch.step(actions)
+        else:
+            batch.round(actions)
+        found, expected = ours.step(actions), theirs.step(actions)
+        require_same(found, expected, f"step {k}", loosely=loosely)
+        done = found[2] | found[3]
+        seen, ends = seen | found[4].keys(), ends + done.sum()
+        if mode is AutoresetMode.DISABLED and done.any():
+            batch.reset(done)
+            options = {"reset_mask": done}
+            require_same(ours.reset(options=options), theirs.reset(options={**options}), f"reset {k}")
+            assert options["reset_mask"] is done  # wrappers outside look for it as well
+    assert ends > N
+    wanted = {"final_obs", "final_info", "log"} if mode is AutoresetMode.SAME_STEP else {"non_finite", "log"}
+    wanted = {"non_finite"} if mode is AutoresetMode.DISABLED else wanted
+    assert seen == wanted | {f"_{key}" for key in wanted}
+
+
+def test_a_step_that_only_waits_counts_for_nothing():
+    """In ``next_step`` the managers' rewards are those that were returned, and so are the lengths."""
+    env = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode="next_step")
+    env.reset(seed=0)
+    returns, before, checked = np.zeros(N), np.zeros(N, bool), 0
+    for k in range(STEPS):
+        _, rewards, terminated, truncated, infos = env.step(actions_of(k))
+        assert (rewards[before] == 0).all()
+        assert not (terminated | truncated)[before].any()
+        assert ("log" in infos) == before.any()
+        if before.any():
+            log = infos["log"]
+            mean = sum(values[before][0] for key, values in log.items() if key.startswith("Episode_Reward/"))
+            assert mean * 1.0 == pytest.approx(returns[before].mean(), rel=1e-4)  # over the longest episode's 1 s
+            checked += 1
+        returns = np.where(before, 0.0, returns + rewards)
+        before = terminated | truncated
+    assert checked > 1
+
+
+def test_a_partial_reset_leaves_the_others_as_they_are():
+    """With noise, whose draw would show."""
+    noisy = [*OVERRIDES, "env.observations.policy.enable_corruption=true"]
+    env = gymnasium.make_vec(ENV_ID, num_envs=N, overrides=noisy, autoreset_mode="disabled")
+    env.reset(seed=0)
+    for k in range(5):
+        before, *_ = env.step(actions_of(k))
+    mask = np.array([False, True, False, True])
+    after, infos = env.reset(options={"reset_mask": mask})
+    for group in before:
+        np.testing.assert_array_equal(after[group][~mask], before[group][~mask])
+        assert (after[group][mask] != before[group][mask]).any(axis=1).all()
+    assert infos["_log"].tolist() == mask.tolist()
+    assert env.unwrapped.env.episode_length_buf.tolist() == [5, 0, 5, 0]
+    gravity = env.step(actions_of(9))[0]["policy"][:, 15:30].reshape(N, 5, 3)
+    np.testing.assert_array_equal(gravity[~mask][:, :4], before["policy"][~mask][:, 15:30].reshape(2, 5, 3)[:, 1:])
+
+
+@pytest.mark.parametrize(
+    ("mask", "error"),
+    [
+        ([True] * N, TypeError),
+        (np.ones(N, int), TypeError),
+        (np.ones(N + 1, bool), ValueError),
+        (np.zeros(N, bool), ValueError),
+    ],
+)
+def test_what_is_no_mask_is_refused_as_gymnasium_does(mask, error):
+    for env in (
+        gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode="disabled"),
+        gymnasium.make_vec("CartPole-v1", num_envs=N, vectorization_mode="sync"),
+    ):
+        env.reset(seed=0)
+        with pytest.raises(error, match="reset_mask"):
+            env.reset(options={"reset_mask": mask})
+
+
+def test_a_seed_for_some_environments_alone_is_not_passed_over():
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, overrides=OVERRIDES, autoreset_mode="disabled")
+    with pytest.raises(ValueError, match="a seed is for a reset of all"):
+        env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+
+
+def test_without_autoreset_a_step_of_what_is_done_is_refused():
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, overrides=["env.episode_length_s=0.05"], autoreset_mode="disabled")
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros((2, 6), np.float32))
+    with pytest.raises(gymnasium.error.ResetNeeded, match="reset_mask"):
+        env.step(np.zeros((2, 6), np.float32))

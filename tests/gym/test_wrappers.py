@@ -1,0 +1,153 @@
+"""Gymnasium's own wrappers around both environments: they take them, and what they compute is what they should."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import wrappers
+from gymnasium.wrappers import vector
+
+from wheelleg_exp.gym import ENV_ID
+
+N = 3
+OVERRIDES = ["env.sim.nthread=1", "env.episode_length_s=0.2"]  # 12 control steps
+MODES = ("same_step", "next_step")
+
+
+def make(**options):
+    return gymnasium.make(ENV_ID, overrides=OVERRIDES, **options)
+
+
+def make_vec(mode="same_step", **options):
+    return gymnasium.make_vec(ENV_ID, num_envs=N, overrides=OVERRIDES, autoreset_mode=mode, **options)
+
+
+def flat(env):
+    """Return the policy's observations alone, as one vector."""
+    return wrappers.FlattenObservation(wrappers.FilterObservation(env, ["policy"]))
+
+
+def flat_vec(env):
+    return vector.FlattenObservation(vector.FilterObservation(env, ["policy"]))
+
+
+def ignoring_precision(make_it):
+    """Gymnasium's RescaleAction warns of its own float64 bounds."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*precision lowered by casting to float32")
+        return make_it()
+
+
+def test_observations_are_filtered_and_flattened():
+    env = flat(make())
+    assert env.observation_space.shape == (135,)
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(observation, make().reset(seed=0)[0]["policy"])
+
+
+def test_actions_are_clipped_and_rescaled_to_the_bound():
+    plain, clipped = make(), wrappers.ClipAction(make(action_bound=0.5))
+    rescaled = ignoring_precision(lambda: wrappers.RescaleAction(make(action_bound=0.5), -1.0, 1.0))
+    for env in (plain, clipped, rescaled):
+        env.reset(seed=0)
+    wide = np.array([9.0, -9.0, 0.25, 0.0, 0.5, -0.5], np.float32)
+    expected = plain.step(np.clip(wide, -0.5, 0.5))[0]["policy"]
+    np.testing.assert_array_equal(clipped.step(wide)[0]["policy"], expected)
+    np.testing.assert_array_equal(rescaled.step(np.clip(wide, -0.5, 0.5) / 0.5)[0]["policy"], expected)
+
+
+def test_observations_and_rewards_are_normalized():
+    env = wrappers.NormalizeReward(wrappers.NormalizeObservation(flat(make())))
+    env.reset(seed=0)
+    rows = [env.step(np.zeros(6, np.float32))[0] for _ in range(12)]
+    assert np.isfinite(rows).all()
+    assert np.abs(rows).max() < 10
+
+
+def test_episodes_are_counted_and_limited():
+    env = wrappers.RecordEpisodeStatistics(wrappers.TimeLimit(make(), 5))
+    env.reset(seed=0)
+    steps = [env.step(np.zeros(6, np.float32)) for _ in range(5)]
+    assert [step[3] for step in steps] == [False] * 4 + [True]
+    assert steps[-1][4]["episode"]["l"] == 5
+    assert steps[-1][4]["episode"]["r"] == pytest.approx(sum(step[1] for step in steps))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_batchs_episodes_are_counted(mode):
+    env = vector.RecordEpisodeStatistics(make_vec(mode))
+    env.reset(seed=0)
+    returns = np.zeros(N)
+    lengths = []
+    for k in range(26):
+        _, rewards, terminated, truncated, infos = env.step(np.zeros((N, 6), np.float32))
+        returns += rewards
+        assert ("episode" in infos) == (terminated | truncated).any()
+        if "episode" in infos:
+            np.testing.assert_allclose(infos["episode"]["r"], returns)
+            lengths.append((k, infos["episode"]["l"].tolist()))
+            returns[:] = 0
+    second = 23 if mode == "same_step" else 24  # one step between episodes
+    assert lengths == [(11, [12] * N), (second, [12] * N)]
+
+
+def test_a_partial_reset_is_seen_by_the_wrappers_as_well():
+    env = vector.RecordEpisodeStatistics(make_vec("disabled"))
+    env.reset(seed=0)
+    env.step(np.zeros((N, 6), np.float32))
+    env.reset(options={"reset_mask": np.array([True, False, False])})
+    assert env.episode_lengths.tolist() == [0, 1, 1]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_infos_become_a_list(mode):
+    env = vector.DictInfoToList(vector.RecordEpisodeStatistics(make_vec(mode)))
+    assert env.reset(seed=0)[1] == [{}] * N
+    infos = [env.step(np.zeros((N, 6), np.float32))[4] for _ in range(13)]
+    assert infos[0] == [{}] * N
+    ended = {"episode"} | ({"final_obs", "final_info", "log"} if mode == "same_step" else set())
+    assert [info.keys() for info in infos[11]] == [ended] * N
+    assert [info.keys() for info in infos[12]] == [{"log"} if mode == "next_step" else set()] * N
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_actions_and_rewards_of_a_batch_are_transformed(mode):
+    plain = make_vec(mode)
+    clipped = vector.ClipAction(make_vec(mode, action_bound=0.5))
+    rescaled = ignoring_precision(lambda: vector.RescaleAction(make_vec(mode, action_bound=0.5), -1.0, 1.0))
+    small = vector.ClipReward(make_vec(mode), 0.0, 0.01)
+    normal = vector.NormalizeReward(make_vec(mode))
+    for env in (plain, clipped, rescaled, small, normal):
+        env.reset(seed=0)
+    wide = np.tile(np.array([9.0, -9.0, 0.25, 0.0, 0.5, -0.5], np.float32), (N, 1))
+    inside = np.clip(wide, -0.5, 0.5)
+    observations, rewards, *_ = plain.step(inside)
+    np.testing.assert_array_equal(clipped.step(wide)[0]["policy"], observations["policy"])
+    np.testing.assert_array_equal(rescaled.step(inside / 0.5)[0]["policy"], observations["policy"])
+    np.testing.assert_array_equal(small.step(inside)[1], np.clip(rewards, 0.0, 0.01))
+    assert np.isfinite(normal.step(inside)[1]).all()
+
+
+def test_observations_of_a_batch_are_transformed():
+    """Gymnasium's own wrappers of observations want next_step."""
+    env = vector.NormalizeObservation(flat_vec(make_vec("next_step")))
+    assert env.observation_space.shape == (N, 135)
+    env.reset(seed=0)
+    rows = [env.step(np.zeros((N, 6), np.float32))[0] for _ in range(30)]
+    assert np.isfinite(rows).all()
+    plain, only = make_vec("next_step"), flat_vec(make_vec("next_step"))
+    np.testing.assert_array_equal(only.reset(seed=0)[0], plain.reset(seed=0)[0]["policy"])
+
+
+def test_gymnasiums_own_batches_hold_our_single_environments():
+    env = gymnasium.make_vec(
+        ENV_ID, num_envs=2, vectorization_mode="async", overrides=OVERRIDES, vector_kwargs={"context": "spawn"}
+    )
+    try:
+        assert env.reset(seed=0)[0]["policy"].shape == (2, 135)
+        assert env.step(np.zeros((2, 6), np.float32))[1].shape == (2,)
+    finally:
+        env.close()

@@ -1,0 +1,10 @@
+"""Pictures of bodies and shapes, drawn by MuJoCo in a process of its own.
+
+| module | offers |
+|---|---|
+| ``shapes``, ``scene``, ``viewpoint`` | what is drawn, and from where it is seen |
+| ``compiled``, ``poses`` | the scene of a compiled model, and where its bodies are |
+| ``renderer``, ``render_job``, ``render_model`` | the process that draws, seen from both sides, and its model |
+| ``film`` | pictures into a video file |
+| ``live`` | pictures of simulations as they run |
+"""
