@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import mujoco
 
 from wheelleg_exp.asset.allocation import bounded_memory
 from wheelleg_exp.asset.description import BaseMode, RobotDescription
 from wheelleg_exp.asset.mjcf.acceleration_drives import with_force_gains
 from wheelleg_exp.asset.mjcf.document import Writer, file_name, obj_text
 from wheelleg_exp.asset.mjcf.refused import without_refused
-from wheelleg_exp.asset.mjcf.verify import ModelRefused, load, verify
+from wheelleg_exp.asset.mjcf.verify import ModelRefused, load, told_by_mujoco, verify
 from wheelleg_exp.asset.report import Report
 from wheelleg_exp.asset.sources import require_near
 from wheelleg_exp.asset.urdf.robot import SUFFIXES as URDF
 from wheelleg_exp.asset.urdf.robot import read_urdf
 from wheelleg_exp.asset.usd.robot import read_usd
 from wheelleg_exp.asset.usd.stage import SUFFIXES as USD
+from wheelleg_exp.asset.values import values_of
 from wheelleg_exp.errors import AssetError
 
 MESHES = "_meshes"  # what an MJCF's folder of meshes is called, after its own name
@@ -53,7 +52,7 @@ def convert(
     """
     source, output = Path(source), Path(output)
     _require_output(source, output)
-    with _told_by_mujoco() as told, bounded_memory(source):
+    with told_by_mujoco() as told, bounded_memory(source):
         robot, report = read(source, base, variants or {})
         _require_apart(source, report, output)
         try:
@@ -61,25 +60,14 @@ def convert(
         except ModelRefused:
             robot, report = without_refused(robot, report)
             made = _made(robot, report, output)
-    return Conversion(output, made, replace(report, warnings=report.warnings + tuple(dict.fromkeys(told))))
+    warnings = report.warnings + tuple(dict.fromkeys(told))
+    return Conversion(output, made, replace(report, values=values_of(made), warnings=warnings))
 
 
 def _made(robot: RobotDescription, report: Report, output: Path) -> RobotDescription:
     robot = with_force_gains(robot)
     write(robot, report, output)
     return robot
-
-
-@contextmanager
-def _told_by_mujoco() -> Iterator[list[str]]:
-    """Collect what MuJoCo warns of, which it would write into a log file in the current folder."""
-    told: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: told.append(f"MuJoCo: {text}"))
-    try:
-        yield told
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:

@@ -9,7 +9,7 @@
 | `no_colliders` | robot | |
 | `end_without_collider` | body that nothing hangs on | ``mass`` kg |
 | `mesh_not_found` | file's name | ``colliders``, ``visuals`` that name it |
-| `layer_not_found` | layer's name | |
+| `layer_not_found` | layer's name | ``places`` that name it; ``looks`` 1 when all are for looks |
 | `limits_ignored` | joint that turns without end | ``lower``, ``upper`` as written |
 | `no_limits` | joint that should have limits | ``lower``, ``upper`` as written, where they are |
 | `placeholder_effort`, `placeholder_velocity` | joint | ``value`` as written: 0, or 1000 and more |
@@ -17,6 +17,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -51,3 +53,36 @@ class Finding:
 def is_placeholder(value: float) -> bool:
     """Return whether a limit of effort or speed is no limit of any motor: zero, or huge."""
     return value == 0 or abs(value) >= PLACEHOLDER
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a conversion is worth: ``good``, ``check`` (read the warnings), or ``doubtful`` for the ``reasons``."""
+
+    level: Literal["good", "check", "doubtful"]
+    reasons: tuple[str, ...] = ()
+
+
+MUCH = 0.1  # share of the mass that is assumed, from which on a robot is not the one that was meant
+
+
+def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
+    """Return the verdict on a conversion.
+
+    Args:
+        findings: what is odd about the file.
+        assumed_share: how much of the mass the file does not give.
+        warnings: how many there are.
+    """
+    count = Counter(item.kind for item in findings)
+    gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
+    lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
+    doubts = [
+        (count["no_colliders"], "it has no colliders"),
+        (assumed_share >= MUCH, f"{assumed_share:.0%} of its mass is assumed"),
+        (lost, f"{lost:g} colliders are lost with their meshes"),
+        (gone, f"{gone} layers or prims that it names are not there"),
+        (count["limits_ignored"], f"{count['limits_ignored']} joints lost the limits that are written"),
+    ]
+    reasons = tuple(text for true, text in doubts if true)
+    return Verdict("doubtful" if reasons else "check" if warnings else "good", reasons)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from wheelleg_exp.asset.findings import Finding
+from wheelleg_exp.asset.findings import Finding, Verdict, verdict_of
 from wheelleg_exp.reading import json_value
 
 VERSION = 1
@@ -54,7 +54,8 @@ class Report:
 
     ``layers`` maps each layer that the stage is made of to the sha256 of its bytes. ``velocity_limits`` holds
     what MuJoCo has no place for and a controller still wants, in rad/s (m/s) by degree of freedom. ``findings`` are
-    what is odd about the file, one record each.
+    what is odd about the file, one record each; ``values`` are the model's numbers by name (``values_of``), and
+    ``authored`` the file's own of its joints, by path, in its units.
     """
 
     source: str
@@ -74,12 +75,19 @@ class Report:
     warnings: tuple[str, ...] = ()
     unresolved: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
+    values: dict[str, Any] = field(default_factory=dict)
+    authored: dict[str, dict[str, Any]] = field(default_factory=dict)
     layers: dict[str, str] = field(default_factory=dict)
     version: int = VERSION
 
+    @property
+    def verdict(self) -> Verdict:
+        """What the conversion is worth, by its findings and warnings."""
+        return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
+
     def to_json(self) -> str:
         """Return one JSON document, the same to the byte for the same conversion."""
-        return json.dumps(asdict(self), indent=2, ensure_ascii=False) + "\n"
+        return json.dumps({"verdict": asdict(self.verdict), **asdict(self)}, indent=2, ensure_ascii=False) + "\n"
 
     @staticmethod
     def from_json(text: str) -> Report:
@@ -97,7 +105,7 @@ class Report:
 def _parse(data: Mapping[str, Any]) -> Report:
     if data["version"] != VERSION:
         raise ValueError(f"a report of version {data['version']}, expected {VERSION}")
-    fields = dict(data)
+    fields = {name: value for name, value in data.items() if name != "verdict"}  # which is made of the others
     fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
     fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
     fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])

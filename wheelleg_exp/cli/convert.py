@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="OUT",
         type=Path,
         required=True,
-        help="MJCF file to write (.xml); meshes go to the folder OUT's-stem_meshes beside it",
+        help="MJCF file to write (.xml); beside it: the folder OUT's-stem_meshes, and OUT's-stem_scene.xml to look at",
     )
     parser.add_argument(
         "--base",
@@ -56,14 +56,16 @@ def run(args: argparse.Namespace) -> int:
     variants = dict(_variant(text) for text in args.variant)
     with StopRequest() as stop:  # the USD library swallows an interrupt of its import
         from wheelleg_exp.asset.conversion import convert
+        from wheelleg_exp.asset.mjcf.scene import write_scene
     stop.check()
     conversion = convert(args.source, args.output, base=args.base, variants=variants)
+    scene = write_scene(conversion.description, conversion.output)
     if args.json:
         sys.stdout.write(conversion.report.to_json())
     else:
         from wheelleg_exp.cli.printing.conversion import show
 
-        show(conversion)
+        show(conversion, scene)
     return EXIT_OK
 
 

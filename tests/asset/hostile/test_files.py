@@ -165,7 +165,7 @@ REFUSED: dict[str, tuple[Maker, str]] = {
         lambda folder: _usda(folder, b'#usda 1.0\ndef Xform "\xff\xfe" {\n}\n'),
         "expected UTF-8",
     ),
-    "substitution of a package": (urdf(mesh("$(find pkg)/part.stl")), "xacro"),
+    "substitution of a package": (urdf(mesh("$(find pkg)/$(arg part).stl")), "xacro"),
     "substitution of the environment": (urdf(mesh("${HOME}/canary.stl")), "xacro"),
 }
 

@@ -17,6 +17,7 @@ from wheelleg_exp.asset.naming import unique_names
 from wheelleg_exp.errors import AssetError
 
 from ..small_usd import SI, applied, converted, cube_inside, hinge, link, two_links, write
+from ..warned import warned
 
 COLLIDES = applied("PhysicsCollisionAPI")
 
@@ -193,7 +194,7 @@ def test_a_ring_of_joints_is_cut_once(tmp_path):
     model, done = converted(write(tmp_path, body))
     assert model.njnt == 3  # the free joint and two hinges
     assert model.neq == 2  # two points on the third hinge's axis
-    assert len(done.report.warnings) == 1
+    assert len(warned(done)) == 1
 
 
 @pytest.mark.parametrize("axis", ['""', '"W"', '"x"'])
@@ -255,14 +256,36 @@ def test_a_robot_in_another_variant_says_how_to_choose_it(tmp_path):
     assert model.nbody == 2
 
 
+BALL = link("z", "(0, 0, 9)", inside='def Sphere "s" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n')
+
+
 def missing(folder, asset: str, holder: str = "parts", inside: str = "") -> str:
     return link("a") + f'def Xform "{holder}" (references = @{asset}@)\n{{\n{inside}\n}}\n'
 
 
-@pytest.mark.parametrize("asset", ["bot_physics.usd", "configuration/colliders.usd", "./joints.usda"])
-def test_a_missing_layer_of_physics_is_an_error_that_names_it(tmp_path, asset):
-    error = told(write(tmp_path, missing(tmp_path, asset)))
+@pytest.mark.parametrize("asset", ["bot_physics.usd", "configuration/colliders.usd", "./looks.usda"])
+def test_a_missing_layer_is_judged_by_what_it_was_referenced_for_and_not_by_its_name(tmp_path, asset):
+    error = told(write(tmp_path, missing(tmp_path, asset, "collisions")))
     assert asset.removeprefix("./") in error.message
+    for holder, level in (("visuals", "check"), ("parts", "doubtful")):
+        _, done = converted(write(tmp_path, missing(tmp_path, asset, holder, "") + BALL))
+        assert done.report.verdict.level == level
+        (found,) = [item for item in done.report.findings if item.kind == "layer_not_found"]
+        assert found.numbers == {"places": 1, "looks": level == "check"}
+
+
+def test_a_missing_layer_that_is_seen_and_collides_is_an_error_wherever_it_is_named_first(tmp_path):
+    both = 'def Xform "visuals" (references = @p.usd@)\n{\n}\ndef Xform "collisions" (references = @p.usd@)\n{\n}\n'
+    error = told(write(tmp_path, link("a", inside=both)))
+    assert error.key == "/bot/a/collisions"
+    assert "p.usd" in error.message
+
+
+def test_a_missing_sublayer_is_an_error_when_nothing_joins_the_bodies(tmp_path):
+    path = write(tmp_path, link("a") + link("b", "(1, 0, 0)"))
+    converted(path)
+    path.write_text(path.read_text().replace("(\n", "(\n    subLayers = [@other.usda@]\n", 1))
+    assert "nothing joins the bodies" in told(path).message
 
 
 @pytest.mark.parametrize("asset", ["textures/wood.usda", "../Materials/steel.usd", "bot_visuals.usd", "mat.mdl"])
@@ -566,7 +589,7 @@ def test_whatever_is_changed_gives_a_model_or_one_sentence(tmp_path, seed):
 
 def test_the_library_says_nothing_of_its_own(tmp_path, capfd):
     converted(write(tmp_path, missing(tmp_path, "textures/wood.usda")))
-    told(write(tmp_path, missing(tmp_path, "bot_physics.usd")))
+    told(write(tmp_path, missing(tmp_path, "bot_physics.usd", "collisions")))
     out, err = capfd.readouterr()
     assert (out, err) == ("", "")
     assert Usd.GetVersion()

@@ -252,7 +252,7 @@ def test_what_is_too_many_is_told(scratch: Scratch, monkeypatch: pytest.MonkeyPa
 def test_an_instancer_of_a_forest_is_left_out(scratch: Scratch, more: str, words: str) -> None:
     said = scratch.convert(usd(instancer(20_001, more)))
     assert said.status == 0
-    assert words in said.out
+    assert words in " ".join(said.out.split())
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ def test_an_instancer_of_a_forest_is_left_out(scratch: Scratch, more: str, words
 def test_an_instancer_that_puts_things_nowhere_is_left_out(scratch: Scratch, more: str) -> None:
     said = scratch.convert(usd(instancer(1, more)))
     assert said.status == 0
-    assert "its transforms are not finite, or reach more than 1e+09 m" in said.out
+    assert "its transforms are not finite, or reach more than 1e+09 m" in " ".join(said.out.split())
 
 
 def instancer(count: int, more: str) -> str:

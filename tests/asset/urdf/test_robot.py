@@ -25,6 +25,7 @@ from ..small_urdf import (
     tensor,
     write,
 )
+from ..warned import warned
 
 # ---------------------------------------------------------------- frames
 
@@ -129,7 +130,7 @@ def test_an_axis_that_is_not_given_is_x_and_only_its_direction_counts(tmp_path):
     ("kind", "limit", "expected", "warned"),
     [
         ("revolute", 'lower="-1" upper="2"', (-1, 2), False),
-        ("continuous", 'lower="-1" upper="2"', None, False),
+        ("continuous", 'lower="-1" upper="2"', None, True),
         ("revolute", 'effort="5" velocity="1"', None, True),
         ("revolute", 'lower="0.5" upper="0.5"', None, True),
         ("revolute", 'lower="2" upper="-1"', None, True),
@@ -152,9 +153,7 @@ def test_limits_mean_what_urdf_means_by_them(tmp_path, kind, limit, expected, wa
 def test_a_hinge_without_limit_is_unlimited_and_people_are_told(tmp_path):
     model, conversion = made(tmp_path, pair())
     assert not model.jnt_limited[1]
-    assert conversion.report.warnings == (
-        "/robot/joint[j]: no <limit>, read as no limits; other simulators lock such a joint",
-    )
+    assert warned(conversion) == ("/robot/joint[j]: no <limit>, read as no limits; other simulators lock such a joint",)
 
 
 def test_efforts_and_speeds_of_zero_mean_not_given(tmp_path):
@@ -196,7 +195,7 @@ def test_mimic_joints_follow_with_factor_and_offset(tmp_path):
 
 def test_a_mimic_joint_without_leader_is_left_out_with_a_hint(tmp_path):
     _, conversion = made(tmp_path, pair("continuous", '<mimic joint="jj"/>'))
-    assert conversion.report.warnings == (
+    assert warned(conversion) == (
         "/robot/joint[j]/mimic: the coupling was left out: there is no joint 'jj'; was 'j' meant?",
     )
 
@@ -277,7 +276,7 @@ def test_what_moves_and_weighs_nothing_gets_physx_s_kilogram(tmp_path):
     model, conversion = made(tmp_path, robot)
     assert model.body("b").mass[0] == 1
     np.testing.assert_allclose(model.body("b").inertia, 0.4 * 0.1**2)
-    assert conversion.report.warnings == (
+    assert warned(conversion) == (
         "/robot/link[b]: it moves, and neither it nor what is welded to it has a mass; "
         "it weighs 1 kg in the model, as in PhysX",
     )
@@ -309,7 +308,7 @@ def test_inertia_that_is_zero_but_for_rounding_is_not_given(tmp_path, written):
 def test_moments_that_no_body_can_have_are_mended_and_told(tmp_path):
     model, conversion = made(tmp_path, link("a", inertial=inertial(1, tensor="1 1 3 0 0 0")))
     np.testing.assert_allclose(model.body("a").inertia, [1, 1, 2])
-    assert conversion.report.warnings == (
+    assert warned(conversion) == (
         "/robot/link[a]: no body has the moments of inertia (1, 1, 3); the model has (1, 1, 2)",
     )
 
@@ -411,7 +410,7 @@ def test_every_attribute_is_read_or_named(tmp_path):
 def test_the_command_takes_a_urdf(tmp_path, capsys):
     source = write(tmp_path, pair("continuous"))
     assert main(["convert", str(source), "-o", str(tmp_path / "out.xml"), "--base", "fixed"]) == 0
-    assert "bot, fixed base" in capsys.readouterr().out
+    assert "fixed to the world" in capsys.readouterr().out
 
 
 def test_the_cache_sees_a_change_of_a_mesh(tmp_path):

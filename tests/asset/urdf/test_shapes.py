@@ -12,6 +12,7 @@ import pytest
 from wheelleg_exp.asset import convert, source_digest
 
 from ..small_urdf import assumed, at_zero, inertial, left, link, made, write
+from ..warned import warned
 
 # A tetrahedron with corners 0, x, y, z: volume 1/6, all faces outwards.
 CORNERS = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
@@ -111,7 +112,7 @@ def test_shapes_without_size_are_left_out_and_a_lost_collider_is_told(tmp_path):
     odd = "<geometry><heightmap/></geometry>"
     _, conversion = made(tmp_path, link("a", f"<visual>{flat}</visual><collision>{odd}</collision>"))
     assert left(conversion)["/robot/link[a]/visual visual"] == "it has no size"
-    assert conversion.report.warnings == (
+    assert warned(conversion) == (
         "/robot/link[a]/collision: a collider was left out: a shape of kind 'heightmap' is not supported",
     )
 
@@ -234,10 +235,10 @@ def test_a_mesh_that_cannot_be_read_is_passed_over_when_drawn_and_told_when_soli
     (tmp_path / file).write_bytes(data)
     _, conversion = made(tmp_path, link("a", mesh(file)))
     assert reason in left(conversion)["/robot/link[a]/visual visual"]
-    assert conversion.report.warnings == ()
+    assert warned(conversion) == ()
     _, conversion = made(tmp_path, link("a", mesh(file, "collision")))
-    assert len(conversion.report.warnings) == 1
-    assert reason in conversion.report.warnings[0]
+    assert len(warned(conversion)) == 1
+    assert reason in warned(conversion)[0]
 
 
 def test_nodes_of_a_collada_file_that_refer_to_each_other_end(tmp_path):
@@ -303,7 +304,7 @@ def test_mujocos_own_folder_of_meshes_counts(tmp_path):
 def test_a_missing_mesh_is_named_and_the_robot_still_comes(tmp_path, name):
     _, conversion = made(tmp_path, link("a", mesh(name) + mesh(name, "collision")))
     assert conversion.report.unresolved == (name,)
-    assert conversion.report.warnings == (
+    assert warned(conversion) == (
         f"/robot/link[a]/collision: a collider was left out: mesh '{name}': the file is not there",
         f"not found, read without it: {name}",
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ..small_usd import converted, hinge, link, two_links, write
+from ..warned import warned
 
 SITE = """
         def Sphere "{name}" (prepend apiSchemas = ["MjcSiteAPI"])
@@ -40,7 +41,7 @@ def test_an_attribute_that_mujoco_refuses_is_left_out_by_name_and_nothing_else(t
     refused = "uniform int mjc:actDim = 3\n uniform double[] mjc:gear = [3]"
     model, done = pair(tmp_path, refused)
     np.testing.assert_array_equal(model.actuator("motor").gear, [3, 0, 0, 0, 0, 0])
-    (warning,) = done.report.warnings
+    (warning,) = warned(done)
     assert warning.startswith("/bot/motor: mjc:actDim was left out: MuJoCo refuses it: ")
     (left,) = [item for item in done.report.left_out if item.name == "mjc:actDim"]
     assert left.values == {"/bot/motor": "3"}
@@ -52,7 +53,7 @@ def test_two_refused_attributes_are_both_left_out(tmp_path):
     body += actuator("j", "uniform int mjc:actDim = 3") + actuator("j", "uniform int mjc:actDim = 2", "other")
     model, done = converted(write(tmp_path, body))
     assert model.nu == 2
-    assert [text.split(":")[0] for text in done.report.warnings] == ["/bot/motor", "/bot/other"]
+    assert [text.split(":")[0] for text in warned(done)] == ["/bot/motor", "/bot/other"]
 
 
 BOTH = "float physics:lowerLimit = -30\n        float physics:upperLimit = 40"

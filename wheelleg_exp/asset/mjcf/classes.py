@@ -1,7 +1,8 @@
 """Gathers what elements have in common into default classes, so that a number stands once in the file.
 
 One class has the robot's name and holds what all elements of a kind share. Classes within it hold what several
-share, and are called after the words that those have in common: ``FL_hip`` and ``FR_hip`` make the class ``hip``.
+share, and are called after what those have in common: ``wheel`` or ``leg`` where the robot's build says so, else the
+words of their names, so that ``FL_hip`` and ``FR_hip`` make the class ``hip``.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ from dataclasses import dataclass, field
 from wheelleg_exp.asset.description import Closure, Coupling, Geom, RobotDescription
 from wheelleg_exp.asset.mjcf import attributes as of
 from wheelleg_exp.asset.mjcf.attributes import GROUP_COLLIDER, GROUP_VISUAL, Attributes
+from wheelleg_exp.asset.mjcf.roles import WHEEL, roles_of
 from wheelleg_exp.asset.mjcf.xml import Element, Value, value_text
 
 VISUAL, COLLISION = "visual", "collision"
 ACTUATORS = {"position", "velocity", "motor", "general"}
 RESERVED = {"main", VISUAL, COLLISION, *ACTUATORS}
-EMPTY_WORDS = {"joint", "actuator", "act", "geom", "site", "link", VISUAL, COLLISION}  # unless nothing else is left
+EMPTY_WORDS = {"joint", "actuator", "act", "geom", "site", "link", VISUAL, COLLISION}
 
 
 @dataclass
@@ -33,10 +35,13 @@ class Family:
 
 
 class Classes:
-    """The default classes of a document, and what is left for each element to say."""
+    """The default classes of a document, and what is left for each element to say.
 
-    def __init__(self, root: str) -> None:
-        self.root = root
+    ``roles`` are what joints, actuators and shapes are for, by name.
+    """
+
+    def __init__(self, root: str, roles: Mapping[str, str]) -> None:
+        self.root, self.roles = root, roles
         self._content: dict[str, dict[str, Attributes]] = {root: {}}
         self._parents: dict[str, str] = {}
         self._of: dict[tuple[str, str], str] = {}
@@ -91,11 +96,18 @@ class Classes:
             out.children.append(made[self.root])
         return out
 
+    def common(self, names: Iterable[str]) -> str:
+        """Return what elements have in common: they are wheels, or words of their names, or they are of legs."""
+        names = list(names)
+        found = {self.roles.get(name, "") for name in names}
+        role = found.pop() if len(found) == 1 else ""
+        return role if role == WHEEL else _words_in_common(names) or role
+
     def _needed(self, name: str) -> bool:
         return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
 
     def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
-        name = self._free(_words_in_common(names), family)
+        name = self._free(self.common(names), family)
         self._content.setdefault(name, {})[family.tag] = shared
         self._parents[name] = family.parent
         for member in names:
@@ -153,7 +165,7 @@ def _words_in_common(names: list[str]) -> str:
     split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
     shared = [word for word in split[0] if all(word in words for words in split[1:])]
     words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
-    return "_".join([word for word in words if word.lower() not in EMPTY_WORDS] or words)
+    return "_".join(word for word in words if word.lower() not in EMPTY_WORDS)
 
 
 COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)
@@ -165,7 +177,7 @@ TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}  # by the ground, and by 
 def gather(robot: RobotDescription) -> Classes:
     """Return the default classes of a robot."""
     root = robot.name if robot.name not in RESERVED else f"{robot.name}_robot"
-    classes = Classes(root)
+    classes = Classes(root, roles_of(robot))
     for name in (VISUAL, COLLISION):
         classes.child(name)
     for family in (*_geoms(robot), *_others(robot, root), *_actuators(robot, classes)):
@@ -206,7 +218,11 @@ def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
             members.setdefault(dof.drive.kind, {})[dof.name] = of.drive(dof.drive)
     if robot.actuators:
         members["general"] = {item.name: of.actuator(item) for item in robot.actuators}
-    if len(members) > 1:
-        for kind in members:
-            classes.child(kind)
-    return [Family(kind, items, kind if len(members) > 1 else classes.root) for kind, items in members.items()]
+    if len(members) == 1:
+        return [Family(kind, items, classes.root) for kind, items in members.items()]
+    names = {kind: classes.common(items) for kind, items in members.items()}
+    told = all(names.values()) and len(set(names.values())) == len(names) and not set(names.values()) & RESERVED
+    parents = {kind: names[kind] if told and classes.root not in names.values() else kind for kind in members}
+    for parent in parents.values():
+        classes.child(parent)
+    return [Family(kind, items, parents[kind]) for kind, items in members.items()]

@@ -73,6 +73,18 @@ def refusals(source: str, folder: Path | None = None) -> Iterator[None]:
         raise ModelRefused(f"MuJoCo cannot build a model of '{source}': {reason.removeprefix('Error: ')}") from None
 
 
+@contextmanager
+def told_by_mujoco() -> Iterator[list[str]]:
+    """Collect what MuJoCo warns of, which it would write into a log file in the current folder."""
+    told: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: told.append(f"MuJoCo: {text}"))
+    try:
+        yield told
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
 def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
     """Compare bodies, joints, shapes, what acts on them and between them.
 

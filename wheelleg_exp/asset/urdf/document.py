@@ -30,10 +30,10 @@ class Document:
         """Raise an AssetError that names the element and its line."""
         raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
 
-    def text(self, element: Element, name: str, became: str) -> str | None:
-        """Return an attribute, None when it is absent, and note what it becomes."""
+    def text(self, element: Element, name: str, became: str | None) -> str | None:
+        """Return an attribute, None when it is absent, and note what it becomes, if anything."""
         value = element.attributes.get(name)
-        if value is not None:
+        if value is not None and became is not None:
             self.ledger.mapped(element.path, name, became)
         return value
 
@@ -63,7 +63,7 @@ class Document:
             self.fail(element, f"'{name}' is '{text[:SHOWN_TEXT]}'", wanted)
         return values
 
-    def number(self, element: Element, name: str, became: str, *, endless: bool = False) -> float | None:
+    def number(self, element: Element, name: str, became: str | None, *, endless: bool = False) -> float | None:
         """Return an attribute's number, None when it is absent or blank; ``endless`` lets infinity pass.
 
         Raises:

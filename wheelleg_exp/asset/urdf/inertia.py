@@ -107,6 +107,7 @@ def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) ->
     if seen.mass == 0:
         return Part(0.0, center, np.zeros((3, 3)))
     parts = _weights(colliders)
+    document.ledger.find("no_inertia", link.name, link.element.path, mass=seen.mass)
     if not parts:
         return _bare(document, link, seen.mass, center)
     document.ledger.assume(link.element.path, "no inertia: from the colliders, scaled to the mass", "tensor")
@@ -143,6 +144,7 @@ def _tensor(document: Document, link: Link, mass: float) -> Array | None:
     if max(moments) > mass * NOISE**2:
         return tensor
     document.ledger.leave(element.path, "inertia", "zero but for rounding, which means not given", _listed(moments))
+    document.ledger.find("tiny_inertia", link.name, link.element.path, mass=mass, largest=max(moments))
     return None
 
 
@@ -177,6 +179,8 @@ def _possible(document: Document, link: Link, moments: Vec3) -> Vec3:
     path, shown = link.element.path, _listed(moments)
     able = balanced(moments)
     if able != moments:
+        a, b, c = moments
+        document.ledger.find("impossible_inertia", link.name, path, a=a, b=b, c=c, cut_to=max(able))
         rule = "moments that no body can have (A + B < C): the largest is cut"
         document.ledger.assume(path, rule, f"{shown} to {_listed(able)} kg m²")
         if not np.allclose(able, moments, rtol=0.01, atol=0):

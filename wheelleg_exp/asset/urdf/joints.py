@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelleg_exp.asset.description import Coupling, Dof, Vec3
+from wheelleg_exp.asset.findings import is_placeholder
 from wheelleg_exp.asset.urdf.document import Document
 from wheelleg_exp.asset.urdf.kinematics import Joint, Tree
 from wheelleg_exp.asset.urdf.mujoco_reader import Axis, Seen
@@ -81,16 +82,22 @@ def _limits(document: Document, joint: Joint) -> _Limits:
         return _Limits()  # the audit names what stands there
     if element is None:
         return _Limits(_range(document, joint, None))
-    return _Limits(_range(document, joint, element), _effort(document, element), _velocity(document, joint, element))
+    return _Limits(
+        _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
+    )
 
 
 def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:
     """Return the limits of a hinge or slide. A side that is not written is 0, says URDF."""
     if joint.kind == "continuous":
+        _note_ignored(document, joint, element)
         return None
     ledger, path, angular = document.ledger, joint.element.path, joint.kind == "revolute"
-    found = [document.number(element, side, "range", endless=True) if element else None for side in ("lower", "upper")]
+    found = [_written(document, joint, element, side, "range") for side in ("lower", "upper")]
     low, high = (0.0 if value is None else value for value in found)
+    if low >= high:
+        written = {side: value for side, value in zip(("lower", "upper"), found, strict=True) if value is not None}
+        ledger.find("no_limits", joint.name, path, **written)
     if low == high:
         what = f"limits {low:g} to {high:g}" if element else "no <limit>"
         ledger.assume(path, "lower and upper limit are equal, or not given: no limits", what)
@@ -109,8 +116,30 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
     return (-FAR if no_low else low, FAR if no_high else high)
 
 
-def _effort(document: Document, element: Element) -> Range | None:
-    value = document.number(element, "effort", "joint actuatorfrcrange", endless=True)
+def _note_ignored(document: Document, joint: Joint, element: Element | None) -> None:
+    """Say that a joint that turns without end has limits all the same, where it has; they are left to the audit."""
+    if element is None or not {"lower", "upper"} <= set(element.attributes):
+        return
+    low, high = (_written(document, joint, element, side, None) for side in ("lower", "upper"))
+    if low is None or high is None or not low < high or endless(math.degrees(low), True):
+        return
+    path = joint.element.path
+    document.ledger.find("limits_ignored", joint.name, path, lower=low, upper=high)
+    document.ledger.warn(f"{path}: a continuous joint has no limits; {low:g} to {high:g} are written and do not count")
+
+
+def _written(document: Document, joint: Joint, element: Element | None, name: str, became: str | None) -> float | None:
+    """Return a number of ``<limit>``, and keep it as the file has it."""
+    value = None if element is None else document.number(element, name, became, endless=True)
+    if value is not None:
+        document.ledger.authored.setdefault(joint.element.path, {})[name] = value
+    return value
+
+
+def _effort(document: Document, joint: Joint, element: Element) -> Range | None:
+    value = _written(document, joint, element, "effort", "joint actuatorfrcrange")
+    if value is not None and math.isfinite(value) and is_placeholder(value):
+        document.ledger.find("placeholder_effort", joint.name, joint.element.path, value=value)
     limit = effort_limit(None if value is None else abs(value))
     if limit is None:
         if value is not None:
@@ -120,9 +149,11 @@ def _effort(document: Document, element: Element) -> Range | None:
 
 
 def _velocity(document: Document, joint: Joint, element: Element) -> float | None:
-    value = document.number(element, "velocity", "velocity_limits", endless=True)
+    value = _written(document, joint, element, "velocity", "velocity_limits")
     if value is None:
         return None
+    if math.isfinite(value) and is_placeholder(value):
+        document.ledger.find("placeholder_velocity", joint.name, joint.element.path, value=value)
     limit = abs(value)
     if limit == 0 or limit >= HUGE:
         document.ledger.leave(element.path, "velocity", "zero, infinite or huge, which means not given", value)

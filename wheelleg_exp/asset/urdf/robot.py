@@ -88,7 +88,18 @@ class _Builder:
         audit(document)
         for name in self.files.missing:
             document.ledger.warn(f"not found, read without it: {name}")
+            document.ledger.find("mesh_not_found", name, document.source.name, **self._named_by(name))
         return robot, self.files
+
+    def _named_by(self, file: str) -> dict[str, float]:
+        """Return how many colliders and visuals name a file."""
+        shapes = [placed for seen in self.seen.values() for placed in seen.shapes]
+        of_file = [
+            placed.collides
+            for placed in shapes
+            if any(e.attributes.get("filename") == file for e in placed.element.walk())
+        ]
+        return {"colliders": sum(of_file), "visuals": len(of_file) - sum(of_file)}
 
     # ------------------------------------------------------------ bodies
     def _body(self, link: Link, inertial: Inertial) -> Body:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdPhysics
 
 from wheelleg_exp.asset.findings import Finding, Kind
 from wheelleg_exp.asset.report import Assumption, LeftOut, Mapped
@@ -20,7 +20,8 @@ class Ledger:
         self._left: dict[tuple[str, str], dict[str, str]] = {}
         self._left_names: set[tuple[str, str]] = set()
         self._warnings: dict[str, None] = {}
-        self._found: dict[tuple[str, str], Finding] = {}
+        self._found: dict[tuple[str, str, str], Finding] = {}
+        self.authored: dict[str, dict[str, Any]] = {}  # attributes of joints in the file's units, by path and name
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
         """Return an attribute's authored value in plain Python, or None.
@@ -37,6 +38,8 @@ class Ledger:
         if not attribute or not attribute.HasAuthoredValue():
             return None
         value = value_of(attribute, kind_of(name))
+        if isinstance(value, (float, int, str)) and prim.IsA(UsdPhysics.Joint):
+            self.authored.setdefault(str(prim.GetPath()), {})[name] = value
         if became and value is not None:
             self.mapped(prim.GetPath(), name, became)
         return value
@@ -68,8 +71,10 @@ class Ledger:
         self._warnings[text] = None
 
     def find(self, kind: Kind, subject: str, path: object, **numbers: float) -> None:
-        """Record something odd, once for each kind and subject; what the numbers are stands in ``findings``."""
-        self._found[kind, subject] = Finding(kind, subject, str(path), numbers)
+        """Record something odd, once for each kind, subject and place; what the numbers are stands in ``findings``."""
+        self._found[kind, subject, str(path)] = Finding(
+            kind, subject, str(path), {name: float(value) for name, value in numbers.items()}
+        )
 
     @property
     def findings(self) -> tuple[Finding, ...]:

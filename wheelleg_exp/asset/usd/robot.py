@@ -21,6 +21,7 @@ from wheelleg_exp.asset.usd.joints.distance import Ropes, read_ropes
 from wheelleg_exp.asset.usd.joints.joints import DISTANCE, read_joints
 from wheelleg_exp.asset.usd.joints.mimic import read_mimics
 from wheelleg_exp.asset.usd.mjc import with_mujoco
+from wheelleg_exp.asset.usd.precision import shortened
 from wheelleg_exp.asset.usd.scene import gravity
 from wheelleg_exp.asset.usd.shapes.colliders import find_pieces
 from wheelleg_exp.asset.usd.shapes.collision_filters import Filters, all_quiet, quiet_parts, read_filters
@@ -70,7 +71,7 @@ def describe(stage: Stage, base: BaseMode) -> RobotDescription:
         self_collision=touching,
         breadth_first_dofs=_breadth_first(tree, dofs),
     )
-    robot = _integrated(stage, with_mujoco(stage, links, robot))
+    robot = shortened(stage, _integrated(stage, with_mujoco(stage, links, robot)))
     audit(stage)
     return robot
 

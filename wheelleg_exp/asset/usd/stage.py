@@ -193,6 +193,7 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     stage = Stage(usd, source, _units(usd, source), root, prims, _hashes(usd, source), names, variants)
     for item in missing:
         stage.ledger.warn(_told(item))
+        stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
     _note_metadata(stage)
     return stage
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from wheelleg_exp.asset.description import RobotDescription
+from wheelleg_exp.asset.findings import Finding
 from wheelleg_exp.asset.report import DofOrder, Report
+from wheelleg_exp.asset.shape_findings import note_colliders
 from wheelleg_exp.asset.usd.ledger import Ledger
 from wheelleg_exp.asset.usd.stage import Stage
+from wheelleg_exp.asset.values import plain
 
 
 def summarise(stage: Stage, robot: RobotDescription) -> Report:
@@ -48,6 +53,8 @@ def report_of(
         unresolved: names of files that are not there.
         layers: sha256 of each file that was read.
     """
+    note_colliders(robot, ledger)
+    findings = _by_name(robot, ledger)
     mapped, assumed, left, warnings = ledger.entries()
     return Report(
         source=source,
@@ -56,7 +63,7 @@ def report_of(
         base=base_of(robot),
         stage=stage,
         variants=variants,
-        totals=totals(robot),
+        totals=totals(robot, findings),
         bodies={body.path: body.name for body in robot.bodies},
         joints={dof.name: dof.path for dof in robot.dofs},
         dof_order=DofOrder(robot.breadth_first_dofs, tuple(dof.name for dof in robot.dofs)),
@@ -66,9 +73,18 @@ def report_of(
         left_out=left,
         warnings=warnings,
         unresolved=unresolved,
-        findings=ledger.findings,
+        findings=findings,
+        authored=plain(ledger.authored),
         layers=layers,
     )
+
+
+def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
+    """Return the findings, those of bodies and joints by the names that these have in the model."""
+    names: dict[str, str] = {}
+    for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
+        names.setdefault(path, name)
+    return tuple(replace(item, subject=names.get(item.path, item.subject)) for item in ledger.findings)
 
 
 def base_of(robot: RobotDescription) -> str:
@@ -78,12 +94,15 @@ def base_of(robot: RobotDescription) -> str:
     return ", ".join(sorted(kinds))
 
 
-def totals(robot: RobotDescription) -> dict[str, float]:
-    """Return the counts and the mass (kg) that tell at a glance whether a conversion is right."""
+def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, float]:
+    """Return the counts and masses (kg) that tell at a glance whether a conversion is right."""
+    assumed = sum(item.numbers["mass"] for item in findings if item.kind == "no_inertial")
     return {
         "bodies": len(robot.bodies),
         "dofs": sum(3 if dof.kind == "ball" else 1 for dof in robot.dofs),
         "mass": round(robot.mass, 9),
+        "assumed_mass": round(assumed, 9),
+        "assumed_share": round(assumed / robot.mass, 6) if robot.mass > 0 else 0.0,
         "colliders": len(robot.colliders),
         "visuals": sum(not geom.collides for body in robot.bodies for geom in body.geoms),
         "actuators": len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs),

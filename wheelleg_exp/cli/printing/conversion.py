@@ -3,96 +3,165 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.printing.figures import shown
-from wheelleg_exp.cli.printing.tables import print_table
+from wheelleg_exp.cli.printing.tables import hanging, print_table
+from wheelleg_exp.definitions.definition import percent
 from wheelleg_exp.errors import printable
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset import Conversion, Report
     from wheelleg_exp.asset.description import Dof, RobotDescription
-    from wheelleg_exp.asset.report import LeftOut
 
-ROWS = 15  # of a table, before the rest is only counted
+ROWS = 15  # of a table or a list, before the rest is only counted
 JOINTS = 40
 WIDTH = 60  # characters of a cell
+NAMED = 6  # kinds of things that were left out, before the rest is only counted
+VERDICTS = {
+    "good": "converted, and nothing is in doubt",
+    "check": "converted; read what is warned of",
+    "doubtful": "DOUBTFUL:",
+}
 
 
-def show(conversion: Conversion) -> None:
-    """Print the summary, the joints, what was assumed and left out, warnings, and what to do next."""
+def show(conversion: Conversion, scene: Path | None) -> None:
+    """Print the verdict, the warnings, the summary, the joints, what was assumed and left out, and what to do next."""
     report = conversion.report
-    print_table(("read", printable(report.source)), _summary(report))
-    _section("Joints", ("joint", "kind", "range", "drive", "PhysX", "MuJoCo"), _joints(conversion), JOINTS)
+    told = " ".join([VERDICTS[report.verdict.level], "; ".join(report.verdict.reasons)]).strip()
+    print(hanging(f"{printable(report.source)}: {told}", 4))
+    _warnings(report.warnings)
+    print()
+    print_table(("model", printable(report.model)), _summary(report))
+    columns = ("joint", "kind", "range", "kp", "kv", "effort", "as authored")
+    rows = _joints(conversion)
+    used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
+    used = [i for i in used if columns[i] != "as authored" or any(row[i] for row in rows)]
+    _section("Joints", [columns[i] for i in used], [[row[i] for i in used] for row in rows], JOINTS)
+    _orders(report)
     _section("Assumed", ("rule", "value", "where"), _assumed(report))
-    left = [(item.name, item.reason, _prims(item.values)) for item in sorted(report.left_out, key=_is_note)]
-    _section("Left out", ("what", "why", "prims"), left)
-    if report.warnings:
-        print()
-    for text in _grouped(report.warnings):
-        print(f"warning: {printable(text)}")
+    _left_out(report)
     output = shown(conversion.output.resolve())
-    print(f"\nWrote {output}")
+    print(f"\nWrote {output}" + ("" if scene is None else f", and {scene.name} beside it with a floor and a light"))
     if report.base == "fixed":
         print("Its base is fixed to the world: --base floating lets it move")
-    print(f"Look at it: python -m mujoco.viewer --mjcf={shlex.quote(str(output))}")
+    seen = output if scene is None else shown(scene.resolve())
+    print(f"Look at it: python -m mujoco.viewer --mjcf={shlex.quote(str(seen))}")
     print("Train with it: name the source as env.robot.asset; it is converted and cached by itself")
-    print("What became of every attribute: the same command with --json")
+    print("Every number, and what became of every attribute: the same command with --json")
+
+
+def _warnings(warnings: Sequence[str]) -> None:
+    groups = _grouped(warnings)
+    for text in groups[:ROWS]:
+        print(hanging(printable(text), 9, "warning:"))
+    if len(groups) > ROWS:
+        print(f"and {len(groups) - ROWS} more warnings; --json lists them all")
 
 
 def _summary(report: Report) -> list[tuple[str, str]]:
     totals, stage = report.totals, report.stage
+    assumed = totals["assumed_mass"]
+    share = (
+        "all of it from the file" if not assumed else f"{assumed:.6g} kg ({percent(totals['assumed_share'])}) assumed"
+    )
     rows = [
-        ("model", f"{report.model}, {report.base} base"),
-        ("bodies", f"{totals['bodies']}, {totals['mass']:.6g} kg in all"),
+        ("bodies", f"{totals['bodies']}, {totals['mass']:.6g} kg in all, {share}"),
+        ("base", report.base),
         ("degrees of freedom", f"{totals['dofs']}, of which {totals['actuators']} are driven"),
         ("shapes", f"{totals['colliders']} colliders, {totals['visuals']} visuals"),
     ]
-    if "metersPerUnit" in stage:
+    if stage != {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"} and "metersPerUnit" in stage:
         units = f"{stage['metersPerUnit']:g} m, {stage['kilogramsPerUnit']:g} kg, {stage['upAxis']} up"
         rows.append(("stage units", units))
     if report.variants:
         rows.append(("variants", ", ".join(f"{name}={value}" for name, value in report.variants.items())))
-    layers = list(report.layers)
-    rows += [("layers" if i == 0 else "", name) for i, name in enumerate(layers[:ROWS])]
-    if len(layers) > ROWS:
-        rows.append(("", f"and {len(layers) - ROWS} more"))
+    layers = [name for name in report.layers if name != report.source]
+    if layers:
+        few = ", ".join(layers[:NAMED]) + (f" and {len(layers) - NAMED} more" if len(layers) > NAMED else "")
+        rows.append(("made of", f"{report.source}, {few}"))
     return rows
 
 
+# ---------------------------------------------------------------- joints
 def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
-    """Return a row for each degree of freedom in MuJoCo's order, with its place in either simulator's order."""
-    physx = {name: str(place) for place, name in enumerate(conversion.report.dof_order.physx)}
-    driven = _driven(conversion.description)
-    return [
-        (dof.name, dof.kind, _range(dof), driven.get(dof.name, "none"), physx.get(dof.name, "-"), str(place))
-        for place, dof in enumerate(conversion.description.dofs)
-    ]
+    """Return a row for each degree of freedom, in MuJoCo's order and SI units, with the file's words where others."""
+    from wheelleg_exp.asset.values import effort_of
+
+    report, robot = conversion.report, conversion.description
+    acting = _acting(robot)
+    rows: list[tuple[str, ...]] = []
+    for dof in robot.dofs:
+        drive, unit = dof.drive, "N" if dof.kind == "slide" else "N m"
+        effort = effort_of(dof)
+        force = "motor" if drive else acting.get(dof.name, "")
+        rows.append(
+            (
+                dof.name,
+                dof.kind,
+                _range(dof),
+                f"{drive.stiffness:.4g}" if drive and drive.stiffness else "" if drive and drive.damping else force,
+                f"{drive.damping:.4g}" if drive and drive.damping else "",
+                "none" if effort is None else f"{effort:.4g} {unit}",
+                _authored(dof, report.authored.get(dof.path, {})),
+            )
+        )
+    return rows
 
 
 def _range(dof: Dof) -> str:
     if dof.range is None:
         return "unlimited"
     low, high = dof.range
-    if dof.kind == "slide":
-        return f"{low:.4g} to {high:.4g} m"
-    return f"{math.degrees(low):.4g} to {math.degrees(high):.4g} deg"
+    return f"{low:.4g} to {high:.4g} {'m' if dof.kind == 'slide' else 'rad'}"
 
 
-def _driven(robot: RobotDescription) -> dict[str, str]:
-    """Return what drives each joint, by the joint's name."""
-    out = {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
-    for dof in robot.dofs:
-        if dof.drive is not None:
-            gains = {"position": f" kp {dof.drive.stiffness:.4g}", "motor": "", "velocity": ""}[dof.drive.kind]
-            gains += f" kv {dof.drive.damping:.4g}" if dof.drive.damping else ""
-            limit = "" if dof.drive.effort is None else f", at most {dof.drive.effort:.4g}"
-            out[dof.name] = f"{dof.drive.kind}{gains}{limit}"
-    return out
+def _acting(robot: RobotDescription) -> dict[str, str]:
+    """Return what MuJoCo's own actuators do to joints, by the joint's name."""
+    return {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
 
 
+def _authored(dof: Dof, authored: Mapping[str, Any]) -> str:
+    """Return a joint's limits and gains in the file's own units; nothing where they are those of the model."""
+    by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
+    low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
+    usd = any(":" in name for name in authored)
+    degrees = usd and dof.kind != "slide"
+    parts = []
+    endless = not any(isinstance(end, (int, float)) and math.isfinite(end) for end in (low, high))
+    if low is not None and high is not None and not endless and (usd or dof.range is None):
+        parts.append(f"{_shortly(low)} to {_shortly(high)}{' deg' if degrees else ''}")
+    if degrees and dof.drive is not None:
+        gains = [_shortly(by_end[key]) for key in ("stiffness", "damping") if by_end.get(key)]
+        parts += [", ".join(gains) + " per deg"] if gains else []
+    limit = None if dof.drive is None else dof.drive.effort
+    if limit is not None and not math.isclose(by_end.get("maxForce", limit), limit, rel_tol=1e-3):
+        parts.append(f"max {_shortly(by_end['maxForce'])}")
+    if not usd and dof.force_range is None and "effort" in by_end:
+        parts.append(f"effort {_shortly(by_end['effort'])}")
+    return "; ".join(parts)
+
+
+LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
+
+
+def _shortly(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
+
+
+def _orders(report: Report) -> None:
+    """Say in which order PhysX has the joints, where it is not MuJoCo's, which the table has."""
+    order = report.dof_order
+    if order.physx and order.physx != order.mujoco:
+        few = ", ".join(order.physx[:JOINTS]) + (", ..." if len(order.physx) > JOINTS else "")
+        print(hanging(f"order in PhysX: {few}", 4))
+
+
+# ---------------------------------------------------------------- what was assumed and left out
 def _assumed(report: Report) -> list[tuple[str, str, str]]:
     """Return a row for each rule: its value where all are equal, and where it was used."""
     rules: dict[str, dict[str, str]] = {}
@@ -106,9 +175,18 @@ def _assumed(report: Report) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _is_note(item: LeftOut) -> bool:
-    """Return whether what was left out says nothing of how the robot moves; such rows come last."""
-    return item.reason.startswith(("declared without", "a note of", "there is one"))
+def _left_out(report: Report) -> None:
+    """Name the kinds of things that have no place in the model; why, and where, stands in the JSON."""
+    kinds = dict.fromkeys(item.name for item in sorted(report.left_out, key=lambda item: _is_note(item.reason)))
+    if kinds:
+        few = ", ".join(list(kinds)[:NAMED]) + (f" and {len(kinds) - NAMED} more" if len(kinds) > NAMED else "")
+        print()
+        print(hanging(printable(f"Left out: {few}; --json says why"), 4))
+
+
+def _is_note(reason: str) -> bool:
+    """Return whether what was left out says nothing of how the robot moves; such things come last."""
+    return reason.startswith(("declared without", "a note of", "there is one"))
 
 
 def _places(paths: Iterable[str]) -> str:
@@ -116,23 +194,28 @@ def _places(paths: Iterable[str]) -> str:
     return first + (f" and {len(others)} more" if others else "")
 
 
-def _prims(values: dict[str, str]) -> str:
-    value = _short(next(iter(values.values())))
-    return _places(values) + (f": {value}" if value else "")
-
-
 def _short(text: str) -> str:
     return text if len(text) <= WIDTH else text[: WIDTH - 3] + "..."
 
 
 def _grouped(warnings: Sequence[str]) -> list[str]:
-    """Return the warnings; those that say the same of several prims are one."""
-    groups: dict[str, list[str]] = {}
+    """Return the warnings; those that say the same, apart from places, names and numbers, are one."""
+    groups: dict[str, list[tuple[str, str]]] = {}
     for text in warnings:
         path, colon, said = text.partition(": ")
-        at_prim = bool(colon) and path.startswith("/")
-        groups.setdefault(said if at_prim else text, []).extend([path] if at_prim else [])
-    return [f"{_places(paths)}: {text}" if paths else text for text, paths in groups.items()]
+        place, said = (path, said) if colon and path.startswith("/") else ("", text)
+        alike = re.sub(r"'[^']*'|(?<=without it: ).*|[-+]?\d[\d.e+-]*", "…", said)
+        groups.setdefault(alike, []).append((place, said))
+    out = []
+    for found in groups.values():
+        place, said = found[0]
+        same = all(other == said for _, other in found)
+        if place and same:
+            out.append(f"{_places([where for where, _ in found])}: {said}")
+        else:
+            more = f" (and {len(found) - 1} more like this)" if len(found) > 1 else ""
+            out.append((f"{place}: " if place else "") + said + more)
+    return out
 
 
 def _section(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], most: int = ROWS) -> None:

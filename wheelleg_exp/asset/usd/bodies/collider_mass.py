@@ -18,6 +18,8 @@ from wheelleg_exp.asset.usd.shapes.materials import physics_material
 from wheelleg_exp.asset.usd.stage import Stage, schemas
 from wheelleg_exp.asset.usd.units import given
 
+NO_DENSITY = "no density: water"
+
 
 def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
     """Return what each collider of a body weighs, in the body's frame.
@@ -127,5 +129,5 @@ def _density(stage: Stage, link: Link, piece: Piece) -> float:
         if given(value):
             return stage.units.density(value)
     if not given(stage.ledger.read(link.prim, "physics:mass")):
-        stage.ledger.assume(link.path, "no density: water", f"{WATER:g} kg/m³")
+        stage.ledger.assume(link.path, NO_DENSITY, f"{WATER:g} kg/m³")
     return WATER

@@ -20,7 +20,7 @@ from wheelleg_exp.asset.solids import (
     combined_tensor,
     principal,
 )
-from wheelleg_exp.asset.usd.bodies.collider_mass import parts_of
+from wheelleg_exp.asset.usd.bodies.collider_mass import NO_DENSITY, parts_of
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link
 from wheelleg_exp.asset.usd.mjc.angles import find_scene
 from wheelleg_exp.asset.usd.shapes.colliders import Piece
@@ -113,9 +113,12 @@ def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
     total = sum(part.mass for part in parts)
     if total > 0:
         stage.ledger.assume(link.path, "no mass: from the colliders' volume and density", f"{total:.6g} kg")
+        if stage.ledger.assumed(link.path, NO_DENSITY):
+            stage.ledger.find("no_inertial", link.name, link.path, mass=total)
         return total
     mass = stage.units.mass(BARE_MASS)
     stage.ledger.assume(link.path, "no mass and no collider: as PhysX, one unit of the stage", f"{mass:g} kg")
+    stage.ledger.find("no_inertial", link.name, link.path, mass=mass)
     return mass
 
 
@@ -174,9 +177,11 @@ def _computed_tensor(
     """Return the colliders' tensor, scaled to the mass, about ``center``."""
     if sum(part.mass for part in parts) <= 0:
         stage.ledger.assume(link.path, "no inertia and no collider: a sphere of 0.1 m, as PhysX", "0.4 m r²")
+        stage.ledger.find("no_inertia", link.name, link.path, mass=mass)
         return np.eye(3) * 0.4 * mass * BARE_RADIUS**2
     if for_moments:
         stage.ledger.assume(link.path, "no inertia: from the colliders, scaled to the mass", "principal moments")
+        stage.ledger.find("no_inertia", link.name, link.path, mass=mass)
     return combined_tensor(parts, mass, center)
 
 
@@ -186,6 +191,8 @@ def _possible(stage: Stage, link: Link, moments: Vec3) -> Vec3:
     if able == moments:
         return moments
     stage.ledger.assume(link.path, "moments that no body can have (A + B < C): the largest is cut", f"{able}")
+    a, b, c = moments
+    stage.ledger.find("impossible_inertia", link.name, link.path, a=a, b=b, c=c, cut_to=max(able))
     if not np.allclose(able, moments, rtol=0.01, atol=0):
         stage.ledger.warn(f"{link.path}: MuJoCo refuses its principal moments {moments}; {able} stand in the model")
     return able

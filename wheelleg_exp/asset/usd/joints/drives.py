@@ -7,10 +7,11 @@ from typing import Any
 from pxr import Usd
 
 from wheelleg_exp.asset.description import Drive
+from wheelleg_exp.asset.findings import is_placeholder
 from wheelleg_exp.asset.usd.joints.axes import FreeAxis
 from wheelleg_exp.asset.usd.joints.limits import Range
 from wheelleg_exp.asset.usd.stage import Stage, schemas
-from wheelleg_exp.asset.usd.units import effort_limit
+from wheelleg_exp.asset.usd.units import HUGE, effort_limit
 
 KEYS = ("stiffness", "damping", "maxForce", "targetPosition", "targetVelocity", "type")
 
@@ -39,7 +40,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
         kind="position" if kp > 0 else "velocity" if kd > 0 else "motor",
         stiffness=kp,
         damping=kd,
-        effort=None if limit is None else units.effort(limit, angular),
+        effort=_noted(stage, prim, value["maxForce"], None if limit is None else units.effort(limit, angular)),
         target_position=clamped(stage, prim, f"the target of drive:{axis.token}", target, limits),
         target_velocity=speed,
         acceleration=value["type"] == "acceleration",
@@ -70,6 +71,14 @@ def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | Non
         rule = f"a drive's maxForce of {authored:g} is taken for not given"
         stage.ledger.assume(prim.GetPath(), rule, "no effort limit")
     return effort_limit(authored)
+
+
+def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
+    """Return an effort limit (N·m or N), after recording one that no motor has; infinity is none, and meant."""
+    shown = authored if effort is None else effort
+    if shown is not None and is_placeholder(shown) and shown < HUGE:
+        stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
+    return effort
 
 
 def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:

@@ -36,10 +36,12 @@ def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
     high = ledger.read(prim, "physics:upperLimit", "range")
     if low is not None and high is not None and low == high:
         ledger.assume(prim.GetPath(), "lower and upper limit are equal: no limits", f"{low:g}")
+        ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
         ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are read as none; PhysX locks such a joint")
         return None
     if low is not None and high is not None and low > high:
         ledger.assume(prim.GetPath(), "the lower limit is above the upper one: locked, as PhysX", LOCKED)
+        ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
         ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are the wrong way round; the joint is locked at 0")
         return -LOCKED, LOCKED
     found = _range(stage.units, low, high, angular, one_sided=not angular)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from pxr import Usd
 
+from wheelleg_exp.asset.findings import is_placeholder
 from wheelleg_exp.asset.usd.joints.axes import TURNS, FreeAxis
 from wheelleg_exp.asset.usd.stage import Stage, schemas
 from wheelleg_exp.asset.usd.units import HUGE, effort_limit
@@ -128,11 +129,15 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
     names = (f"physxJointAxis:{axis.token}:maxJointVelocity", "physxJoint:maxJointVelocity", "newton:velocityLimit")
     for name in names:
         value = stage.ledger.read(prim, name)
+        if value == 0:
+            stage.ledger.find("placeholder_velocity", prim.GetName(), prim.GetPath(), value=0.0)
         if value is None or not 0 < value < HUGE:
             continue
         speed, unit = stage.units.coordinate(value, angular), "rad/s" if angular else "m/s"
         reason = f"MuJoCo has no velocity limit; kept in the report's velocity_limits in {unit}"
         stage.ledger.leave(prim.GetPath(), name, reason, f"{speed:g} {unit}")
+        if is_placeholder(speed):
+            stage.ledger.find("placeholder_velocity", prim.GetName(), prim.GetPath(), value=speed)
         limit = speed if limit is None else limit
     return limit
 

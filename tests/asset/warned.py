@@ -1,0 +1,11 @@
+"""Warnings of small robots, most of which have no colliders."""
+
+from __future__ import annotations
+
+from wheelleg_exp.asset import Conversion
+from wheelleg_exp.asset.shape_findings import FALLS
+
+
+def warned(conversion: Conversion) -> tuple[str, ...]:
+    """Return the warnings of a conversion, but for the one that nothing collides."""
+    return tuple(text for text in conversion.report.warnings if text != FALLS)
