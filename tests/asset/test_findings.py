@@ -33,6 +33,7 @@ def limits(kind: str, text: str) -> str:
         (limits("continuous", 'effort="0"'), "placeholder_effort", "j", {"value": 0}),
         (limits("continuous", 'velocity="2000"'), "placeholder_velocity", "j", {"value": 2000}),
         (urdf.pair(child=""), "no_inertial", "b", {"mass": 1}),
+        (urdf.pair(child=urdf.inertial(0)), "no_inertial", "b", {"mass": 1}),
         (urdf.pair(child=urdf.inertial(2)), "no_inertia", "b", {"mass": 2}),
         (urdf.pair(child=urdf.inertial(2, tensor="1e-20 1e-20 1e-20 0 0 0")), "tiny_inertia", "b", {"mass": 2}),
         (

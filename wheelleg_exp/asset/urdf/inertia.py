@@ -56,7 +56,7 @@ def inertials(
         unweighed = [link for link in group if not found[link.name].mass]
         if moves and unweighed and not any(_enough(found[link.name]) for link in group):
             found.update(_moving(document, unweighed, colliders))
-        _note_unweighed(document, group, found)
+        _note_unweighed(document, group, unweighed, found)
         if moves and not any(_enough(found[link.name]) for link in group):
             message = f"it moves, and its mass or inertia is below {SMALLEST:g}"
             document.fail(top.element, message, "numbers that MuJoCo can divide by")
@@ -79,10 +79,10 @@ def _moving(document: Document, group: list[Link], colliders: dict[str, list[Sha
     return heavy
 
 
-def _note_unweighed(document: Document, group: list[Link], found: dict[str, Part]) -> None:
-    """Record the links of a group that have no ``<inertial>``, with the kilograms that they got."""
+def _note_unweighed(document: Document, group: list[Link], unweighed: list[Link], found: dict[str, Part]) -> None:
+    """Record the links of a group that have no ``<inertial>``, or weigh what is not written, with their kilograms."""
     for link in group:
-        if link.element.first("inertial") is None:
+        if link.element.first("inertial") is None or (link in unweighed and found[link.name].mass):
             document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
 
 

@@ -79,10 +79,12 @@ def require_physics(usd: Usd.Stage, prims: Iterable[Usd.Prim], missing: list[Mis
     arcs = [(item, holder) for item in missing if not _NO_LAYER.search(item.name) for holder in item.prims]
     if not arcs:
         return
-    prims = list(prims)
-    for item, holder, lost in _losses(usd, prims, arcs):
+    files = [item.name for item, _ in arcs if item.is_file]
+    for item, holder, lost in _losses(usd, list(prims), arcs):
+        also = f", nor is the layer '{files[0]}'" if files and not item.is_file else ""
+        missing_is = f"the layer '{item.name}' is missing" if item.is_file else f"'{item.name}' is not there{also}"
         raise AssetError(
-            f"the layer '{item.name}' is missing, and {lost}",
+            f"{missing_is}, and {lost}",
             key=str(holder) if not holder.IsAbsoluteRootPath() else None,
             where=str(source),
             expected="that layer where the file names it, beside the others",
