@@ -2,6 +2,8 @@
 
 import importlib.util
 import sys
+import sysconfig
+from pathlib import Path
 
 import nox
 
@@ -12,6 +14,7 @@ nox.options.error_on_external_run = False
 
 # Each file's tests stay in one process, where they share what they have trained; files in order, long ones not last.
 SPREAD = ("-n", "logical", "--dist", "loadfile", "--no-loadscope-reorder")
+_PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 SLOW = "slow or train or repro or full or pictures or browser or corpus"
 
 
@@ -45,6 +48,15 @@ def lint(session: nox.Session) -> None:
 def typecheck(session: nox.Session) -> None:
     """Check types."""
     _python(session, "mypy")
+
+
+@nox.session(venv_backend="virtualenv")
+def clients(session: nox.Session) -> None:
+    """Test with other people's libraries, in an environment of their own above this one."""
+    here, own = sysconfig.get_path("purelib"), session.run("python", "-c", _PURELIB, silent=True).strip()
+    Path(own, "_wheelleg.pth").write_text(f"import site; site.addsitedir({here!r})\n")
+    session.install("-r", "tests/clients/requirements.txt")
+    session.run("python", "-m", "pytest", "-p", "no:xdist", "tests/clients", *session.posargs)
 
 
 @nox.session

@@ -1,0 +1,71 @@
+"""The pages for users of other tools: every snippet is run, one after the other, as a reader would."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+NEEDS = {"stable_baselines3": "stable_baselines3", "RecordVideo": "moviepy"}
+PAGES = ("gymnasium", "stable_baselines3", "cleanrl")
+# What these libraries warn of, about themselves and about spaces without bounds.
+pytestmark = [pytest.mark.filterwarnings("default"), pytest.mark.slow]
+
+
+def snippets(page):
+    return re.findall(r"```python\n(.*?)```", (DOCS / f"{page}.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+def needs_graphics(snippet):
+    return "rgb_array" in snippet
+
+
+@pytest.mark.parametrize(
+    ("page", "number"), [(page, number) for page in PAGES for number in range(len(snippets(page)))]
+)
+def test_a_snippet_runs(page, number, request):
+    snippet = snippets(page)[number]
+    for word, library in NEEDS.items():
+        if word in snippet and importlib.util.find_spec(library) is None:
+            pytest.skip(f"{library} is not installed: nox -s clients")
+    if needs_graphics(snippet):
+        request.getfixturevalue("graphics")
+    exec(compile(snippet, f"docs/{page}.md", "exec"), {"np": np})  # the first snippet of a page imports numpy
+    if "RecordVideo" in snippet:
+        assert Path("videos/rl-video-episode-0.mp4").stat().st_size > 1000
+
+
+def test_the_table_names_what_is_tested():
+    """Every pinned library with its version, and tests that are there."""
+    table = (DOCS / "clients.md").read_text(encoding="utf-8")
+    pins = (Path(__file__).parent / "requirements.txt").read_text(encoding="utf-8")
+    for name, version in re.findall(r"^([\w-]+)==(\S+)$", pins, re.MULTILINE):
+        assert f"{name} {version}" in table
+    named = re.findall(r"`(tests/[\w/]+\.py)`", table)
+    assert len(named) >= 6
+    assert [name for name in named if not (DOCS.parent / name).is_file()] == []
+
+
+def test_every_page_has_snippets():
+    assert [len(snippets(page)) > 1 for page in PAGES] == [True] * len(PAGES)
+
+
+@pytest.fixture
+def graphics():
+    """Skip where nothing can be drawn."""
+    import gymnasium
+
+    from wheelleg_exp.rendering.renderer import NoGraphics
+
+    env = gymnasium.make("wheelleg_exp:Wheelleg-Velocity-v0", render_mode="rgb_array", width=64, height=64)
+    env.reset(seed=0)
+    try:
+        env.render()
+    except NoGraphics as error:
+        pytest.skip(str(error))
+    finally:
+        env.close()
