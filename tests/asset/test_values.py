@@ -33,9 +33,11 @@ def test_bodies_weigh_what_the_model_weighs(stock):
 
 
 def test_tensors_are_turned_into_the_bodys_axes(tmp_path):
-    own = inertial(2, rpy="0 0 1.5707963267948966", tensor="0.2 0.3 0.4 0 0 0")
+    own = inertial(2, rpy="0 0 0.5", tensor="0.2 0.3 0.4 0 0 0")
     _, done = made(tmp_path, link("a", BOX, own))
-    np.testing.assert_allclose(done.report.values["bodies"]["a"]["inertia"], [0.3, 0.2, 0.4, 0, 0, 0], atol=1e-12)
+    c, s = np.cos(0.5), np.sin(0.5)
+    expected = [0.2 * c * c + 0.3 * s * s, 0.2 * s * s + 0.3 * c * c, 0.4, (0.2 - 0.3) * c * s, 0, 0]
+    np.testing.assert_allclose(done.report.values["bodies"]["a"]["inertia"], expected, atol=1e-9)
 
 
 def test_joints_have_the_kinds_ranges_and_gains_of_the_model_and_the_files_own(stock):

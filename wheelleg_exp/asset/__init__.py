@@ -11,6 +11,8 @@ that the USD stage is made of.
 | `usd`, `urdf` | read a robot |
 | `mjcf` | writes it |
 | `report` | what was read, assumed and left out |
+| `findings`, `shape_findings` | what is odd about a file, as data, and the verdict |
+| `values` | the model's numbers as plain JSON |
 | `geometry`, `solids` | frames, volumes and inertias |
 | `sources`, `allocation` | how much files may hold and take |
 """

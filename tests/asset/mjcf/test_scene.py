@@ -16,8 +16,10 @@ from ..small_usd import converted, hinge, link, write
 CUBE = 'def Cube "c" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n double size = 0.2\n}\n'
 
 
-def settled(model: mujoco.MjModel, key: str | None = None, seconds: float = 2.0) -> mujoco.MjData:
+def settled(model: mujoco.MjModel, key: str | None = None, seconds: float = 2.0, push: float = 0.0) -> mujoco.MjData:
+    """Two seconds later; ``push`` is the speed that all joints begin with."""
     data = mujoco.MjData(model)
+    data.qvel[6:] = push
     if key is not None:
         mujoco.mj_resetDataKeyframe(model, data, model.key(key).id)
     for _ in range(round(seconds / model.opt.timestep)):
@@ -40,6 +42,13 @@ def test_the_stock_robot_comes_to_rest_on_the_floor(stock, key):
     assert floor < data.xipos[1, 2] < floor + 0.2
     assert np.abs(data.qvel).max() < 0.05
     assert data.ncon > 0
+
+
+def test_it_begins_above_the_floor(stock):
+    data = mujoco.MjData(stock)
+    mujoco.mj_forward(stock, data)
+    assert data.ncon == 0
+    assert -0.05 < stock.geom("floor").pos[2] - data.geom("l_wheel_link_cylinder").xpos[2] < -0.02
 
 
 def test_a_keyframe_puts_the_robot_on_the_floor(stock):
@@ -65,8 +74,9 @@ def test_gains_that_the_time_step_cannot_carry_do_not_tear_the_robot_apart(tmp_p
     for _ in range(500):
         mujoco.mj_step(bare, data)
     assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or np.abs(data.qvel).max() > 100  # it needs the scene
-    path = write_scene(done.description, done.output)
-    assert np.abs(settled(mujoco.MjModel.from_xml_path(str(path))).qvel).max() < 0.1
+    model = mujoco.MjModel.from_xml_path(str(write_scene(done.description, done.output)))
+    assert model.opt.timestep == 0.002
+    assert np.abs(settled(model, push=1.0).qvel).max() < 0.1
 
 
 def test_a_file_of_somebody_elses_is_not_replaced_and_an_older_scene_is(tmp_path):

@@ -18,6 +18,7 @@ SUFFIX, STAND = "_scene", "stand"
 MARK = "Made by 'wheelleg convert'"  # by which an older scene is known, and may be replaced
 STEPS = (0.002, 0.001, 0.0005, 0.00025)  # s, time steps that are tried
 TRIAL = 0.5  # s
+NUDGE = 0.01  # m/s and rad/s
 MOST_DOFS, MOST_GEOMS = 200, 500  # of what is tried; larger ones take the first step unseen
 CLEARANCE = 0.002  # m between the floor and the robot's lowest point
 FAST = 10.0  # m/s beyond a free fall through the robot's own size: nothing at rest gets there
@@ -136,6 +137,7 @@ def _is_calm(model: mujoco.MjModel, step: float) -> bool:
         data = mujoco.MjData(model)
         if key is not None:
             mujoco.mj_resetDataKeyframe(model, data, key)
+        data.qvel += NUDGE  # what is unstable grows from it
         for _ in range(round(TRIAL / step)):
             mujoco.mj_step(model, data)
             linear = np.abs(data.cvel[:, 3:]).max(initial=0.0)
