@@ -7,7 +7,7 @@ import json
 import pytest
 
 from wheelleg_exp.asset import Conversion, Report
-from wheelleg_exp.asset.findings import KINDS, Finding, is_placeholder, verdict_of
+from wheelleg_exp.asset.findings import KINDS, Finding, Verdict, is_placeholder, verdict_of
 from wheelleg_exp.cli.main import main
 
 from . import small_urdf as urdf
@@ -101,7 +101,8 @@ def test_a_robot_without_colliders_leads_its_report_with_that(tmp_path, capsys):
 
 def test_verdicts(tmp_path):
     assert verdict_of([], 0.0, 0).level == "good"
-    assert verdict_of([], 0.05, 1).level == "check"
+    assert verdict_of([], 0.0, 1).level == "check"
+    assert verdict_of([], 0.05, 0) == Verdict("check", ("5.0% of its mass is assumed",))
     lost = Finding("limits_ignored", "j", "/j", {"lower": -1, "upper": 1})
     assert verdict_of([lost], 0.0, 1).reasons == ("1 joints lost the limits that are written",)
     assert [is_placeholder(value) for value in (0, 999, 1000, -2000)] == [True, False, True, True]

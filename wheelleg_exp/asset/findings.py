@@ -57,7 +57,7 @@ def is_placeholder(value: float) -> bool:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a conversion is worth: ``good``, ``check`` (read the warnings), or ``doubtful`` for the ``reasons``."""
+    """What a conversion is worth: ``good``, ``check`` (read the warnings) or ``doubtful``, and further ``reasons``."""
 
     level: Literal["good", "check", "doubtful"]
     reasons: tuple[str, ...] = ()
@@ -85,4 +85,6 @@ def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int)
         (count["limits_ignored"], f"{count['limits_ignored']} joints lost the limits that are written"),
     ]
     reasons = tuple(text for true, text in doubts if true)
+    if not reasons and assumed_share:
+        return Verdict("check", (f"{assumed_share:.1%} of its mass is assumed",))
     return Verdict("doubtful" if reasons else "check" if warnings else "good", reasons)

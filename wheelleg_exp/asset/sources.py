@@ -48,6 +48,10 @@ LOOKS = (*TEXTURES, ".mdl", ".mtlx")
 MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".fbx")
 
 
+POINTER = b"version https://git-lfs"  # how a file begins that Git LFS has not fetched
+FETCH = "a pointer of Git LFS, not the file itself: 'git lfs pull' fetches that"
+
+
 def require_plain_file(
     path: Path, expected: str, largest: int = LARGEST_FILE, *, key: str | None = None, where: str | None = None
 ) -> None:

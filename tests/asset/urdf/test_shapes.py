@@ -310,6 +310,12 @@ def test_a_missing_mesh_is_named_and_the_robot_still_comes(tmp_path, name):
     )
 
 
+def test_a_mesh_that_git_lfs_has_not_fetched_is_told(tmp_path):
+    (tmp_path / "part.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    _, conversion = made(tmp_path, link("a", mesh("part.stl", "collision")))
+    assert "git lfs pull" in warned(conversion)[0]
+
+
 def test_a_link_whose_collider_is_missing_weighs_what_is_written(tmp_path):
     model, conversion = made(tmp_path, link("a", mesh("gone.stl", "collision"), inertial(2)))
     assert model.body("a").mass[0] == 2

@@ -40,6 +40,12 @@ def test_nonsense_in_a_usd_file_leaves_no_output(tmp_path, suffix):
     assert leftovers(tmp_path) == [path.name]
 
 
+def test_a_file_that_git_lfs_has_not_fetched_is_told(tmp_path):
+    path = tmp_path / "robot.usd"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    assert "git lfs pull" in str(told(path, tmp_path / "out.xml"))
+
+
 def test_a_syntax_error_is_named_with_its_line(tmp_path):
     path = write(tmp_path, link("a"))
     path.write_text(path.read_text() + "def Xform {\n")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelleg_exp.asset.geometry import Array
-from wheelleg_exp.asset.sources import MOST_POINTS
+from wheelleg_exp.asset.sources import FETCH, MOST_POINTS, POINTER
 from wheelleg_exp.asset.urdf.collada import read_dae
 from wheelleg_exp.asset.usd.shapes.gprims import triangles
 
@@ -28,7 +28,10 @@ def read_mesh(path: Path) -> Triangles:
     reader = reader_of(path.name)
     try:
         with np.errstate(all="ignore"):  # what is not finite is looked for below
-            vertices, faces = reader(path.read_bytes())
+            data = path.read_bytes()
+            if data.startswith(POINTER):
+                raise ValueError(FETCH)
+            vertices, faces = reader(data)
     except OSError as error:
         raise ValueError(f"the file cannot be read ({error.strerror})") from error
     except (ArithmeticError, LookupError, ValueError) as error:

@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
 
 from wheelleg_exp.asset.geometry import Array, Frame, rigid_part
-from wheelleg_exp.asset.sources import FARTHEST, MOST_PRIMS, require_plain_file, require_size
+from wheelleg_exp.asset.sources import FARTHEST, FETCH, MOST_PRIMS, POINTER, require_plain_file, require_size
 from wheelleg_exp.asset.usd.layers import open_layers
 from wheelleg_exp.asset.usd.ledger import Ledger
 from wheelleg_exp.asset.usd.missing_layers import Missing, find_missing, require_physics
@@ -130,8 +130,11 @@ def _require_file(source: Path) -> None:
         if source.suffix.lower() not in SUFFIXES:
             raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
         with source.open("rb") as file:
-            if not file.read(1):
-                raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
+            start = file.read(len(POINTER))
+        if not start:
+            raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
+        if start == POINTER:
+            raise AssetError(f"'{source.name}' is {FETCH}", where=str(source), expected=expected)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,7 @@ WIDTH = 60  # characters of a cell
 NAMED = 6  # kinds of things that were left out, before the rest is only counted
 VERDICTS = {
     "good": "converted, and nothing is in doubt",
-    "check": "converted; read what is warned of",
+    "check": "converted, with care:",
     "doubtful": "DOUBTFUL:",
 }
 
@@ -32,11 +33,12 @@ VERDICTS = {
 def show(conversion: Conversion, scene: Path | None) -> None:
     """Print the verdict, the warnings, the summary, the joints, what was assumed and left out, and what to do next."""
     report = conversion.report
-    told = " ".join([VERDICTS[report.verdict.level], "; ".join(report.verdict.reasons)]).strip()
+    told = f"{VERDICTS[report.verdict.level]} {'; '.join(_reasons(report))}".strip()
     print(hanging(f"{printable(report.source)}: {told}", 4))
     _warnings(report.warnings)
     print()
-    print_table(("model", printable(report.model)), _summary(report))
+    for title, value in _summary(report):
+        print(hanging(printable(value), 20, title))
     columns = ("joint", "kind", "range", "kp", "kv", "effort", "as authored")
     rows = _joints(conversion)
     used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
@@ -55,6 +57,12 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     print("Every number, and what became of every attribute: the same command with --json")
 
 
+def _reasons(report: Report) -> list[str]:
+    level, count = report.verdict.level, len(report.warnings)
+    warned = ["1 warning" if count == 1 else f"{count} warnings"] if level == "check" and count else []
+    return [*report.verdict.reasons, *warned]
+
+
 def _warnings(warnings: Sequence[str]) -> None:
     groups = _grouped(warnings)
     for text in groups[:ROWS]:
@@ -70,6 +78,7 @@ def _summary(report: Report) -> list[tuple[str, str]]:
         "all of it from the file" if not assumed else f"{assumed:.6g} kg ({percent(totals['assumed_share'])}) assumed"
     )
     rows = [
+        ("model", report.model),
         ("bodies", f"{totals['bodies']}, {totals['mass']:.6g} kg in all, {share}"),
         ("base", report.base),
         ("degrees of freedom", f"{totals['dofs']}, of which {totals['actuators']} are driven"),
@@ -78,6 +87,9 @@ def _summary(report: Report) -> list[tuple[str, str]]:
     if stage != {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"} and "metersPerUnit" in stage:
         units = f"{stage['metersPerUnit']:g} m, {stage['kilogramsPerUnit']:g} kg, {stage['upAxis']} up"
         rows.append(("stage units", units))
+    found = Counter(item.kind.replace("_", " ") for item in report.findings)
+    if found:
+        rows.append(("findings", ", ".join(f"{count} {kind}" for kind, count in found.items())))
     if report.variants:
         rows.append(("variants", ", ".join(f"{name}={value}" for name, value in report.variants.items())))
     layers = [name for name in report.layers if name != report.source]
