@@ -43,6 +43,13 @@ def drives(x: float, **leg: Any) -> RobotFacts:
     return replace(found, joints={**found.joints, "hip": replace(hip, drive=replace(hip.drive, **leg))})
 
 
+def weak(x: float) -> RobotFacts:
+    """The robot with a motor on its wheels that hardly moves it."""
+    found = robot(x)
+    wheel = replace(found.joints["left"], drive=replace(WHEEL.drive, effort=0.01 * x))
+    return replace(found, joints={**found.joints, "left": wheel, "right": wheel})
+
+
 def act(target: str, *names: str, **settings: Any) -> dict[str, Any]:
     return {"act": term(f"actions.{target}", joint_names=list(names), **settings)}
 
@@ -158,6 +165,7 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
     ],
     "target_height": [lambda x: case(robot(x), **reward("base_height_l2", weight=-1.0, target_height=x))],
     "tracking_std": [lambda x: case(**track(x, 2.0 * x)), lambda x: case(**track(0.0, 2.0 + x))],
+    "weak_wheels": [lambda x: case(weak(x))],
     "wrench_size": [
         lambda x: case(robot(x), **event("set_permanent_body_wrench", **{**STILL, "force_range": [-9 * x, 9 * x]})),
         lambda x: case(robot(x), **event("set_permanent_body_wrench", **{**STILL, "torque_range": [0.0, 9 * x]})),
@@ -167,6 +175,10 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
 WITHOUT = {
     "action_clip_never_acts", "armature_ratio", "falling_pays", "gains_against_time_step", "noop_joint_reset",
     "ppo_batch", "unbounded_observation", "zero_width_range",
+    # What they tell of is a file's, or a pose's.
+    "assumed_masses", "balance_pose", "contact_at_start", "joint_limits", "link_masses", "lopsided_pose",
+    "lost_in_conversion", "mirror_images", "missing_files", "no_colliders", "overlapping_bodies", "placeholder_limits",
+    "reset_into_ground", "rolling_direction", "wheel_senses", "wheels_that_do_not_roll",
 }  # fmt: skip
 
 

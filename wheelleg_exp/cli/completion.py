@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 from wheelleg_exp.cli.common import Parser
+from wheelleg_exp.cli.doctor import ROBOT
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
 
@@ -125,7 +126,7 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> 
             waiting = options[text] if options[text].nargs != 0 else None
         elif not text.startswith("-") and position < len(positionals):
             given.setdefault(positionals[position].dest, []).append(text)
-            position += positionals[position].nargs != "*"
+            position += positionals[position].nargs not in ("*", "+")
     if waiting is None and word.startswith("-"):
         return list(options)
     action = waiting or (positionals[position] if position < len(positionals) else None)
@@ -142,10 +143,11 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list
         return name.strip("{}").split(",")
     if action.choices is not None:
         return [str(choice) for choice in action.choices]
-    if name in ("OVERRIDE", "KEY"):
+    if name in ("OVERRIDE", "KEY", ROBOT):
         from wheelleg_exp.config.explaining import candidates as config
 
-        return (config.overrides if name == "OVERRIDE" else config.keys)(word, before, folders, primary)
+        files = _files(word) if name == ROBOT and "=" not in word else []
+        return files + (config.keys if name == "KEY" else config.overrides)(word, before, folders, primary)
     if name in ("RUN", "A", "B"):
         root = Path(given.get("root", ["runs"])[-1])
         return [*(_tasks(folders) if name != "RUN" else []), *_runs(root), *_files(word)]

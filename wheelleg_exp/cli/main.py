@@ -59,6 +59,7 @@ COMMANDS: dict[str, Command] = {
     "inspect": Command("inspect", "tell what a recording holds, and answer questions about it"),
     "convert": Command("convert", "convert a robot file to MJCF, with a report", project=False),
     "check": Command("check", "find every mistake in a config, and with --physics look at its numbers"),
+    "doctor": Command("doctor", "look at a robot as an expert would: what is wrong, how it is known, what to write"),
     "compose": Command("compose", "print the composed config"),
     "explain": Command("explain", "say what a key holds, who set it, what it means, what else could stand there"),
     "diff": Command("diff", "compare two runs, tasks or lists of overrides by meaning"),

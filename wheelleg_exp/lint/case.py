@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from wheelleg_exp.config.checking.check_terms import term_nodes
+from wheelleg_exp.lint.robot.compiled import CompiledRobot
 from wheelleg_exp.lint.robot_facts import Joint, RobotFacts
 from wheelleg_exp.sim.names import match_names, values_by_name
 from wheelleg_exp.terms.binding import TARGET, resolve_target
@@ -41,10 +42,12 @@ class Case:
     Attributes:
         config: the composed tree, plain and free of mistakes.
         facts: the robot's facts.
+        robot: the robot itself; None where only its facts are at hand.
     """
 
     config: Mapping[str, Any]
     facts: RobotFacts
+    robot: CompiledRobot | None = None
 
     @property
     def env(self) -> Mapping[str, Any]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.asset.cache import REPORT
+from wheelleg_exp.asset.report import Report
 from wheelleg_exp.config.checking.robot_names import converted
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import PHYSICS_RULES
@@ -23,7 +26,16 @@ from wheelleg_exp.lint.case import Case
 from wheelleg_exp.lint.findings import RULES as _RULES
 from wheelleg_exp.lint.findings import Finding, Rule
 from wheelleg_exp.lint.reward_tolerances import Contribution, contributions, earned_per_second
-from wheelleg_exp.lint.robot_facts import RobotFacts, measure
+from wheelleg_exp.lint.robot import (
+    rules_balance,
+    rules_conversion,
+    rules_links,
+    rules_reset,
+    rules_shape,
+    rules_symmetry,
+)
+from wheelleg_exp.lint.robot.compiled import CompiledRobot, compiled_robot
+from wheelleg_exp.lint.robot_facts import RobotFacts
 from wheelleg_exp.managers import SceneManager
 
 _MODULES = (
@@ -35,6 +47,12 @@ _MODULES = (
     rules_start,
     rules_disturbances,
     rules_learning,
+    rules_balance,
+    rules_conversion,
+    rules_links,
+    rules_reset,
+    rules_shape,
+    rules_symmetry,
 )
 
 # In the order of their names, as the schema lists them.
@@ -102,18 +120,33 @@ def examine(composed: Composed) -> PhysicsReport:
         WheellegError: the robot cannot be read, or the scene cannot be built.
     """
     with composed.placing():
-        case = Case(composed.config, robot_facts(composed))
+        robot, facts = task_robot(composed)
+        case = Case(composed.config, facts, robot)
     found = [finding for rule in RULES.values() for finding in rule(case)]
     placed = [replace(finding, where=composed.provenance.where(finding.key)) for finding in found]
     silences = (composed.config.get("check") or {}).get("silence") or {}
     return PhysicsReport(case, tuple(placed), dict(silences))
 
 
+def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
+    """Return a config's robot, compiled as for training, and its facts."""
+    env = composed.config["env"]
+    mjcf = converted(env["robot"], composed.asset_roots)
+    scene = SceneManager(env, mjcf, num_envs=1).scene
+    return compiled_robot(scene.spec.compile(), scene.robot, _report(mjcf))
+
+
+def _report(mjcf: Path) -> Report | None:
+    """Return the report of a conversion in the cache."""
+    try:
+        return Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
 def robot_facts(composed: Composed) -> RobotFacts:
     """Return the facts of a config's robot, compiled as for training."""
-    env = composed.config["env"]
-    scene = SceneManager(env, converted(env["robot"], composed.asset_roots), num_envs=1).scene
-    return measure(scene.spec.compile(), scene.robot)
+    return task_robot(composed)[1]
 
 
 def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:

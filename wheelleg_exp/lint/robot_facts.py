@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import mujoco
 import numpy as np
@@ -151,14 +152,14 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
     return RobotFacts(
         mass=float(model.body_mass[bodies].sum()),
         gravity=gravity,
-        joints=_joints(model, data, robot, wheels, gravity),
+        joints=_joints(model, data, robot, _turned(model, anatomy), gravity),
         wheels=tuple(wheels),
         wheel_radius=radius,
-        track=_track(model, data, wheels),
+        track=anatomy.support_width,
         standing_height=root_height - lowest if math.isfinite(lowest) else root_height,
         clearance=lowest,
-        friction=_friction(model, wheels or None, bodies),
-        balance=_balance(model, data, bodies, wheels, radius, gravity),
+        friction=_friction(model, list(chain(*_turned(model, anatomy))) or bodies),
+        balance=_balance(model, data, bodies, anatomy, gravity),
     )
 
 
@@ -174,27 +175,19 @@ def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
     return data
 
 
-def _joint_bodies(model: mujoco.MjModel, wheels: Sequence[str]) -> list[int]:
-    return [int(model.jnt_bodyid[model.joint(name).id]) for name in wheels]
+def _turned(model: mujoco.MjModel, anatomy: Anatomy) -> list[list[int]]:
+    """Return the bodies of each wheel that carries the robot."""
+    return [[model.body(name).id for name in wheel.bodies] for wheel in anatomy.standing]
 
 
-def _track(model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[str]) -> float:
-    if not wheels:
-        return 0.0
-    axis = data.xaxis[model.joint(wheels[0]).id]
-    places = [float(axis @ data.xpos[body]) for body in _joint_bodies(model, wheels)]
-    return max(places) - min(places)
-
-
-def _friction(model: mujoco.MjModel, wheels: Sequence[str] | None, bodies: Sequence[int]) -> float:
-    chosen = _joint_bodies(model, wheels) if wheels else bodies
+def _friction(model: mujoco.MjModel, bodies: Sequence[int]) -> float:
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    values = model.geom_friction[np.isin(model.geom_bodyid, chosen) & solid, 0]
+    values = model.geom_friction[np.isin(model.geom_bodyid, bodies) & solid, 0]
     return float(values.min()) if len(values) else 0.0
 
 
 def _joints(
-    model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, wheels: Sequence[str], gravity: float
+    model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, wheels: Sequence[Sequence[int]], gravity: float
 ) -> dict[str, Joint]:
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
@@ -220,15 +213,17 @@ def _joints(
     return joints
 
 
-def _holding_torques(model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[str], gravity: float) -> np.ndarray:
+def _holding_torques(
+    model: mujoco.MjModel, data: mujoco.MjData, wheels: Sequence[Sequence[int]], gravity: float
+) -> np.ndarray:
     """Return the torques (nv,) that hold the default pose while each wheel carries an equal share of the weight."""
     torques = data.qfrc_bias.copy()
     share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
-    for body in _joint_bodies(model, wheels):
-        point = data.xpos[body].copy()
-        point[2] = lowest_point(model, data, [body])
+    for bodies in wheels:
+        point = data.xpos[bodies[0]].copy()
+        point[2] = lowest_point(model, data, bodies)
         jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, point, body)
+        mujoco.mj_jac(model, data, jacobian, None, point, bodies[0])
         torques -= jacobian[2] * share
     return torques
 
@@ -248,19 +243,16 @@ def _balance(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     bodies: Sequence[int],
-    wheels: Sequence[str],
-    radius: float,
+    anatomy: Anatomy,
     gravity: float,
 ) -> Balance | None:
     """Return the robot as a pendulum over its axle; None without wheels or when they do not share one axle."""
-    if not wheels:
+    if not anatomy.one_axle:
         return None
-    joint_ids = [model.joint(name).id for name in wheels]
+    radius = max(wheel.radius for wheel in anatomy.standing)
+    joint_ids = [model.joint(wheel.joint).id for wheel in anatomy.standing]
     axis, anchors = data.xaxis[joint_ids[0]], data.xanchor[joint_ids]
-    across = anchors - np.outer(anchors @ axis, axis)
-    if np.linalg.norm(across - across[0], axis=1).max() > radius / 2:
-        return None
-    wheel_bodies = _joint_bodies(model, wheels)
+    wheel_bodies = list(chain(*_turned(model, anatomy)))
     upper = [body for body in bodies if body not in wheel_bodies]
     mass = float(model.body_mass[upper].sum())
     arm = (model.body_mass[upper] @ (data.xipos[upper] - anchors[0])) / mass

@@ -11,6 +11,7 @@ from wheelleg_exp.lint.robot_facts import Drive, Joint
 
 _ARMATURE = 10.0  # times the inertia of what hangs on the joint
 _TRACTION = 10.0  # times the torque at which a wheel slips
+_PUSH = 0.1  # of the weight: what wheels have to push with
 _RESERVE = 1.5  # times the torque that holds the default pose
 _SAG = 0.1  # rad of static error under the robot's own weight
 _SAMPLES = 5.0  # control steps in one time constant of the fall
@@ -86,7 +87,7 @@ def effort_against_traction(case: Case) -> Iterator[Finding]:
         if not wheels or slip <= 0.0:
             continue
         name, _, drive, _ = _worst(wheels, lambda _, d: d.effort)
-        if drive.effort > _TRACTION * slip:
+        if _TRACTION * slip < drive.effort < math.inf:
             key, motor = f"env.robot.actuators.{group}.effort_limit", at_least(2 * slip)
             yield Finding(
                 key,
@@ -100,33 +101,91 @@ def effort_against_traction(case: Case) -> Iterator[Finding]:
 
 
 @rule
+def weak_wheels(case: Case) -> Iterator[Finding]:
+    """Wheel drives too weak to catch a robot that balances on one axle.
+
+    A robot that leans by an angle is caught by wheels that accelerate it with g times that angle: wheels that push
+    with less than a tenth of the weight cannot get under a lean of 0.1 rad. Source: the inverted pendulum on wheels.
+    """
+    facts = case.facts
+    if facts.balance is None:
+        return
+    needed = _PUSH * facts.wheel_load * facts.wheel_radius
+    for group, joints in _groups(case).items():
+        efforts = [j.drive.effort for name, j in joints.items() if name in facts.wheels and j.drive is not None]
+        weak = min(efforts, default=math.inf)
+        if 0.0 < weak < needed:
+            key, least = f"env.robot.actuators.{group}.effort_limit", at_least(needed)
+            yield Finding(
+                key,
+                f"{weak:g} N·m on wheels of {1e3 * facts.wheel_radius:.3g} mm that carry {facts.wheel_load:.3g} N "
+                f"each push with {weak / (facts.wheel_load * facts.wheel_radius):.2g} of the weight: they cannot catch "
+                f"a lean of {_PUSH:g} rad",
+                f"at least {least:g} N·m",
+                {"effort": weak, "needed": needed},
+                ({key: least},),
+            )
+
+
+@rule
 def effort_against_load(case: Case) -> Iterator[Finding]:
     """A leg drive that cannot hold the robot up, or sags under it.
 
     At rest a joint carries the weight that the wheels push up with, less what hangs on it. The drive needs a
-    reserve of half of that, and a stiffness that holds it within 0.1 rad. Source: statics, tau = -J^T F.
+    reserve of half of that, and a stiffness that holds it within 0.1 rad of where an action of 0 wants it: gravity's
+    torque over kp, less what the action's offset adds. Legs with closed loops are left out, because their joints
+    share the load. Source: statics, tau = -J^T F.
     """
     for group, joints in _groups(case).items():
-        name, _, drive, load = _worst(joints, lambda j, _: abs(j.hold))
-        if drive.effort < _RESERVE * load:
-            key, effort = f"env.robot.actuators.{group}.effort_limit", at_least(_RESERVE * load)
+        joints = {name: joint for name, joint in joints.items() if name not in _in_loops(case)}
+        if not joints:
+            continue
+        largest = max(abs(joint.hold) for joint in joints.values())
+        name, joint, drive, _ = _worst(joints, lambda j, d: abs(j.hold) / d.effort if d.effort else 0.0)
+        if 0.0 < drive.effort < _RESERVE * abs(joint.hold):
+            key, effort, load = f"env.robot.actuators.{group}.effort_limit", at_least(_RESERVE * largest), joint.hold
             yield Finding(
                 key,
-                f"{drive.effort:g} N·m on '{name}', which carries {load:.3g} N·m at rest",
+                f"{drive.effort:g} N·m on '{name}', which carries {abs(load):.3g} N·m at rest",
                 f"at least {effort:g} N·m",
-                {"effort": drive.effort, "load": load},
+                {"effort": drive.effort, "load": abs(load)},
                 ({key: effort},),
             )
-        if drive.stiffness > 0.0 and load / drive.stiffness > _SAG:
-            key, stiffness = f"env.robot.actuators.{group}.stiffness", at_least(load / _SAG)
+        shifts = _shifts(case)
+        sags = {
+            other: abs(found.hold / found.drive.stiffness - shifts.get(other, 0.0))
+            for other, found in joints.items()
+            if found.drive is not None and found.drive.stiffness > 0.0
+        }
+        name = max(sags, key=sags.__getitem__, default="")
+        if name and sags[name] > _SAG and (found_drive := joints[name].drive) is not None:
+            key, stiffness, load = f"env.robot.actuators.{group}.stiffness", at_least(largest / _SAG), joints[name].hold
             yield Finding(
                 key,
-                f"{drive.stiffness:g} N·m/rad on '{name}', which carries {load:.3g} N·m at rest: it sags by "
-                f"{load / drive.stiffness:.2g} rad",
-                f"at least {stiffness:g} N·m/rad",
-                {"stiffness": drive.stiffness, "load": load, "sag_rad": load / drive.stiffness},
+                f"{found_drive.stiffness:g} N·m/rad on '{name}', which carries {abs(load):.3g} N·m at rest: it sags by "
+                f"{sags[name]:.2g} rad",
+                f"at least {stiffness:g} N·m/rad, or an action with use_default_offset: false and an offset of the "
+                "pose plus torque over stiffness",
+                {"stiffness": found_drive.stiffness, "load": abs(load), "sag_rad": sags[name]},
                 ({key: stiffness},),
             )
+
+
+def _in_loops(case: Case) -> set[str]:
+    legs = case.robot.anatomy.legs if case.robot is not None else ()
+    return {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
+
+
+def _shifts(case: Case) -> dict[str, float]:
+    """Return how far an action of 0 puts the targets of joints off their defaults, rad."""
+    shifts: dict[str, float] = {}
+    for term in case.terms("actions", "actions.JointPositionAction"):
+        if term.node.get("use_default_offset", True):
+            continue
+        joints = case.joints(term.node)
+        offsets = case.by_joint(term.node.get("offset", 0.0), list(joints), 0.0)
+        shifts |= {name: float(offsets[name]) - joint.default for name, joint in joints.items()}
+    return shifts
 
 
 @rule

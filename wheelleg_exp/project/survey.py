@@ -90,9 +90,11 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float]) -> S
         _require_robot(conversion.description, source)
         names = [dof.name for dof in conversion.description.dofs]
         given = values_by_name(pose, names, None, key="env.robot.init_state.joint_pos", what="joint")
-        read = {dof.name: _default(dof) for dof in conversion.description.dofs}
+        read = {dof.name: default_position(dof) for dof in conversion.description.dofs}
         chosen = read | {name: value for name, value in zip(names, given, strict=True) if value is not None}
-        scene = SceneManager({**env, "robot": _provisional(conversion.description, chosen)}, conversion.output, 1).scene
+        described = conversion.description
+        section = provisional_robot(described.name, next(described.children(None)).pose.rotation, chosen)
+        scene = SceneManager({**env, "robot": section}, conversion.output, 1).scene
         _require_floating(scene.robot, source)
         return _measured(conversion, scene.robot, scene.spec.compile(), chosen)
 
@@ -117,7 +119,7 @@ def _require_floating(robot: Robot, source: Path) -> None:
         raise AssetError(message, where=str(source), expected="a base that may move freely")
 
 
-def _default(dof: Dof) -> float:
+def default_position(dof: Dof) -> float:
     """Return a position inside the limits: the saved one, else the drive's target, else as the file draws it."""
     target = dof.drive.target_position if dof.drive is not None and dof.drive.stiffness > 0 else 0.0
     value = next((v for v in (dof.position, target, dof.ref) if v), 0.0)
@@ -134,16 +136,23 @@ def _short(value: float, low: float, high: float) -> float:
     return rounded if low <= rounded <= high else value
 
 
-def _provisional(robot: RobotDescription, positions: Mapping[str, float]) -> dict[str, Any]:
+def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
+    """Return an ``env.robot`` section that nothing drives, over the origin.
+
+    Args:
+        name: the robot's.
+        rotation: of the root link, (w, x, y, z).
+        positions: default positions, rad (m), by joint.
+    """
     state = {
         "pos": [0.0, 0.0, 0.0],
-        "rot": list(next(robot.children(None)).pose.rotation),
-        "joint_pos": {expression(name): value for name, value in positions.items()},
+        "rot": list(rotation),
+        "joint_pos": {expression(joint): value for joint, value in positions.items()},
         "joint_vel": {},
     }
     return {
         "profile": "survey",
-        "asset": robot.name,
+        "asset": name,
         "base": "auto",
         "init_state": state,
         "joint_order": None,

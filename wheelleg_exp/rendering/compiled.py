@@ -47,11 +47,11 @@ def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
 
 
 def _shapes(model: mujoco.MjModel, body: int) -> list[Shape]:
-    found = (_shape(model, geom) for geom in body_geoms(model, body)[0])
+    found = (shape_of(model, geom) for geom in body_geoms(model, body)[0])
     return [shape for shape in found if shape is not None]
 
 
-def _shape(model: mujoco.MjModel, geom: int) -> Shape | None:
+def shape_of(model: mujoco.MjModel, geom: int) -> Shape | None:
     """Return a geom's shape in the frame of its body; None for a type that is not drawn (signed distance fields)."""
     kind = int(model.geom_type[geom])
     pos, quat = tuple(model.geom_pos[geom].tolist()), tuple(model.geom_quat[geom].tolist())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Sequence
 
 import mujoco
@@ -16,7 +17,8 @@ from wheelleg_exp.lint.collider_depth import colliders, reach
 
 _PARALLEL = 0.9  # share of the axles that lie along one line, from which on they have a direction
 _ROLLS = 0.5  # cosine between a wheel's rolling and the forward axis, below which it rolls another way
-_MIDDLE = 0.05  # of the support's width: how far off the middle a wheel still is in it
+_MIDDLE = 0.05  # of the widest track: how far off the middle a wheel still is in it
+_LEVEL_WITH = 0.03  # of the robot's size, above the lowest contact: a wheel this low stands on the ground
 _AHEAD = 0.3  # of a level direction: from here on its sign follows the base's x, else its y
 
 
@@ -50,10 +52,22 @@ def anatomy_of(
     left = np.cross(tree.up, forward) if forward is not None else None
     size = _size(tree)
     mirrored, unmatched = _mirrored(tree, found, left, size)
-    width, length = _span(contacts, left), _span(contacts, forward)
+    lowest = min((float(contact @ tree.up) for contact in contacts), default=0.0)
+    stands = [float(contact @ tree.up) <= lowest + _LEVEL_WITH * size for contact in contacts]
+    ground = list(itertools.compress(contacts, stands))
+    width, length = _span(ground, left), _span(ground, forward)
     wheels = [
-        _wheel(tree, wheel, contact, forward, _side(wheel.centre, found, left, width), wheel.joint in moved, turned)
-        for wheel, contact, turned in zip(found, contacts, steered, strict=True)
+        _wheel(
+            tree,
+            wheel,
+            contact,
+            forward,
+            side=_side(wheel.centre, found, left),
+            driven=wheel.joint in moved,
+            stands=stood,
+            steered=turned,
+        )
+        for wheel, contact, stood, turned in zip(found, contacts, stands, steered, strict=True)
     ]
     legs = find_legs(tree, [wheel.joint for wheel in found], moved)
     taken = {name for leg in legs for name in (leg.wheel, *leg.joints, *leg.beside)}
@@ -77,7 +91,15 @@ def anatomy_of(
 
 
 def _wheel(
-    tree: Tree, found: Found, contact: Array, forward: Array | None, side: Side, driven: bool, steered: bool
+    tree: Tree,
+    found: Found,
+    contact: Array,
+    forward: Array | None,
+    *,
+    side: Side,
+    driven: bool,
+    stands: bool,
+    steered: bool,
 ) -> Wheel:
     rolling = float(np.cross(found.axis, tree.up) @ forward) if forward is not None else 0.0
     body = int(tree.model.jnt_bodyid[found.joint])
@@ -94,6 +116,7 @@ def _wheel(
         side=side,
         sign=0 if abs(rolling) < _ROLLS else (1 if rolling > 0 else -1),
         driven=driven,
+        stands=stands,
         steered=steered,
         why=found.why,
     )
@@ -129,12 +152,12 @@ def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
     return ahead
 
 
-def _side(centre: Array, wheels: Sequence[Found], left: Array | None, width: float) -> Side:
+def _side(centre: Array, wheels: Sequence[Found], left: Array | None) -> Side:
     if left is None:
         return "middle"
     places = [float(wheel.centre @ left) for wheel in wheels]
     offset = float(centre @ left) - (max(places) + min(places)) / 2
-    if abs(offset) <= _MIDDLE * width:
+    if abs(offset) <= _MIDDLE * (max(places) - min(places)):
         return "middle"
     return "left" if offset > 0 else "right"
 

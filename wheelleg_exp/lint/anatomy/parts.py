@@ -26,6 +26,7 @@ class Wheel:
         side: of the robot's middle, seen along its forward axis.
         sign: +1 when positive speed rolls the robot forwards, -1 backwards, 0 when it does not roll that way.
         driven: whether something drives it; a caster is not.
+        stands: whether it is as low as the lowest, and so carries the robot on level ground.
         steered: whether the wheel is turned about an upright axis without limits, as that of a caster is.
         why: how it is known, with the figures.
     """
@@ -42,6 +43,7 @@ class Wheel:
     side: Side
     sign: int
     driven: bool
+    stands: bool
     steered: bool
     why: str
 
@@ -128,6 +130,11 @@ class Anatomy:
         return [wheel.joint for wheel in self.wheels]
 
     @property
+    def standing(self) -> list[Wheel]:
+        """The wheels that carry the robot on level ground."""
+        return [wheel for wheel in self.wheels if wheel.stands]
+
+    @property
     def one_axle(self) -> bool:
-        """Whether all wheels turn about the same line, so that the robot has to balance."""
-        return bool(self.wheels) and self.support_length < min(wheel.radius for wheel in self.wheels) / 2
+        """Whether all wheels that carry the robot turn about the same line, so that it has to balance."""
+        return bool(self.wheels) and self.support_length < min(wheel.radius for wheel in self.standing) / 2

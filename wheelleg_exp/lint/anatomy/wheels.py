@@ -113,7 +113,7 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
         width=float(there + back),
         roundness=roundness,
         why=f"turns without end about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
-        f"from the axis all round, {100 * (1 - roundness):.2g} % less at least",
+        f"from the axis all round, within {100 * (1 - roundness):.1f} %",
     )
 
 

@@ -1,0 +1,72 @@
+"""A healthy robot of round numbers as MJCF, to seed with single defects, and what the doctor finds in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.lint.case import Case
+from wheelleg_exp.lint.doctor import OF_ROBOT
+from wheelleg_exp.lint.examine import RULES
+from wheelleg_exp.lint.findings import Finding
+from wheelleg_exp.lint.robot.from_file import case_of_file
+
+# Hip 0.4 and knee -0.8 put the axle straight below the hip: thigh and shank are both 0.3 m long.
+HIP, KNEE, LINK = 0.4, -0.8, 0.3
+_LEG = """
+      <body name="{s}_thigh" pos="0 {y} 0">
+        <joint name="{s}_hip" axis="0 1 0" range="-1 1"/>
+        <geom name="{s}_thigh" type="capsule" fromto="0 0 -0.05 0 0 -0.25" size="0.02" mass="0.1"/>
+        <body name="{s}_shank" pos="0 0 -0.3">
+          <joint name="{s}_knee" axis="0 1 0" range="-2 0"/>
+          <geom name="{s}_shank" type="capsule" fromto="0 0 -0.05 0 0 -0.15" size="0.02" mass="0.1"/>
+          <body name="{s}_wheel" pos="0 0 -0.3">
+            <joint name="{s}_axle" axis="0 1 0"/>
+            <inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>
+            <geom name="{s}_wheel" type="cylinder" size="0.1 0.02" euler="1.5707963267948966 0 0"/>
+          </body>
+        </body>
+      </body>"""
+_DRIVES = """
+    <position joint="{s}_hip" kp="200" kv="5" forcerange="-30 30"/>
+    <position joint="{s}_knee" kp="200" kv="5" forcerange="-30 30"/>
+    <velocity joint="{s}_axle" kv="0.5" forcerange="-5 5"/>"""
+_SIDES = (("l", 0.2), ("r", -0.2))
+HEALTHY = f"""
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="trunk" pos="0 0 1">
+      <freejoint/>
+      <inertial pos="0 0 0" mass="4" diaginertia="0.02 0.06 0.07"/>
+      <geom name="trunk" type="box" size="0.2 0.1 0.05"/>{"".join(_LEG.format(s=s, y=y) for s, y in _SIDES)}
+    </body>
+  </worldbody>
+  <actuator>{"".join(_DRIVES.format(s=s) for s, _ in _SIDES)}
+  </actuator>
+  <keyframe><key qpos="0 0 1 1 0 0 0 {HIP} {KNEE} 0 {HIP} {KNEE} 0"/></keyframe>
+</mujoco>"""
+
+
+def seeded(*changes: tuple[str, str], everywhere: bool = False) -> str:
+    """Return the robot with pieces of its text replaced, each once or everywhere."""
+    text = HEALTHY
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new) if everywhere else text.replace(old, new, 1)
+    return text
+
+
+def patient(folder: Path, text: str = HEALTHY, **sections: Mapping[str, Any]) -> Case:
+    """Write a robot, and return it as rules look at it, with sections of ``env`` replaced."""
+    file = folder / "robot.xml"
+    file.write_text(text)
+    case = case_of_file(file)
+    return replace(case, config={**case.config, "env": {**case.env, **sections}})
+
+
+def all_findings(case: Case) -> list[Finding]:
+    """Return what all rules about a robot find."""
+    return [finding for name in OF_ROBOT for finding in RULES[name](case)]

@@ -1,0 +1,343 @@
+"""One defect in a healthy robot: it is found, with its size, and nothing else is."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import mujoco
+import numpy as np
+import pytest
+
+from lint.cases import found, joints, term
+from lint.patients import HEALTHY, HIP, KNEE, LINK, all_findings, patient, seeded
+from wheelleg_exp.lint.robot.balancing import balanced_pose, weight_over_axle
+from wheelleg_exp.lint.robot.overlaps import find_overlaps
+from wheelleg_exp.paths import assets_dir
+
+TRUNK = '<inertial pos="0 0 0" mass="4" diaginertia="0.02 0.06 0.07"/>'
+RIGHT = HEALTHY[HEALTHY.index('<body name="r_thigh"') : HEALTHY.index("</worldbody>")]
+CYLINDER = 'type="cylinder" size="0.1 0.02" euler="1.5707963267948966 0 0"'
+
+
+def right(old: str, new: str) -> tuple[str, str]:
+    """A change of the right leg alone."""
+    assert old in RIGHT
+    return RIGHT, RIGHT.replace(old, new)
+
+
+def only(rule: str, case) -> str:
+    """The message of the one finding of a robot, which one rule found."""
+    (finding,) = found(rule, case)
+    assert [other.rule for other in all_findings(case)] == [rule]
+    return f"{finding.message} | {finding.hint}"
+
+
+def test_the_healthy_robot_has_nothing_to_mend(tmp_path):
+    assert all_findings(patient(tmp_path)) == []
+
+
+def test_a_shifted_mass(tmp_path):
+    case = patient(tmp_path, seeded((TRUNK, TRUNK.replace("0 0 0", "0.15 0 0"))))
+    said = only("balance_pose", case)
+    # 4 kg at 0.15 m of 4.4 kg, and what hangs on the hips: thighs at -0.15 sin 0.4, shanks mirrored at 0.2 of 0.3.
+    height = 2 * LINK * math.cos(HIP)
+    thigh, shank = -0.15 * math.sin(HIP), -0.3 * math.sin(HIP) + 0.1 * math.sin(HIP)
+    ahead = (4 * 0.15 + 0.2 * thigh + 0.2 * shank) / 4.4
+    above = (4 * height + 0.2 * (height - 0.15 * math.cos(HIP)) + 0.2 * (0.2 * math.cos(HIP))) / 4.4
+    assert f"{1e3 * ahead:.3g} mm in front" in said
+    assert f"{math.degrees(math.atan2(ahead, above)):.2g}°" in said
+    # What the hint says to write puts the weight over the axle.
+    pose = dict(re.findall(r"(\w+): (-?[\d.]+)", said.split("|")[1]))
+    keys = {"l": pose, "r": pose}
+    key = " ".join(f"{keys[s][f'{s}_hip']} {keys[s][f'{s}_knee']} 0" for s in "lr")
+    moved = seeded((TRUNK, TRUNK.replace("0 0 0", "0.15 0 0")), (f"{HIP} {KNEE} 0 {HIP} {KNEE} 0", key))
+    model = mujoco.MjModel.from_xml_string(moved)
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[0]
+    mujoco.mj_forward(model, data)
+    upper = [model.body(n).id for n in ("trunk", "l_thigh", "l_shank", "r_thigh", "r_shank")]
+    x = model.body_mass[upper] @ data.xipos[upper][:, 0] / model.body_mass[upper].sum()
+    assert x == pytest.approx(data.body("l_wheel").xpos[0], abs=1e-3)
+    assert data.body("l_wheel").xpos[2] == pytest.approx(1 - height, abs=1e-3)  # as high as before
+
+
+def test_the_weight_of_a_robot_that_balances_is_over_its_axle(tmp_path):
+    robot = patient(tmp_path).robot
+    assert abs(weight_over_axle(robot).lean) < 0.02
+    assert set(balanced_pose(robot)) == {"l_hip", "r_hip", "l_knee", "r_knee"}
+
+
+def test_a_mass_outside_the_wheels_of_a_car(tmp_path):
+    wheel = f'<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/><geom {CYLINDER}/>'
+    wheels = "".join(
+        f'<body name="w{x}{y}" pos="{x} {y} 0"><joint name="j{x}{y}" axis="0 1 0"/>{wheel}</body>'
+        for x in (0.15, -0.15)
+        for y in (0.2, -0.2)
+    )
+    text = (
+        '<mujoco><compiler angle="radian"/><worldbody><body name="car" pos="0 0 1"><freejoint/>'
+        '<inertial pos="0.19 0 0" mass="4" diaginertia="0.02 0.06 0.07"/><geom type="box" size="0.2 0.1 0.05"/>'
+        f"{wheels}"
+        "</body></worldbody></mujoco>"
+    )
+    assert "40 mm outside the outermost wheels, which are 300 mm apart" in only("balance_pose", patient(tmp_path, text))
+
+
+def test_wheels_that_roll_along_y(tmp_path):
+    text = HEALTHY.replace('axis="0 1 0"', 'axis="1 0 0"').replace('pos="0 0.2 0"', 'pos="0.3 0 0"')
+    text = text.replace('pos="0 -0.2 0"', 'pos="-0.3 0 0"').replace("1.5707963267948966 0 0", "0 1.5707963267948966 0")
+    text = text.replace('diaginertia="0.002 0.003 0.002"', 'diaginertia="0.003 0.002 0.002"')
+    assert "roll along (0, 1) of the base 'trunk'" in only("rolling_direction", patient(tmp_path, text))
+
+
+def test_wheels_that_toe_in(tmp_path):
+    c, s = math.cos(0.1), math.sin(0.1)
+    text = seeded(('name="l_axle" axis="0 1 0"', f'name="l_axle" axis="{s} {c} 0"'))
+    text = text.replace('name="r_axle" axis="0 1 0"', f'name="r_axle" axis="{-s} {c} 0"')
+    for side, turn in (("l", -0.1), ("r", 0.1)):
+        straight = f'name="{side}_wheel" {CYLINDER}'
+        assert straight in text
+        zaxis = f"{-math.sin(turn)} {math.cos(turn)} 0"
+        text = text.replace(straight, f'name="{side}_wheel" type="cylinder" size="0.1 0.02" zaxis="{zaxis}"')
+    toe = math.degrees(math.asin(s * math.cos(HIP + KNEE)))  # the wheel's link is pitched by hip and knee
+    assert f"turned by {toe:.2g}°" in only("rolling_direction", patient(tmp_path, text))
+
+
+def test_a_flipped_wheel(tmp_path):
+    text = seeded(('name="r_axle" axis="0 1 0"', 'name="r_axle" axis="0 -1 0"'))
+    said = only("wheel_senses", patient(tmp_path, text))
+    assert "'l_axle' rolls the robot forwards, of 'r_axle' backwards" in said
+    wheels = term("actions.JointVelocityAction", joint_names=["._axle"], scale={"l_axle": 5.0, "r_axle": -5.0})
+    assert found("wheel_senses", patient(tmp_path, text, actions={"wheels": wheels})) == []
+
+
+def test_a_file_that_turns_one_whole_side_the_other_way_round_is_no_defect(tmp_path):
+    turned = RIGHT.replace('axis="0 1 0"', 'axis="0 -1 0"').replace('range="-2 0"', 'range="0 2"')
+    text = seeded((RIGHT, turned), (f"{HIP} {KNEE} 0 {HIP} {KNEE} 0", f"{HIP} {KNEE} 0 {-HIP} {-KNEE} 0"))
+    assert all_findings(patient(tmp_path, text)) == []
+
+
+PACK = """<body name="pack" pos="0 0.2 0"><joint name="lid" axis="0 0 1" range="-1 1"/>
+  <geom name="pack" type="sphere" size="0.03" pos="{x} 0 {z}" mass="0.01"/></body>
+      <body name="l_thigh\""""
+
+
+def pack(into: float) -> str:
+    """The robot with a ball beside the left thigh, so many metres inside it."""
+    away = 0.03 + 0.02 - into  # from the thigh's axis
+    middle = np.array([-0.15 * math.sin(HIP), -0.15 * math.cos(HIP)])
+    x, z = middle + away * np.array([math.cos(HIP), -math.sin(HIP)])
+    return seeded(('<body name="l_thigh"', PACK.format(x=x, z=z)), ("0 0 1 1 0 0 0 ", "0 0 1 1 0 0 0 0 "))
+
+
+def test_a_link_sunk_into_another(tmp_path):
+    case = patient(tmp_path, pack(0.012))
+    said = only("overlapping_bodies", case)
+    assert "'pack' and 'l_thigh' by 12 mm" in said
+    robot = case.robot
+    (pair,) = [pair for pair in find_overlaps(robot.model, robot.data.qpos, robot.bodies) if not pair.neighbours]
+    assert pair.depth == pytest.approx(0.012, abs=1e-6)
+    assert all_findings(patient(tmp_path, pack(-0.001))) == []
+
+
+def test_links_that_may_not_touch_are_only_noted(tmp_path):
+    from wheelleg_exp.lint.doctor import notes_on
+
+    text = pack(0.012).replace('name="pack" type', 'name="pack" contype="0" type')
+    case = patient(tmp_path, text.replace('name="l_thigh" type', 'name="l_thigh" contype="0" type'))
+    assert all_findings(case) == []
+    assert any("self_collisions: true would begin with 1 pair" in note and "12 mm" in note for note in notes_on(case))
+
+
+def test_a_link_deep_inside_the_one_that_it_hangs_on(tmp_path):
+    text = seeded(('name="l_thigh" type="capsule" fromto="0 0 -0.05 0 0 -0.25" size="0.02" mass="0.1"',
+                   'name="l_thigh" type="sphere" size="0.25" pos="0 -0.2 0" mass="0.1"'))  # fmt: skip
+    told = found("overlapping_bodies", patient(tmp_path, text))
+    (finding,) = [finding for finding in told if "'l_thigh' lies" in finding.message]
+    assert finding.figures["depth_m"] == pytest.approx(0.25 + 0.05)  # out through the top
+
+
+def test_a_cut_effort(tmp_path):
+    drive = '<position joint="r_knee" kp="200" kv="5" forcerange="-30 30"/>'
+    said = only("effort_against_load", patient(tmp_path, seeded((drive, drive.replace("30", "3")))))
+    # The knee carries half the weight but the wheel's and half of the shank's, on the arm of the shank.
+    weight = (4 + 2 * 0.7) / 2 * 9.81
+    hold = (weight - 0.5 * 9.81) * LINK * math.sin(HIP) - 0.1 * 9.81 * 0.1 * math.sin(HIP)
+    assert f"3 N·m on 'r_knee', which carries {hold:.3g} N·m" in said
+
+
+def test_a_wheel_that_cannot_catch_the_robot(tmp_path):
+    drive = '<velocity joint="r_axle" kv="0.5" forcerange="-5 5"/>'
+    said = only(
+        "weak_wheels", patient(tmp_path, seeded((drive, drive.replace("5 5", "0.2 0.2").replace("-0.", "-0."))))
+    )
+    assert "0.2 N·m on wheels of 100 mm" in said
+    assert found("weak_wheels", patient(tmp_path)) == []
+
+
+def test_a_raised_stiffness(tmp_path):
+    drive = '<position joint="r_knee" kp="200"'
+    said = only("gains_against_time_step", patient(tmp_path, seeded((drive, drive.replace("200", "2e6")))))
+    assert "'r_knee'" in said
+
+
+def test_a_square_wheel(tmp_path):
+    text = seeded((CYLINDER, 'type="box" size="0.1 0.02 0.1"'))
+    said = only(
+        "wheels_that_do_not_roll", patient(tmp_path, text.replace('size="0.1 0.02" euler', 'size="0.1414 0.02" euler'))
+    )
+    assert re.search(r"between 10\d.* and 141.4 mm", said)
+
+
+def test_wheels_of_two_sizes(tmp_path):
+    text = seeded(right('size="0.1 0.02"', 'size="0.09 0.02"'))
+    said = only("wheels_that_do_not_roll", patient(tmp_path, text))
+    assert "'l_axle' and 'r_axle' have radii of 100 and 90 mm" in said
+
+
+def test_wheels_within_limits(tmp_path):
+    text = HEALTHY.replace('_axle" axis="0 1 0"', '_axle" axis="0 1 0" range="-3.14 3.14"')
+    told = found("wheels_that_do_not_roll", patient(tmp_path, text))
+    assert [finding.message.split(",")[0] for finding in told] == [
+        "'l_axle' would be a wheel's joint",
+        "'r_axle' would be a wheel's joint",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('name="r_thigh" pos="0 -0.2 0"', 'name="r_thigh" pos="0.02 -0.2 0"', "20 mm and 0° off, nor are 2 more pairs"),
+        ('name="r_shank" type="capsule" fromto="0 0 -0.05 0 0 -0.15" size="0.02" mass="0.1"',
+         'name="r_shank" type="capsule" fromto="0 0 -0.05 0 0 -0.15" size="0.02" mass="0.2"',
+         "'l_shank' weighs 0.1 kg and 'r_shank' 0.2 kg"),
+        ('name="r_thigh" type="capsule" fromto="0 0 -0.05 0 0 -0.25"',
+         'name="r_thigh" type="capsule" fromto="0 0.02 -0.01 0 0.02 -0.21"', "44.7 mm off"),
+        ('name="r_hip" axis="0 1 0" range="-1 1"', 'name="r_hip" axis="0 1 0" range="-1 1.5"', "0.5 off"),
+    ],
+)  # fmt: skip
+def test_a_side_that_is_no_mirror_image(old, new, said, tmp_path):
+    assert said in only("mirror_images", patient(tmp_path, seeded((old, new))))
+
+
+def test_a_joint_without_limits_and_one_without_motion(tmp_path):
+    free = HEALTHY.replace(' range="-2 0"', "")
+    assert "'l_knee', 'r_knee' have no limits" in only("joint_limits", patient(tmp_path, free))
+    locked = HEALTHY.replace('range="-1 1"', 'range="0.4 0.4001"')
+    assert "'l_hip', 'r_hip' leave no motion" in only("joint_limits", patient(tmp_path, locked))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (TRUNK, TRUNK.replace("0.02 0.06 0.07", "2 6 7"), "as if its mass were 1.32e+03 mm from its centre"),
+        (TRUNK, TRUNK.replace("0.02 0.06 0.07", "2e-7 6e-7 7e-7"), "less than a link that reaches 229 mm can have"),
+        (TRUNK, TRUNK.replace('pos="0 0 0"', 'pos="0 0 0.5"'), "lies 450 mm outside its shapes"),
+        ('mass="4"', 'mass="4000"', "kg/m³"),
+    ],
+)
+def test_masses_that_no_link_has(old, new, said, tmp_path):
+    assert any(said in finding.message for finding in found("link_masses", patient(tmp_path, seeded((old, new)))))
+
+
+def test_moments_of_inertia_that_no_body_has(tmp_path):
+    case = patient(tmp_path)
+    case.robot.model.body_inertia[case.robot.model.body("trunk").id] = (0.01, 0.02, 0.06)
+    assert "0.01, 0.02, 0.06 kg·m²" in only("link_masses", case)
+
+
+def test_efforts_and_speeds_that_no_motor_has(tmp_path):
+    drive = '<position joint="r_knee" kp="200" kv="5" forcerange="-30 30"/>'
+    big = patient(tmp_path, seeded((drive, drive.replace("30", "1e5"))))
+    assert "'r_knee' has effort limits beyond" in only("placeholder_limits", big)
+    none = patient(tmp_path, seeded((drive, drive.replace("30 30", "0 1e-99").replace("-0", "0"))))
+    assert found("placeholder_limits", none) == []  # next to nothing is for effort_against_load to tell
+
+
+def test_a_robot_that_nothing_holds_up(tmp_path):
+    bare = HEALTHY.replace("<geom ", '<geom contype="0" conaffinity="0" ')
+    assert next(finding.rule for finding in all_findings(patient(tmp_path, bare))) == "no_colliders"
+    assert len(found("no_colliders", patient(tmp_path, bare))) == 1
+    assert found("no_colliders", patient(tmp_path)) == []
+
+
+def test_a_lopsided_pose(tmp_path):
+    text = seeded((f"{HIP} {KNEE} 0 {HIP} {KNEE} 0", f"{HIP} {KNEE} 0 {HIP} {KNEE + 0.1} 0"))
+    (finding,) = found("lopsided_pose", patient(tmp_path, text))
+    assert "l_knee at -0.8 and r_knee at -0.7" in finding.message
+    assert "r_knee: -0.8" in finding.hint
+    assert found("lopsided_pose", patient(tmp_path)) == []
+
+
+def contact(*names: str) -> dict:
+    entity = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "contact_forces", "body_names": list(names)}
+    return {"touch": term("terminations.illegal_contact", threshold=1.0, sensor_cfg=entity)}
+
+
+def test_a_termination_on_what_touches_at_the_start(tmp_path):
+    (finding,) = found("contact_at_start", patient(tmp_path, terminations=contact("trunk", "l_wheel", "r_wheel")))
+    assert "'l_wheel', 'r_wheel' touch something" in finding.message
+    assert found("contact_at_start", patient(tmp_path, terminations=contact("trunk", "._thigh", "._shank"))) == []
+    (finding,) = found("contact_at_start", patient(tmp_path, pack(0.012), terminations=contact("._thigh", "trunk")))
+    assert "'l_thigh' touch something" in finding.message
+
+
+def test_a_reset_into_the_ground(tmp_path):
+    def reset(**ranges):
+        node = term("events.reset_root_state_uniform", mode="reset", pose_range=ranges, velocity_range={})
+        return {"base": node}
+
+    (finding,) = found("reset_into_ground", patient(tmp_path, events=reset(z=[-0.05, 0.0])))
+    assert "reach 50 mm into the ground" in finding.message
+    rolled = patient(tmp_path, events=reset(roll=[-0.2, 0.2]))
+    (finding,) = found("reset_into_ground", rolled)
+    # The base turns about its own origin: the lower wheel's rim, 0.2 + 0.02 m aside and the base's height below.
+    height = 2 * LINK * math.cos(HIP) + 0.1
+    low = 0.22 * math.sin(0.2) + (height - 0.1) * math.cos(0.2) + 0.1 * math.cos(0.2) - height
+    assert finding.figures["depth_m"] == pytest.approx(low, abs=1e-4)
+    assert found("reset_into_ground", patient(tmp_path, events=reset(roll=[-0.01, 0.01], x=[-1, 1]))) == []
+    legs = term("events.reset_joints_by_offset", mode="reset", position_range=[0.0, 0.4], velocity_range=[0, 0],
+                asset_cfg=joints("._knee"))  # fmt: skip
+    assert found("reset_into_ground", patient(tmp_path, events={**reset(z=[0, 0]), "legs": legs}))
+
+
+URDF = """<robot name="two"><link name="base">{inertial}
+  <collision><geometry>{shape}</geometry></collision></link>
+  <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="{low}" upper="1" effort="1" velocity="1"/></joint>
+  <link name="arm"><inertial><mass value="1"/>
+    <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link></robot>"""
+GIVEN = '<inertial><mass value="1"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>'
+BOX = '<box size="0.3 0.3 0.3"/>'
+
+
+def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1):
+    from wheelleg_exp.lint.robot.from_file import case_of_file
+
+    file = folder / "robot.urdf"
+    file.write_text(URDF.format(inertial=inertial, shape=shape, low=low))
+    return case_of_file(file)
+
+
+def test_what_the_file_does_not_give(tmp_path):
+    whole = read_urdf(tmp_path)
+    for rule in ("missing_files", "assumed_masses", "lost_in_conversion"):
+        assert found(rule, whole) == []
+    (finding,) = found("missing_files", read_urdf(tmp_path, shape='<mesh filename="gone.stl"/>'))
+    assert "1 file that the robot names is not there, so that 1 collider is lost: gone.stl" in finding.message
+    (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial=""))
+    assert finding.figures["assumed_kg"] == pytest.approx(0.3**3 * 1000)  # of water
+    assert "of 28 kg are assumed (96 %)" in finding.message
+    (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial='<inertial><mass value="2"/></inertial>'))
+    assert "1 links have a mass and no inertia" in finding.message
+    (finding,) = found("lost_in_conversion", read_urdf(tmp_path, low=2))
+    assert "wrong way round" in finding.message
+
+
+@pytest.mark.parametrize("name", ["wheelleg/wheelleg.usda"])
+def test_the_stock_robots_file_has_only_its_armature(name):
+    from wheelleg_exp.lint.doctor import diagnose_file
+
+    assert {finding.rule for finding in diagnose_file(assets_dir() / name).findings} <= {"armature_ratio"}

@@ -1,0 +1,105 @@
+"""``wheelleg doctor``: looks at a robot as an expert would, and says what is wrong, how it is known, what to write."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json
+from wheelleg_exp.cli.printing.tables import hanging, print_blocks, print_table
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.lint.doctor import Diagnosis
+
+_FILES = (".usd", ".usda", ".usdc", ".usdz", ".urdf", ".xml", ".mjcf", ".xacro")
+ROBOT = "ROBOT|OVERRIDE"
+_COLUMNS = ("", "", "place", "what", "write", "known by")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "overrides", nargs="+", metavar=ROBOT, help="a USD, URDF or MJCF file; or task=… and other overrides"
+    )
+    parser.add_argument(
+        "--screenshot", type=Path, metavar="FILE", help="write a picture: colliders, centre of mass, support, contacts"
+    )
+    parser.add_argument("--all", action="store_true", help="show what the task silences as well")
+    add_config_dir(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what was found; 0 for nothing, 1 with findings, 2 with wrong input.
+
+    Raises:
+        WheellegError: the robot cannot be read, the config has mistakes, or the picture cannot be drawn.
+    """
+    if args.screenshot is not None:
+        from wheelleg_exp.inspection.pictures.robot_picture import require_picture
+
+        require_picture(args.screenshot)
+    found = (
+        _of_file(args.overrides)
+        if _names_a_file(args.overrides[0])
+        else _of_task(args.overrides, args.config_dirs, args.json)
+    )
+    if found is None:
+        return EXIT_INPUT
+    if args.screenshot is not None:
+        from wheelleg_exp.inspection.pictures.robot_picture import write_picture
+
+        assert found.case.robot is not None
+        write_picture(found.case.robot, args.screenshot)
+    if args.json:
+        print_json(found.document())
+    else:
+        _show(found, show_all=args.all)
+    return EXIT_FINDING if found.findings else EXIT_OK
+
+
+def _names_a_file(word: str) -> bool:
+    return "=" not in word and (Path(word).suffix.lower() in _FILES or Path(word).is_file())
+
+
+def _of_file(words: list[str]) -> Diagnosis:
+    from wheelleg_exp.lint.doctor import diagnose_file
+
+    if len(words) > 1:
+        raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
+    return diagnose_file(Path(words[0]))
+
+
+def _of_task(words: list[str], config_dirs: list[Path], as_json: bool) -> Diagnosis | None:
+    from wheelleg_exp.config.checking.collect import find_mistakes
+    from wheelleg_exp.config.problems import document, raise_all
+    from wheelleg_exp.lint.doctor import diagnose_task
+
+    composed, mistakes = find_mistakes(words, config_dirs=config_dirs)
+    if mistakes:
+        if not as_json:
+            raise_all(mistakes)
+        print_json({"mistakes": [document(error) for error in mistakes]})
+        return None
+    assert composed is not None
+    return diagnose_task(composed)
+
+
+def _show(found: Diagnosis, *, show_all: bool) -> None:
+    from wheelleg_exp.lint.doctor import rows_of
+
+    print_table(("robot", "", ""), found.facts())
+    print()
+    for note in found.notes:
+        print(hanging(note, 2, "- "))
+    print()
+    print_blocks(_COLUMNS, rows_of(found.findings), heads=2)
+    if show_all and found.silenced:
+        reasons = {finding.rule: reason for finding, reason in found.silenced}
+        print_blocks((*_COLUMNS[:-1], "silenced"), rows_of([f for f, _ in found.silenced], reasons), heads=2)
+    count, silent = len(found.findings), len(found.silenced)
+    more = f", {silent} silenced{'' if show_all else ' (--all shows them)'}" if silent else ""
+    print(f"{count} finding{'' if count == 1 else 's'}{more}")
+    print(hanging(found.first, 2))

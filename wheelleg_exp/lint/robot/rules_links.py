@@ -1,0 +1,172 @@
+"""Masses, inertias, limits and placeholders: numbers that no link and no motor has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.lint.anatomy.wheels import TURNS
+from wheelleg_exp.lint.case import Case
+from wheelleg_exp.lint.collider_depth import reach
+from wheelleg_exp.lint.findings import Finding, rule
+from wheelleg_exp.lint.robot.compiled import CompiledRobot
+
+_ASSET = "env.robot.asset"
+_DENSITY = (2.0, 5000.0)  # kg/m³ of a cube as long as the robot's longest edge
+_WIDE = 1.5  # times the link's reach: a radius of gyration that no mass inside it gives
+_NARROW = 0.03  # of the link's reach
+_OUTSIDE = 0.5  # of the link's reach: how far beyond its shapes a centre of mass may lie
+_WEIGHTY = 0.01  # of the robot's mass: a link whose masses matter
+_TRIANGLE = 0.01  # by which one moment may exceed the sum of the other two
+_LOCKED = 0.02  # rad of range
+_PLACEHOLDER = 50.0  # times the whole weight on an arm as long as the robot: no limit at all
+_FAST = 200.0  # rad/s of a joint
+_MOST = 4
+
+
+@rule
+def link_masses(case: Case) -> Iterator[Finding]:
+    """Masses and inertias that no link of its size has.
+
+    The whole robot's mass is held against its size, which finds units gone wrong. A link's radius of gyration
+    sqrt(I / m) cannot exceed the reach of its shapes from its centre of mass, and is not a thirtieth of it; that
+    centre lies in or near the shapes; no moment of inertia exceeds the sum of the other two. Source: mechanics of
+    rigid bodies.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    size, mass = robot.anatomy.size, case.facts.mass
+    density = mass / size**3 if size > 0 else math.nan
+    if not _DENSITY[0] <= density <= _DENSITY[1]:
+        yield Finding(
+            _ASSET,
+            f"{mass:.4g} kg in {size:.4g} m: a cube of that size would weigh {density:.3g} kg/m³",
+            "look at the units: metres and kilograms, meshes in mm want a scale of 0.001",
+            {"mass_kg": mass, "size_m": size},
+        )
+        return
+    told = 0
+    for name in robot.bodies:
+        for finding in _link(robot, name, mass):
+            told += 1
+            if told <= _MOST:
+                yield finding
+
+
+def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
+    model, body = robot.model, robot.model.body(name).id
+    mass, moments = float(model.body_mass[body]), np.sort(model.body_inertia[body])
+    if mass < _WEIGHTY * whole:
+        return
+    if moments[2] > (1 + _TRIANGLE) * (moments[0] + moments[1]):
+        yield Finding(
+            _ASSET,
+            f"'{name}' has the moments of inertia {moments[0]:.3g}, {moments[1]:.3g}, {moments[2]:.3g} kg·m²: the last "
+            "is more than the other two together, as no body's is",
+            "the tensor again from CAD, about the centre of mass",
+        )
+    geoms = np.flatnonzero(model.geom_bodyid == body).tolist()
+    if not geoms:
+        return
+    centre, frame = robot.data.xipos[body], robot.data.xmat[body].reshape(3, 3)
+    out = reach(model, robot.data, geoms, centre, np.vstack([frame.T, -frame.T]))
+    extent = float(np.linalg.norm(np.maximum(out[:3], out[3:])))
+    radius = math.sqrt(float(moments[2]) / mass)
+    if radius > _WIDE * extent or radius < _NARROW * extent:
+        word = "more" if radius > extent else "less"
+        yield Finding(
+            _ASSET,
+            f"'{name}' of {mass:.3g} kg has a moment of inertia of {moments[2]:.3g} kg·m², as if its mass were "
+            f"{1e3 * radius:.3g} mm from its centre: {word} than a link that reaches {1e3 * extent:.3g} mm can have",
+            f"the tensor again from CAD, in kg·m²; a solid of its size has about {mass * extent**2 / 5:.2g}",
+            {"gyration_m": radius, "reach_m": extent},
+        )
+    beyond = -float(out.min())
+    if beyond > _OUTSIDE * extent:
+        yield Finding(
+            _ASSET,
+            f"the centre of mass of '{name}' lies {1e3 * beyond:.3g} mm outside its shapes",
+            "the origin of its inertia in the file: metres, in the link's frame",
+            {"outside_m": beyond},
+        )
+
+
+@rule
+def joint_limits(case: Case) -> Iterator[Finding]:
+    """A driven joint of a leg without limits, or with limits that leave it no motion.
+
+    A leg that may turn all round passes through the robot, and its soft limits and their rewards say nothing. Source:
+    Isaac Lab 2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    legs = [name for leg in robot.anatomy.legs for name in leg.joints if name not in leg.passive]
+    free, locked = [], []
+    for name in [*dict.fromkeys(legs), *robot.anatomy.others]:
+        joint = robot.model.joint(name).id
+        if robot.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        low, high = robot.model.jnt_range[joint]
+        if robot.model.jnt_limited[joint] and high - low < _LOCKED:
+            locked.append(name)
+        elif name in legs and (not robot.model.jnt_limited[joint] or high - low > TURNS):
+            free.append(name)
+    steered = {name for w in robot.anatomy.wheels if w.steered for g in robot.anatomy.legs for name in g.joints
+               if g.wheel == w.joint}  # fmt: skip
+    free = [name for name in free if name not in steered]
+    if free:
+        yield Finding(
+            _ASSET,
+            f"{_listed(free)} {'has' if len(free) == 1 else 'have'} no limits: a leg may turn all round",
+            'the limits of the real joint (URDF: type="revolute" with lower and upper; USD: physics:lowerLimit)',
+            {"joints": float(len(free))},
+        )
+    if locked:
+        yield Finding(
+            _ASSET,
+            f"the limits of {_listed(locked)} leave no motion",
+            "the limits of the real joint, or a fixed joint; exporters write 0 to 0 where CAD says nothing",
+            {"joints": float(len(locked))},
+        )
+
+
+@rule
+def placeholder_limits(case: Case) -> Iterator[Finding]:
+    """Largest efforts and speeds that no motor has: 0, or so large that they limit nothing.
+
+    An effort limit of 0 drives nothing. One that would lift fifty times the robot on an arm as long as the robot is a
+    placeholder, and what a policy learns with it does not transfer. Source: statics.
+    """
+    if case.robot is None:
+        return
+    facts = case.facts
+    most = _PLACEHOLDER * facts.weight * case.robot.anatomy.size
+    weak, strong, fast = [], [], []
+    for name, joint in facts.joints.items():
+        if joint.drive is None:
+            continue
+        if joint.drive.effort == 0.0 or joint.drive.velocity == 0.0:
+            weak.append(name)
+        elif most < joint.drive.effort < math.inf:
+            strong.append(name)
+        if _FAST < joint.drive.velocity < math.inf:
+            fast.append(name)
+    for names, what, hint in (
+        (weak, "an effort or velocity limit of 0, and drive nothing", "the motors' largest torque and speed"),
+        (strong, f"effort limits beyond {most:.3g} N·m, which lift fifty times the robot on an arm of its own size",
+         "the motors' largest torque"),
+        (fast, f"velocity limits above {_FAST:g} rad/s", "the motors' largest speed behind the gear"),
+    ):  # fmt: skip
+        if names:
+            key = f"env.robot.actuators.{facts.joints[names[0]].drive.group}"  # type: ignore[union-attr]
+            yield Finding(key, f"{_listed(names)} {'has' if len(names) == 1 else 'have'} {what}", hint)
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:_MOST])
+    return shown + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
