@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.changes import same
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.explaining.difference import Side, compare, same
+from wheelleg_exp.config.explaining.difference import Side, compare
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import read_json, write_json, write_text
 from wheelleg_exp.jobs.diff_inputs import load_sides

@@ -13,7 +13,7 @@ from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 from wheelleg_exp.report.words import plain as shown
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.explaining.difference import Change, Difference, Side
+    from wheelleg_exp.config.explaining.difference import Difference, PlacedChange, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
 _WIDEST = 44  # letters of a value before it is cut
@@ -75,7 +75,7 @@ def _titled(title: str, columns: tuple[str, ...], rows: list[Any]) -> None:
     print_table(columns, rows, heads=2)
 
 
-def _row(change: Change) -> tuple[str, ...]:
+def _row(change: PlacedChange) -> tuple[str, ...]:
     first = "-" if change.kind == "added" else _placed(change.a, change.where_a)
     second = "-" if change.kind == "removed" else _placed(change.b, change.where_b)
     return change.kind, change.path, first, second, change.note

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.config.explaining.difference import same
+from wheelleg_exp.config.changes import ABSENT, changes, same
 from wheelleg_exp.config.tree import Keys, dotted
 from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.report.blocks import Block, Cell, Code, More, Note, Table, Text
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.composing.mounts import Mount
 
 _PARTS = ("env", "agent")
-_ABSENT = object()
 _NOT_SET = "not there"
 _THEN = "the configs of that time"
 _ROWS = 200
@@ -80,10 +78,13 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
     """
     from wheelleg_exp.config.composing.mounts import find_mounts
 
-    origin = partial(_origin, again, find_mounts(again) if again else ())
+    mounts = find_mounts(again) if again else ()
     for part in _PARTS:
         if subject.config.get(part):
-            yield from _walk(default.config.get(part), subject.config[part], (part,), origin)
+            for change in changes(default.config.get(part), subject.config[part], same, (part,)):
+                one_sided = ABSENT in (change.a, change.b)
+                origin = _origin(again, mounts, change.keys, change.b, one_sided)
+                yield Setting(change.key, _shown(change.a), _shown(change.b), origin)
 
 
 def own_leaves(composed: Composed | None) -> Iterator[Setting]:
@@ -133,17 +134,8 @@ def _require_harmless(words: Sequence[str]) -> None:
         raise ConfigError("what the run recorded of its command line is not composed here")
 
 
-def _walk(default: Any, value: Any, keys: Keys, origin: Callable[[Keys, Any, bool], str]) -> Iterator[Setting]:
-    if isinstance(default, Mapping) and isinstance(value, Mapping):
-        for name in dict.fromkeys([*default, *value]):
-            yield from _walk(default.get(name, _ABSENT), value.get(name, _ABSENT), (*keys, str(name)), origin)
-    elif default is _ABSENT or value is _ABSENT or not same(default, value):
-        one_sided = default is _ABSENT or value is _ABSENT
-        yield Setting(dotted(keys), _shown(default), _shown(value), origin(keys, value, one_sided))
-
-
 def _shown(value: Any) -> str:
-    return _NOT_SET if value is _ABSENT else brief(value)
+    return _NOT_SET if value is ABSENT else brief(value)
 
 
 def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
@@ -152,8 +144,8 @@ def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: 
         return _THEN
     node: Any = again.config
     for key in keys:
-        node = node.get(key, _ABSENT) if isinstance(node, Mapping) else _ABSENT
-    if (node is _ABSENT) != (value is _ABSENT) or (node is not _ABSENT and not same(node, value)):
+        node = node.get(key, ABSENT) if isinstance(node, Mapping) else ABSENT
+    if (node is ABSENT) != (value is ABSENT) or (node is not ABSENT and not same(node, value)):
         return _THEN
     return _who(keys, again, mounts if one_sided else ()) or _THEN
 

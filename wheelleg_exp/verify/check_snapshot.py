@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.config.tree import Keys
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_text, read_yaml, sha256
 from wheelleg_exp.run.params import PARTS, load_params
@@ -43,8 +44,8 @@ def params(subject: Subject) -> Check:
         return Check("params", text, skipped=config)
     failures, notes = list(_identity_problems(subject, config.resolved)), []
     for part in PARTS:
-        changes = plain_changes(found[part], config.resolved.get(part), part)
-        open_ones = [change for change in changes if config.asks and _is_interpolated(config.written, change.key)]
+        changes = plain_changes(found[part], config.resolved.get(part), (part,))
+        open_ones = [change for change in changes if config.asks and _is_interpolated(config.written, change.keys)]
         changes = [change for change in changes if change not in open_ones]
         if changes:
             failures.append(f"params/{part}.yaml is not the config's {part}: {changes_text(changes)}")
@@ -80,9 +81,9 @@ def _unknown(_variable: str) -> None:
     """Return the value of a variable that was not kept: settings that depend on it are not checked."""
 
 
-def _is_interpolated(tree: Any, key: str) -> bool:
-    """Return whether the value of a dotted key is written as an interpolation, or lies in one."""
-    for name in key.split("."):
+def _is_interpolated(tree: Any, keys: Keys) -> bool:
+    """Return whether the value at some keys is written as an interpolation, or lies in one."""
+    for name in keys:
         if isinstance(tree, str):
             break
         tree = tree.get(name) if isinstance(tree, Mapping) else None

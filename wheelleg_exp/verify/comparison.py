@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from wheelleg_exp.config.changes import Change
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.verify import comparison_text as text
@@ -23,7 +24,7 @@ from wheelleg_exp.verify.made_with import (
     run_differences,
 )
 from wheelleg_exp.verify.parts import Part, Parting
-from wheelleg_exp.verify.settings import Change, recording_changes, robot_changes, setting_changes
+from wheelleg_exp.verify.settings import as_dict, decides, recording_changes, robot_changes, setting_changes
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
 Verdict = Literal["identical", "within tolerance", "different"]
@@ -170,7 +171,7 @@ def _settings(a: RunDirectory, b: RunDirectory) -> tuple[list[Change], Part]:
         changes = setting_changes(a, b)
     except RunDirectoryError as error:
         return [], Part("not compared", str(error))
-    return changes, _changes_part([c for c in changes if c.decides], "seed, task, env and agent")
+    return changes, _changes_part([c for c in changes if decides(c.keys)], "seed, task, env and agent")
 
 
 def _decisive(robot: list[Change], environment: list[FactDifference]) -> list[Change]:
@@ -180,7 +181,7 @@ def _decisive(robot: list[Change], environment: list[FactDifference]) -> list[Ch
 
 
 def _changes_part(changes: list[Change], what: str) -> Part:
-    details = {"differing": [asdict(change) for change in changes]}
+    details = {"differing": [as_dict(change) for change in changes]}
     if not changes:
         return Part("equal", what, details)
     return Part("different", text.changes_text(changes), details)

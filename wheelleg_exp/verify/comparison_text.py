@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from wheelleg_exp.config.changes import Change
 from wheelleg_exp.verify.checkpoints import CheckpointComparison
 from wheelleg_exp.verify.compared_runs import Measured
 from wheelleg_exp.verify.divergence import Divergence
 from wheelleg_exp.verify.made_with import FactDifference
-from wheelleg_exp.verify.settings import Change
+from wheelleg_exp.verify.settings import decides
 
 _WIDEST = 40  # letters of a value before it is cut
 _FACTS = 12  # differences of the environment that are shown
@@ -38,7 +39,7 @@ def divergence_lines(first: Divergence) -> list[str]:
 
 def environment_lines(found: Sequence[FactDifference], settings: Sequence[Change], *, equal: bool) -> Iterator[str]:
     """Yield what else differs: of the environment, and the settings that change no number; ``equal`` if none did."""
-    harmless = [change for change in settings if not change.decides]
+    harmless = [change for change in settings if not decides(change.keys)]
     if not (found or harmless):
         yield from ("", "environment: nothing that is recorded differs")
         return

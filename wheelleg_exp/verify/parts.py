@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.log import Line
-from wheelleg_exp.verify.settings import plain_changes
+from wheelleg_exp.verify.settings import as_dict, plain_changes
 
 State = Literal["equal", "different", "not compared"]
 
@@ -141,7 +141,7 @@ def results_part(a: RunDirectory, b: RunDirectory) -> Part:
         there = [side for side, results in (("A", ones), ("B", others)) if results]
         return Part("not compared", f"only {there[0]} has results" if there else "neither run has results")
     changes = plain_changes(ones, others)
-    details = {"differing": [asdict(change) for change in changes]}
+    details = {"differing": [as_dict(change) for change in changes]}
     if not changes:
         return Part("equal", f"{len(ones)} figures", details)
     told = [f"{change.key} {_shown(change.a)} and {_shown(change.b)}" for change in changes]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from wheelleg_exp.config.changes import ABSENT, Change, changes, same
+from wheelleg_exp.config.tree import Keys
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, sha256
 from wheelleg_exp.run.directory import RunDirectory
@@ -24,29 +25,9 @@ _HARMLESS = (
 )
 
 
-def decides(keys: tuple[str, ...]) -> bool:
+def decides(keys: Keys) -> bool:
     """Return whether the setting at these keys can change a number; what lies below harmless keys cannot either."""
     return not any(keys[: len(harmless)] == harmless for harmless in _HARMLESS)
-
-
-_MISSING = "(absent)"
-
-
-@dataclass(frozen=True)
-class Change:
-    """One setting in which two runs differ.
-
-    Attributes:
-        key: the dotted key.
-        a: its value in A.
-        b: its value in B.
-        decides: whether it can change a number.
-    """
-
-    key: str
-    a: Any
-    b: Any
-    decides: bool = True
 
 
 def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
@@ -55,23 +36,29 @@ def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
     Raises:
         RunDirectoryError: the parameters of a run are missing or damaged.
     """
-    found = list(_walk("", _settings(a), _settings(b)))
-    return sorted(found, key=lambda change: not change.decides)
+    found = plain_changes(_settings(a), _settings(b))
+    return sorted(found, key=lambda change: not decides(change.keys))
 
 
 def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
     """Return how the robots differ: the file's digests, the generated MJCF, the compiled model."""
-    return list(_walk("", _robot(a), _robot(b)))
+    return plain_changes(_robot(a), _robot(b))
 
 
-def plain_changes(a: Any, b: Any, key: str = "") -> list[Change]:
-    """Return how two plain values differ, by leaf."""
-    return list(_walk(key, a, b))
+def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
+    """Return how two plain values differ: leaves, to the bit, and the order of terms, in which they run."""
+    return [*changes(a, b, _same, keys), *_reordered(keys, a, b)]
+
+
+def as_dict(change: Change) -> dict[str, Any]:
+    """Return a change for JSON."""
+    a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
+    return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
 
 
 def recording_changes(changes: list[Change]) -> list[Change]:
     """Return the changes that decide what a recording holds."""
-    return [change for change in changes if change.key.startswith("recording")]
+    return [change for change in changes if change.keys[0].startswith("recording")]
 
 
 def _settings(run: RunDirectory) -> dict[str, Any]:
@@ -107,28 +94,19 @@ def _robot(run: RunDirectory) -> dict[str, Any]:
     return {"sources": known.get("sources"), "robot.xml": digest, "compiled model": known.get("model_sha256")}
 
 
-def _walk(key: str, a: Any, b: Any) -> Iterator[Change]:
-    if isinstance(a, Mapping) and isinstance(b, Mapping):
-        yield from _order(key, a, b)
-        for name in dict.fromkeys([*a, *b]):
-            inner = f"{key}.{name}" if key else str(name)
-            yield from _walk(inner, a.get(name, _MISSING), b.get(name, _MISSING))
-    elif not _same(a, b):
-        yield Change(key, a, b, decides(tuple(key.split("."))))
-
-
-def _order(key: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[Change]:
-    """Tell another order of terms, in which they run and are laid out."""
+def _reordered(keys: Keys, a: Any, b: Any) -> Iterator[Change]:
+    if not (isinstance(a, Mapping) and isinstance(b, Mapping)):
+        return
     ones, others = ([name for name in x if name in y and isinstance(x[name], Mapping)] for x, y in ((a, b), (b, a)))
     if ones != others and sorted(map(str, ones)) == sorted(map(str, others)):
-        yield Change(f"{key} (order)", ones, others)
+        yield Change((*keys[:-1], f"{keys[-1] if keys else ''} (order)"), ones, others)
+    for name in ones:
+        yield from _reordered((*keys, str(name)), a[name], b[name])
 
 
 def _same(a: Any, b: Any) -> bool:
     if isinstance(a, list) and isinstance(b, list):
         return len(a) == len(b) and all(map(_same, a, b))
-    if isinstance(a, bool) or isinstance(b, bool):
-        return a is b
     if isinstance(a, float) and isinstance(b, float):
         return struct.pack("d", a) == struct.pack("d", b) or (a != a and b != b)
-    return bool(a == b)
+    return same(a, b)

@@ -6,12 +6,12 @@ its default. The order of keys counts only where something runs or is laid out i
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from wheelleg_exp.config import keys as known
+from wheelleg_exp.config.changes import same
 from wheelleg_exp.config.tree import Keys, dotted
 from wheelleg_exp.terms.binding import TARGET, signature_parameters
 
@@ -46,8 +46,8 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Change:
-    """One difference of two configs.
+class PlacedChange:
+    """One difference of two configs, and who made it.
 
     Attributes:
         kind: seen from A to B.
@@ -84,8 +84,8 @@ class FactChange:
 class Difference:
     """All differences; nothing in them means equal."""
 
-    terms: tuple[Change, ...]
-    parameters: tuple[Change, ...]
+    terms: tuple[PlacedChange, ...]
+    parameters: tuple[PlacedChange, ...]
     facts: tuple[FactChange, ...]
 
     def __bool__(self) -> bool:
@@ -100,24 +100,7 @@ def compare(a: Side, b: Side) -> Difference:
     return Difference(terms, tuple(c for c in changes if not c.is_term), tuple(_facts(a.facts, b.facts)))
 
 
-def same(a: Any, b: Any) -> bool:
-    """Return whether two plain values mean the same."""
-    if isinstance(a, Mapping) and isinstance(b, Mapping):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if _is_list(a) and _is_list(b):
-        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
-    if isinstance(a, bool) or isinstance(b, bool):
-        return a is b
-    if isinstance(a, float) and isinstance(b, float) and math.isnan(a) and math.isnan(b):
-        return True
-    return bool(a == b)
-
-
-def _is_list(value: Any) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, str)
-
-
-def _walk(a: Side, b: Side, keys: Keys) -> Iterator[Change]:
+def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
     one, other = known.at(a.tree, keys), known.at(b.tree, keys)
     if not (isinstance(one, Mapping) and isinstance(other, Mapping)):
         if not same(one, other):
@@ -138,24 +121,24 @@ def _section_of_terms(keys: Keys) -> str | None:
     return known.section_of((*keys, "any"))
 
 
-def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> Change:
+def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> PlacedChange:
     path = dotted(keys)
-    return Change(kind, path, known.section_of(keys) is not None, one, other, a.where(path), b.where(path), note)
+    return PlacedChange(kind, path, known.section_of(keys) is not None, one, other, a.where(path), b.where(path), note)
 
 
-def _one_sided(a: Side, b: Side, keys: Keys, section: str | None) -> Change:
+def _one_sided(a: Side, b: Side, keys: Keys, section: str | None) -> PlacedChange:
     one, other = known.at(a.tree, keys), known.at(b.tree, keys)
     in_b = keys[-1] in known.at(b.tree, keys[:-1])
     note = ORDER[section] if section in _LAID_OUT else ""
     return _change("added" if in_b else "removed", a, b, keys, one, other, note)
 
 
-def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[Change]:
+def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[PlacedChange]:
     one, other = known.at(a.tree, keys), known.at(b.tree, keys)
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)
-        yield Change("reordered", path, True, before, after, a.where(path), b.where(path), ORDER[section])
+        yield PlacedChange("reordered", path, True, before, after, a.where(path), b.where(path), ORDER[section])
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:

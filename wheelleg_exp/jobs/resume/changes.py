@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -12,10 +11,11 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from wheelleg_exp.config import schema
+from wheelleg_exp.config.changes import ABSENT, Change, changes
 from wheelleg_exp.config.checking.check import check_tree
 from wheelleg_exp.config.composing.amend import amend, placing
 from wheelleg_exp.config.problems import raise_all
-from wheelleg_exp.config.tree import dotted
+from wheelleg_exp.config.tree import Keys
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.plain_yaml import dump_yaml
 from wheelleg_exp.run.directory import RunDirectory
@@ -23,8 +23,6 @@ from wheelleg_exp.run.params import PARTS, load_config, load_params, present_for
 from wheelleg_exp.run.recorded import CONFIG, OVERRIDES, recorded_config, recorded_overrides
 from wheelleg_exp.terms.binding import RESERVED
 from wheelleg_exp.verify.settings import decides
-
-Keys = tuple[str, ...]
 
 # What the saved state was made with, and why it must stay.
 _FIXED: dict[Keys, str] = {
@@ -46,31 +44,6 @@ _FIXED: dict[Keys, str] = {
 }
 # Of an observation term or group, what may change without changing the width or the meaning of the vector.
 _OBSERVATION_MAY = ("noise", "clip", "scale", "enable_corruption")
-_ABSENT = object()
-
-
-@dataclass(frozen=True)
-class Change:
-    """One setting that an override has changed; ``was`` or ``now`` is None when the key was or is absent."""
-
-    keys: Keys
-    was: Any
-    now: Any
-    removed: bool
-
-    @property
-    def key(self) -> str:
-        """The dotted key."""
-        return dotted(self.keys)
-
-    @property
-    def decides(self) -> bool:
-        """Whether it can change a number."""
-        return decides(self.keys)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return what the manifest records."""
-        return {"key": self.key, "was": self.was, "now": self.now}
 
 
 def kept_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
@@ -102,30 +75,32 @@ def changed(kept: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str
     """
     tree = amend(kept, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
-    changes = list(_changes((), kept, tree))
+    found = list(changes(kept, tree, _as_written))
     with placing(overrides):
-        for change in changes:
+        for change in found:
             _require_changeable(change, kept, tree)
         errors = check_tree(tree, schema.Root)
         if errors:
             raise_all(errors)
-    return tree, changes
+    return tree, found
 
 
-def _changes(keys: Keys, was: Any, now: Any) -> Iterator[Change]:
-    if isinstance(was, Mapping) and isinstance(now, Mapping):
-        for name in dict.fromkeys([*was, *now]):
-            yield from _changes((*keys, str(name)), was.get(name, _ABSENT), now.get(name, _ABSENT))
-    elif was is _ABSENT or now is _ABSENT or type(was) is not type(now) or was != now:
-        yield Change(keys, None if was is _ABSENT else was, None if now is _ABSENT else now, now is _ABSENT)
+def _as_written(was: Any, now: Any) -> bool:
+    return type(was) is type(now) and bool(was == now)
 
 
 def _begins(keys: Keys, prefix: Keys) -> bool:
     return keys[: len(prefix)] == prefix or prefix[: len(keys)] == keys
 
 
+def record(change: Change) -> dict[str, Any]:
+    """Return what the manifest records of a change: None where the key was or is absent."""
+    was, now = (None if value is ABSENT else value for value in (change.a, change.b))
+    return {"key": change.key, "was": was, "now": now}
+
+
 def _require_changeable(change: Change, kept: Mapping[str, Any], tree: Mapping[str, Any]) -> None:
-    if not change.decides:
+    if not decides(change.keys):
         return
     for prefix, why in _FIXED.items():
         if _begins(change.keys, prefix):
@@ -156,13 +131,13 @@ def _refused(change: Change, why: str) -> ConfigError:
 
 
 def changed_texts(
-    run: RunDirectory, tree: Mapping[str, Any], changes: Sequence[Change], overrides: Sequence[str]
+    run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
     """Return the files of the snapshot that the changes rewrite, by relative name: what is in force stands there."""
-    if not changes:
+    if not found:
         return {}
     config = load_config(run)
-    for change in changes:
+    for change in found:
         _apply(config, change, tree)
     return {
         "params/env.yaml": dump_yaml(tree["env"]),
@@ -182,10 +157,10 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
         elif node.get(key) is None:
             node[key] = {}
         node = node[key]
-    if change.removed:
+    if change.b is ABSENT:
         node.pop(change.keys[-1], None)
     else:
-        node[change.keys[-1]] = change.now
+        node[change.keys[-1]] = change.b
 
 
 def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:

@@ -7,12 +7,13 @@ from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
+from wheelleg_exp.config.changes import Change
 from wheelleg_exp.config.problems import join, parts
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.files import read_text, sha256
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.kept_robot import kept_model_digest, kept_robot
-from wheelleg_exp.jobs.resume.changes import Change, changed, changed_texts, kept_tree
+from wheelleg_exp.jobs.resume.changes import changed, changed_texts, kept_tree, record
 from wheelleg_exp.jobs.resume.differences import brief, differences_now
 from wheelleg_exp.jobs.resume.drop_past_checkpoint import drop_past_checkpoint
 from wheelleg_exp.jobs.resume.point import ResumePoint, find_point, lasting_damage
@@ -32,6 +33,7 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.process import is_alive, this_process
 from wheelleg_exp.run.recorded import CONFIG
 from wheelleg_exp.terms.allowed_targets import NotAllowed
+from wheelleg_exp.verify.settings import decides
 
 
 def prepare(
@@ -114,7 +116,7 @@ def _prepare(
         iteration=point.iteration,
         checkpoint=None if point.checkpoint is None else point.checkpoint.name,
         overrides=list(overrides),
-        changes=[change.as_dict() for change in changes],
+        changes=[record(change) for change in changes],
         exact=exact,
         why=why,
         differences=[{"section": d.section, "name": d.name, "was": d.a, "now": d.b} for d in differences],
@@ -209,14 +211,14 @@ def _telling_what_is_left_out(folders: Mapping[str, str]) -> Iterator[None]:
 
 def _loaded(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequence[Change]) -> list[str]:
     """Load the checkpoint; return why what follows is not exactly what would have followed."""
-    deciding = [change for change in changes if change.decides]
+    deciding = [record(change) for change in changes if decides(change.keys)]
     if trainer.env.env.scene.model_digest() != kept_model_digest(run):
         raise RunDirectoryError(
             "the robot compiles to another model than the run's, so that its state means something else",
             key=str(run.asset),
             expected="the MuJoCo version that the run was made with (environment.txt)",
         )
-    why = [f"{change.key} was {brief(change.was)} and is {brief(change.now)}" for change in deciding]
+    why = [f"{change['key']} was {brief(change['was'])} and is {brief(change['now'])}" for change in deciding]
     if point.state is None:
         return why
     trainer.load_state_dict(point.state)
@@ -232,7 +234,7 @@ def _set_learning_rate(trainer: Trainer, changes: Sequence[Change]) -> None:
     """Let a changed learning rate act: loading has brought back the checkpoint's."""
     for change in changes:
         if change.keys == ("agent", "algorithm", "learning_rate"):
-            trainer.set_learning_rate(float(change.now))
+            trainer.set_learning_rate(float(change.b))
 
 
 # --- telling ---

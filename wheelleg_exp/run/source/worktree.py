@@ -28,7 +28,7 @@ class Refused:
 
 
 @dataclass(frozen=True)
-class Change:
+class ChangedPath:
     """How one path of the index differs from the base: modes and blob ids, zeros for none."""
 
     path: str
@@ -135,17 +135,17 @@ def _add_tracked(scratch: Repository) -> list[Refused]:
     return []
 
 
-def changes_from(scratch: Repository, base: str) -> list[Change]:
+def changes_from(scratch: Repository, base: str) -> list[ChangedPath]:
     """Return how the index differs from a commit or tree."""
     parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", base)
     changes = []
     for facts, path in zip(parts[::2], parts[1::2], strict=True):
         old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
-        changes.append(Change(path, old_mode, old_id, new_mode, new_id))
+        changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
     return changes
 
 
-def refuse_secrets(scratch: Repository, changes: list[Change]) -> list[Refused]:
+def refuse_secrets(scratch: Repository, changes: list[ChangedPath]) -> list[Refused]:
     """Set changes that would show a key or a token back to the base, and return them.
 
     Both sides of a change count, because a removed line stands in a patch as well.
@@ -167,7 +167,7 @@ def refuse_secrets(scratch: Repository, changes: list[Change]) -> list[Refused]:
     return refused
 
 
-def new_sizes(scratch: Repository, changes: list[Change]) -> dict[str, int]:
+def new_sizes(scratch: Repository, changes: list[ChangedPath]) -> dict[str, int]:
     """Return the sizes in bytes of the changed files' new contents."""
     present = {c.path: c.new_id for c in changes if c.new_mode not in (_NONE, _GITLINK)}
     contents = scratch.blobs(list(present.values()))
