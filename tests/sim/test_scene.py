@@ -53,9 +53,9 @@ def test_an_order_of_the_users_own_is_kept(make_env):
 @pytest.mark.parametrize(
     ("order", "message"),
     [
-        (["left_hip", "right_hip", "left_axle"], "'right_axle' is missing"),
+        (["left_hip", "right_hip", "left_axle"], "lacks right_axle"),
         (["left_hip", "right_hip", "left_axle", "rigth_axle"], "did you mean 'right_axle'"),
-        (["left_hip", "left_hip", "right_hip", "left_axle", "right_axle"], "once"),
+        (["left_hip", "left_hip", "right_hip", "left_axle", "right_axle"], "names left_hip more than once"),
     ],
 )
 def test_an_order_that_is_none_is_an_error(make_env, order, message):

@@ -17,6 +17,7 @@ from wheelleg_exp.config import schema
 from wheelleg_exp.config.explaining import fixed_keys as fixed
 from wheelleg_exp.config.explaining.docstrings import parameter_lines
 from wheelleg_exp.config.tree import Keys
+from wheelleg_exp.config.tree import at as at
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.options import PARAMETERS, Agent
 from wheelleg_exp.terms import allowed_targets
@@ -28,9 +29,13 @@ from wheelleg_exp.terms.values import options_in
 
 REQUIRED = inspect.Parameter.empty
 _RSL_CLASS = "class_name"
-# Parameters that rsl_rl passes to its classes itself.
-_PASSED = {"self", "obs", "obs_groups", "obs_set", "output_dim", "cnns", "actor", "critic", "student", "teacher",
-           "storage", "multi_gpu_cfg"}  # fmt: skip
+# Parameters that rsl_rl passes itself, to its algorithms and to its networks, and what it reads beside parameters.
+_PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
+_PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
+_READ_BESIDE: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
+
+# Parameters that name a term of another section, by the section of the term that has them ("" is any).
+_NAMES = {("", "command_name"): "commands", ("", "action_name"): "actions", ("curriculum", "term_name"): "rewards"}
 
 
 @dataclass(frozen=True)
@@ -75,22 +80,12 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
     if isinstance(node, Mapping) and TARGET in node:
         return _target_slots(node)
     if isinstance(node, Mapping) and keys[:1] == ("agent",) and _RSL_CLASS in node:
-        return _class_slots(node)
+        own = {_RSL_CLASS: Slot(str, meaning=fixed.KEYS["agent.*.class_name"])}
+        found = rsl_class(node[_RSL_CLASS])
+        return own if found is None else own | class_slots(found, keys[-1])
     inside_default = _default_slots(tree, keys) if node is None and keys else {}
     options = None if inside_default else _options(tree, keys)
     return inside_default if options is None else _dataclass_slots(options, keys)
-
-
-def at(tree: Any, keys: Keys) -> Any:
-    """Return the node at ``keys``, list elements included; None when there is none."""
-    for key in keys:
-        if isinstance(tree, Mapping):
-            tree = tree.get(key)
-        elif isinstance(tree, Sequence) and not isinstance(tree, str) and key.isdigit() and int(key) < len(tree):
-            tree = tree[int(key)]
-        else:
-            return None
-    return tree
 
 
 def section_of(keys: Keys) -> str | None:
@@ -104,6 +99,11 @@ def section_of(keys: Keys) -> str | None:
 def term_keys(keys: Keys) -> Keys | None:
     """Return the keys of the term at or above ``keys``, or None."""
     return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
+
+
+def named_section(section: str | None, name: str) -> str | None:
+    """Return the section whose terms a parameter names, of a term of ``section``; None when it names none."""
+    return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
 def target_of(node: Any) -> Callable[..., Any] | None:
@@ -189,23 +189,31 @@ def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
     return {n: dataclasses.replace(s, default=getattr(above.default, n, s.default)) for n, s in made.items()}
 
 
-def _class_slots(node: Mapping[str, Any]) -> dict[str, Slot]:
-    own = {_RSL_CLASS: Slot(str, meaning=fixed.KEYS["agent.*.class_name"])}
-    found = rsl_class(node[_RSL_CLASS])
-    if found is None:
-        return own
-    parameters = inspect.signature(found.__init__).parameters
+def class_slots(found: Any, section: str) -> dict[str, Slot]:
+    """Return the parameters of a class of rsl_rl that a config may set.
+
+    Args:
+        found: the class.
+        section: the key of ``agent`` that it stands at, such as ``algorithm``.
+    """
+    passed = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
     open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    taken = {n: p for n, p in parameters.items() if n not in _PASSED and p.kind not in open_ended}
+    parameters = inspect.signature(found.__init__).parameters
+    taken = {n: p for n, p in parameters.items() if n not in passed and p.kind not in open_ended}
     slots = _signature_slots(found, taken)
-    return own | {n: dataclasses.replace(s, annotation=PARAMETERS.get(n, s.annotation)) for n, s in slots.items()}
+    known = {n: dataclasses.replace(s, annotation=PARAMETERS.get(n, s.annotation)) for n, s in slots.items()}
+    return known | {name: Slot(annotation) for name, annotation in _READ_BESIDE.get(section, {}).items()}
+
+
+def class_packages() -> tuple[str, ...]:
+    """Return the packages that the classes of an agent may come from."""
+    return ("rsl_rl", "wheelleg_exp.rl", *allowed_targets.allowed_packages())
 
 
 def rsl_class(name: Any) -> Any:
     """Return a class of rsl_rl, or of an allowed package, by the name that an agent's config gives it; else None."""
     text = str(name).replace(":", ".")
-    packages = ("rsl_rl", "wheelleg_exp.rl", *allowed_targets.allowed_packages())
-    if "." in text and not text.startswith(tuple(f"{package}." for package in packages)):
+    if "." in text and not allowed_targets.is_inside(text, class_packages()):
         return None
     try:
         return terms.resolve_class(name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -58,6 +58,24 @@ def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
             node = node.setdefault(key, {})
         node[keys[-1]] = value
     return tree
+
+
+def at(tree: Any, keys: Keys | str) -> Any:
+    """Return the node at keys, or at a dotted path, list elements included; None when there is none."""
+    for key in split_path(keys) if isinstance(keys, str) else keys:
+        if isinstance(tree, Mapping):
+            tree = tree.get(key)
+        elif isinstance(tree, Sequence) and not isinstance(tree, str) and key.isdigit() and int(key) < len(tree):
+            tree = tree[int(key)]
+        else:
+            return None
+    return tree
+
+
+def section_at(tree: Any, keys: Keys | str) -> Mapping[str, Any]:
+    """Return the mapping at keys; an empty one when there is none."""
+    node = at(tree, keys)
+    return node if isinstance(node, Mapping) else {}
 
 
 def select(node: Any, path: str) -> Any:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import torch
 
 from wheelleg_exp.build import build_env
+from wheelleg_exp.config.checking.check_links import require_recorded
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
@@ -19,7 +20,6 @@ from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.documents import config_document
 from wheelleg_exp.jobs.episode_recording import EpisodeRecording
 from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandFigures, StandMeter
-from wheelleg_exp.recording.writing.recorder import require_env_ids
 from wheelleg_exp.rl.episode_log import FailureCount
 from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory
@@ -66,7 +66,7 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
     """
     config = composed.config
     with composed.placing():
-        require_env_ids(config["recording"]["env_ids"], config["env"]["num_envs"])
+        require_recorded(config)
         refuse_secrets((), composed.hydra_files(), config)
         env = build_env(config, composed.asset_roots)
     display.environment(env.describe())

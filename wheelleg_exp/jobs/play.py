@@ -27,7 +27,6 @@ from wheelleg_exp.jobs.figures import StandFigures, StandMeter
 from wheelleg_exp.jobs.kept_robot import kept_mjcf, kept_model_digest
 from wheelleg_exp.jobs.threads import set_threads
 from wheelleg_exp.managers.finite import require_finite_actions
-from wheelleg_exp.recording.writing.recorder import require_env_ids
 from wheelleg_exp.rl.episode_log import FailureCount
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -158,7 +157,6 @@ def _require_playable(kept: dict[str, Any], tree: dict[str, Any]) -> None:
                 key=f"env.robot.{key}",
                 expected="the run's own value; another robot needs a new run",
             )
-    require_env_ids(tree["recording"]["env_ids"], tree["env"]["num_envs"])
 
 
 @ending_as(SimulationFailure)

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from wheelleg_exp.config.tree import at
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import read_json, read_lines, read_yaml
 from wheelleg_exp.packages import own_folders
@@ -81,10 +82,7 @@ class Subject:
 
     def setting(self, path: str) -> Any:
         """Return the value at a key of the config, or None."""
-        node: Any = self.config
-        for key in path.split("."):
-            node = node.get(key) if isinstance(node, Mapping) else None
-        return node
+        return at(self.config, path)
 
     def last(self, name: str) -> float | None:
         """Return the last value of a scalar, or None."""

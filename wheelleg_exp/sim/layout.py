@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import torch
 
-from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.sim.names import values_by_name
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.names import order_errors, values_by_name
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.state import Kept
 
@@ -77,21 +77,8 @@ class RobotLayout(Kept):
         wanted = self._options.joint_order
         if wanted is None:
             return found
-        for name in wanted:
-            if name not in found:
-                raise ConfigError(
-                    f"the robot has no joint '{name}'",
-                    key="env.robot.joint_order",
-                    expected="an order of " + ", ".join(found),
-                    nearest=nearest_name(name, found),
-                )
-        missing = [name for name in found if name not in wanted]
-        if missing or len(set(wanted)) != len(wanted):
-            raise ConfigError(
-                "must name each joint once" + (f", '{missing[0]}' is missing" if missing else ""),
-                key="env.robot.joint_order",
-                expected="an order of " + ", ".join(found),
-            )
+        for error in order_errors(wanted, found):
+            raise error
         return list(wanted)
 
     def _read_defaults(self) -> None:

@@ -81,6 +81,24 @@ def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[Config
     return [ConfigError(message, key=key, expected="a value a joint")] if missing else []
 
 
+def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigError]:
+    """Return what is wrong with ``env.robot.joint_order`` of a robot that has these joints."""
+    key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
+    errors = [
+        ConfigError(f"the robot has no joint '{n}'", key=key, expected=expected, nearest=nearest_name(str(n), joints))
+        for n in order
+        if n not in joints
+    ]
+    meant = {error.nearest for error in errors}
+    missing = [name for name in joints if name not in order and name not in meant]
+    twice = sorted({str(name) for name in order if order.count(name) > 1})
+    if missing:
+        errors.append(ConfigError(f"lacks {', '.join(missing)}", key=key, expected=expected))
+    if twice:
+        errors.append(ConfigError(f"names {', '.join(twice)} more than once", key=key, expected=expected))
+    return errors
+
+
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
     """Return the mistakes of joints that two drive.
 

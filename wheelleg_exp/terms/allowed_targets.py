@@ -34,7 +34,7 @@ def _declared_packages() -> tuple[str, ...]:
 def require_allowed(target: str, path: str) -> None:
     """Raise ConfigError unless ``target`` lies in an allowed package, so that a config runs no other code."""
     packages = allowed_packages()
-    if not _inside(target, packages):
+    if not is_inside(target, packages):
         raise NotAllowed(
             f"target '{target}' is outside the allowed packages",
             key=f"{path}.{TARGET}",
@@ -50,5 +50,6 @@ def _in_nearest_package(target: str, packages: tuple[str, ...]) -> str | None:
     return f"{near}.{rest}" if near not in (None, top) else None
 
 
-def _inside(name: str, packages: tuple[str, ...]) -> bool:
+def is_inside(name: str, packages: tuple[str, ...]) -> bool:
+    """Return whether a dotted name lies in one of the packages."""
     return any(name.startswith(f"{package}.") for package in packages)

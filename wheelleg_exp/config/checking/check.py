@@ -14,7 +14,7 @@ from wheelleg_exp.config.checking.check_links import (
     check_folders,
     check_groups_in_use,
     check_links,
-    check_recorded,
+    recorded_errors,
 )
 from wheelleg_exp.config.checking.check_mounts import (
     MountedFile,
@@ -35,7 +35,7 @@ from wheelleg_exp.config.checking.check_terms import check_nested_targets, check
 from wheelleg_exp.config.checking.robot_names import read_names
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.problems import AbsentKey, UnknownName, override_of, raise_all
-from wheelleg_exp.config.tree import dotted, show_file, split_path
+from wheelleg_exp.config.tree import at, dotted, section_at, show_file, split_path
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.terms.allowed_targets import NotAllowed
 from wheelleg_exp.terms.sections import ObservationGroup, Section, section_errors
@@ -61,12 +61,7 @@ def check(composed: Composed) -> list[ConfigError]:
     found = check_tree(config, schema.Root) + (check_order(composed, files) or check_overwritten(composed))
     found += check_listed_twice(files, composed)
     found += unread_in_files(files, composed.primary)
-    found += (
-        check_groups_in_use(config)
-        + check_folders(config)
-        + check_recorded(config)
-        + _check_robot(config, composed.asset_roots)
-    )
+    found += check_groups_in_use(config) + check_folders(config) + _check_robot(config, composed.asset_roots)
     errors += [error for error in found if not follows_from(error, hidden)]
     return _placed(blame_mounts(_first_causes(errors), composed, files), composed, files)
 
@@ -116,7 +111,7 @@ def _below(key: str, place: str) -> bool:
 
 def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list[ConfigError]:
     """Hold names against the robot; nothing is said where the sections that name it are wrong themselves."""
-    robot, scene = _at(config, "env.robot"), _at(config, "env.scene")
+    robot, scene = at(config, "env.robot"), at(config, "env.scene")
     if not isinstance(robot, Mapping) or not isinstance(scene, Mapping):
         return []
     if section_errors("env.robot", {name: robot[name] for name in ("asset", "base") if name in robot}, _Asset):
@@ -141,17 +136,16 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     errors = section_errors("", config, root)
     for path in schema.OPTIONS:
         options = schema.options_of(path)
-        node = _at(config, path)
+        node = at(config, path)
         if options is not None and isinstance(node, Mapping) and schema.is_open(root, path):
             errors += section_errors(path, node, options)
     errors += _check_observation_groups(config)
     errors += check_sections(config)
     errors += check_nested_targets(config)
     errors += check_links(config) + _check_silences(config)
-    groups = _at(config, "env.observations")
-    named = list(groups) if isinstance(groups, Mapping) else []
-    errors += check_agent(config.get("agent"), named, _at(config, "env.num_envs"))
-    return errors
+    groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
+    errors += recorded_errors(at(config, "recording.env_ids"), num_envs)
+    return errors + check_agent(config.get("agent"), groups, num_envs)
 
 
 def require_valid(composed: Composed) -> None:
@@ -159,13 +153,6 @@ def require_valid(composed: Composed) -> None:
     errors = check(composed)
     if errors:
         raise_all(errors)
-
-
-def _at(config: Mapping[str, Any], path: str) -> Any:
-    node: Any = config
-    for key in path.split("."):
-        node = node.get(key) if isinstance(node, Mapping) else None
-    return node
 
 
 def _placed(errors: list[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
@@ -183,7 +170,7 @@ def _placed(errors: list[ConfigError], composed: Composed, files: Sequence[Mount
 
 
 def _check_silences(config: Mapping[str, Any]) -> list[ConfigError]:
-    silences = _at(config, "check.silence")
+    silences = section_at(config, "check.silence")
     return [
         ConfigError(
             "there is no such rule",
@@ -191,19 +178,19 @@ def _check_silences(config: Mapping[str, Any]) -> list[ConfigError]:
             expected="a rule of `wheelleg check --list`",
             nearest=nearest_name(str(name), schema.PHYSICS_RULES),
         )
-        for name in (silences if isinstance(silences, Mapping) else ())
+        for name in silences
         if name not in schema.PHYSICS_RULES
     ] + [
         ConfigError("a silence has no reason", key=f"check.silence.{name}", expected="why the finding is accepted")
-        for name, reason in (silences.items() if isinstance(silences, Mapping) else ())
+        for name, reason in silences.items()
         if isinstance(reason, str) and not reason.strip()
     ]
 
 
 def _check_observation_groups(config: Mapping[str, Any]) -> list[ConfigError]:
-    groups = _at(config, "env.observations")
+    groups = section_at(config, "env.observations")
     errors: list[ConfigError] = []
-    for name, group in groups.items() if isinstance(groups, Mapping) else ():
+    for name, group in groups.items():
         path = f"env.observations.{name}"
         if isinstance(group, Mapping) and "terms" not in group and (near := _nearest_group(groups, name)):
             message = "there are settings for this group, and no terms are mounted in it"

@@ -4,33 +4,24 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from wheelleg_exp.config.keys import rsl_class
+from wheelleg_exp.config.keys import class_packages, class_slots, rsl_class
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
 from wheelleg_exp.rl.options import PARAMETERS, Agent, batch_errors, parameter_errors
 from wheelleg_exp.terms import allowed_targets
-from wheelleg_exp.terms import binding as terms
+from wheelleg_exp.terms.binding import resolve_class, walk_nodes
 from wheelleg_exp.terms.sections import section_errors
-from wheelleg_exp.terms.term_errors import type_hints
 from wheelleg_exp.terms.values import fits, value_errors
 
 # Keys whose text rsl_rl imports and calls.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
-# Where the classes of an agent may come from, beside the packages of targets.
-_LIBRARIES = ("rsl_rl", "wheelleg_exp.rl")
-# Constructor parameters that rsl_rl passes itself.
-_MODEL_INJECTED = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
-_ALGORITHM_INJECTED = (
-    "self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg",
-)  # fmt: skip
 # Parameters whose words rsl_rl looks up, and the function of its utils that does so.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 _DISTRIBUTION = "distribution_cfg"
 _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
-_EXTRA_KEYS = {"algorithm": ("share_cnn_encoders",)}
 
 
 def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[ConfigError]:
@@ -44,8 +35,9 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
     if not isinstance(agent, Mapping):
         return []
     errors = section_errors("agent", agent, Agent) + parameter_errors(agent)
-    for path, name in _class_names(agent, "agent"):
-        errors += _check_class_name(path, name)
+    for path, node in walk_nodes(agent, "agent"):
+        for key in _CLASS_KEYS:
+            errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
     errors += _check_groups(agent.get("obs_groups"), groups)
     for section in ("algorithm", "actor", "critic", "student", "teacher"):
         errors += _check_constructor(f"agent.{section}", agent.get(section))
@@ -91,28 +83,17 @@ def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
     )
 
 
-def _class_names(node: Any, path: str) -> Iterator[tuple[str, Any]]:
-    if isinstance(node, Mapping):
-        for key, value in node.items():
-            if key in _CLASS_KEYS and value is not None:
-                yield f"{path}.{key}", value
-            yield from _class_names(value, f"{path}.{key}")
-    elif isinstance(node, (list, tuple)):
-        for index, value in enumerate(node):
-            yield from _class_names(value, f"{path}[{index}]")
-
-
 def _check_class_name(path: str, name: Any) -> list[ConfigError]:
     """Refuse a class that is not rsl_rl's or an allowed package's own; only modules of these are imported."""
-    packages = (*_LIBRARIES, *allowed_targets.allowed_packages())
+    packages = class_packages()
     text = str(name).replace(":", ".")
     plain = re.fullmatch(r"[A-Za-z_]\w*", text) is not None
     expected = "a plain name such as PPO, or a class in " + ", ".join(packages)
     refused = allowed_targets.NotAllowed(f"class '{name}' is outside the allowed packages", key=path, expected=expected)
-    if not plain and not _inside(text, packages):
+    if not plain and not allowed_targets.is_inside(text, packages):
         return [refused]
     try:
-        found = terms.resolve_class(name)
+        found = resolve_class(name)
     except ConfigError as error:
         error.key = error.key or path
         return [error]
@@ -120,12 +101,8 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         nearest = nearest_name(str(name), _library_names())
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
     # What a module has only imported is not its own: a standard library function must not slip through.
-    own = _inside(f"{getattr(found, '__module__', '')}.{text}", packages)
+    own = allowed_targets.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if own else [refused]
-
-
-def _inside(name: str, packages: Collection[str]) -> bool:
-    return any(name.startswith(f"{package}.") for package in packages)
 
 
 def _check_constructor(path: str, node: Any) -> list[ConfigError]:
@@ -138,7 +115,7 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
     if found is None:
         return []  # told by its name
     errors = _check_parameters(path, node, found)
-    draws = _DISTRIBUTION in (_parameters(found, "actor") or ()) and path == "agent.actor"
+    draws = path == "agent.actor" and not _takes_any(found) and _DISTRIBUTION in class_slots(found, "actor")
     if draws and node.get(_DISTRIBUTION) is None:  # rsl_rl takes an actor without one, and cannot train it
         expected = "what actions are drawn from, such as {class_name: GaussianDistribution}"
         errors.append(MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected))
@@ -146,12 +123,11 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
 
 
 def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[ConfigError]:
-    accepted = _parameters(found, path.rsplit(".", 1)[-1])
-    hints = type_hints(found)
+    accepted = class_slots(found, path.rsplit(".", 1)[-1])
     errors = []
-    for name, value in node.items():
+    for name, value in node.items() if not _takes_any(found) else ():
         key = f"{path}.{name}"
-        if name == "class_name" or accepted is None:
+        if name == "class_name":
             continue
         if name not in accepted:
             errors.append(
@@ -165,33 +141,33 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
         elif isinstance(value, Mapping) and "class_name" in value:
             errors += _check_constructor(key, value)
         elif name not in PARAMETERS:  # whose values are right
-            wrong = value_errors(key, value, hints.get(name, Any))
-            errors += wrong or (_check_word(key, value, RESOLVERS[name]) if name in RESOLVERS else [])
+            wrong = value_errors(key, value, accepted[name].annotation)
+            errors += wrong or (_check_word(key, name, value) if name in RESOLVERS else [])
     return errors
 
 
-def _check_word(path: str, value: Any, resolver: str) -> list[ConfigError]:
-    """Ask rsl_rl whether it knows the name of an activation or an optimiser."""
+def _takes_any(found: Any) -> bool:
+    parameters = inspect.signature(found.__init__).parameters.values()
+    return any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
+
+
+def known_words(name: str, value: Any = "?") -> list[str] | None:
+    """Return the activations or optimisers that rsl_rl knows, as far as it says so; None when it takes ``value``."""
     import rsl_rl.utils
 
     try:
-        getattr(rsl_rl.utils, resolver)(value)
+        getattr(rsl_rl.utils, RESOLVERS[name])(value)
     except ValueError as error:
-        names = re.findall(r"'([^']+)'", str(error).split("Valid")[-1])
-        nearest = nearest_name(str(value), names)
-        return [
-            ConfigError(f"'{value}' is not known", key=path, expected="one of " + ", ".join(names), nearest=nearest)
-        ]
-    return []
+        return re.findall(r"'([^']+)'", str(error).split("Valid")[-1])
+    return None
 
 
-def _parameters(found: Any, section: str) -> list[str] | None:
-    """Return the names a constructor takes from the config; None when it takes any."""
-    parameters = inspect.signature(found.__init__).parameters
-    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values()):
-        return None
-    injected = _ALGORITHM_INJECTED if section == "algorithm" else _MODEL_INJECTED
-    return [name for name in parameters if name not in injected] + list(_EXTRA_KEYS.get(section, ()))
+def _check_word(path: str, name: str, value: Any) -> list[ConfigError]:
+    words = known_words(name, value)
+    if words is None:
+        return []
+    expected, nearest = "one of " + ", ".join(words), nearest_name(str(value), words)
+    return [ConfigError(f"'{value}' is not known", key=path, expected=expected, nearest=nearest)]
 
 
 def _library_names() -> list[str]:

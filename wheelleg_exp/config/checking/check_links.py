@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.check_terms import term_nodes
+from wheelleg_exp.config.keys import named_section
 from wheelleg_exp.config.problems import UnknownName
+from wheelleg_exp.config.tree import at, section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
-
-# Parameters that name a term of another section, by the section of the term that has them ("" is any).
-_NAMES = {("", "command_name"): "commands", ("", "action_name"): "actions", ("curriculum", "term_name"): "rewards"}
 
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
@@ -21,15 +20,14 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
         if not isinstance(node, Mapping):
             continue
         for name, value in node.items():
-            kind = _NAMES.get((section, name)) or _NAMES.get(("", name))
+            kind = named_section(section, name)
             if kind is not None and isinstance(value, str):
                 errors += _unknown_term(config, kind, f"{path}.{name}", value)
     return errors
 
 
 def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> list[ConfigError]:
-    section = config["env"].get(kind)
-    known = [str(term) for term in section] if isinstance(section, Mapping) else []
+    known = [str(term) for term in section_at(config, f"env.{kind}")]
     if name in known:
         return []
     what = kind.removesuffix("s")
@@ -41,9 +39,7 @@ def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> 
 
 def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
     """Return the observation groups that no network gets, and those without a term."""
-    env, agent = config.get("env"), config.get("agent")
-    groups = env.get("observations") if isinstance(env, Mapping) else None
-    sets = agent.get("obs_groups") if isinstance(agent, Mapping) else None
+    groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")
     if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
         return []
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
@@ -66,11 +62,8 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
     ]
 
 
-def check_recorded(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistake of environments that are to be recorded and are not there."""
-    recording, env = config.get("recording"), config.get("env")
-    ids = recording.get("env_ids") if isinstance(recording, Mapping) else None
-    count = env.get("num_envs") if isinstance(env, Mapping) else None
+def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
+    """Return the mistake of environments that are to be recorded and are not among as many as there are."""
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return []
     if count < 1:
@@ -81,10 +74,15 @@ def check_recorded(config: Mapping[str, Any]) -> list[ConfigError]:
     return [ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)]
 
 
+def require_recorded(config: Mapping[str, Any]) -> None:
+    """Raise the mistake of a config's recorded environments, of a config that need not have been checked."""
+    for error in recorded_errors(at(config, "recording.env_ids"), at(config, "env.num_envs")):
+        raise error
+
+
 def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
     """Return the mistake of a run root that cannot become a folder."""
-    run = config.get("run")
-    root = run.get("root") if isinstance(run, Mapping) else None
+    root = at(config, "run.root")
     if not isinstance(root, str):
         return []
     path = Path(root)

@@ -14,7 +14,7 @@ from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.composing.headers import missing_headers, package_header
 from wheelleg_exp.config.composing.loader import hydra_globals
 from wheelleg_exp.config.composing.mounts import find_mounts
-from wheelleg_exp.config.tree import line_table, self_before_others, show_file
+from wheelleg_exp.config.tree import at, line_table, section_at, self_before_others, show_file
 from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
 from wheelleg_exp.terms.binding import RESERVED, TARGET, NotSelected, split_node
 
@@ -100,8 +100,7 @@ def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFil
     """Find files of terms whose term has no target, in them or in what is merged with them."""
     errors = []
     for file in files:
-        node = _node_at(config, file.package) if _is_term_list(file.package) else None
-        term = node.get(file.name) if isinstance(node, Mapping) else None
+        term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
         if file.name in file.content and isinstance(term, Mapping) and TARGET not in term:
             key, lines = f"{file.package}.{file.name}", line_table(file.file)
             try:
@@ -166,7 +165,7 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
     """Return the config without what files that lack their term's name have left among the terms."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:
-        section = _node_at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
+        section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
         if isinstance(section, dict):
             for key in file.content:
                 section.pop(key, None)
@@ -256,10 +255,8 @@ def _sets_null(file: MountedFile, key: str) -> bool:
     """Return whether a file takes the term at ``key`` out."""
     below = key.removeprefix(f"{file.package}.") if file.package else key
     *above, name = below.split(".")
-    node: Any = file.content
-    for part in above:
-        node = node.get(part) if isinstance(node, Mapping) else None
-    return isinstance(node, Mapping) and name in node and node[name] is None
+    node = section_at(file.content, tuple(above))
+    return name in node and node[name] is None
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
@@ -294,7 +291,7 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
     errors = []
     for package, members in by_package.items():
         wanted = list(dict.fromkeys(file.name for file in members if file.name in file.content))
-        present = [name for name in _keys_at(composed.config, package) if name in wanted]
+        present = [name for name in section_at(composed.config, package) if name in wanted]
         kept = [name for name in wanted if name in present]
         if present != kept:
             errors.append(_order_error(composed, package, members, kept, present))
@@ -316,15 +313,3 @@ def _order_error(
         where=by,
         expected=f"{', '.join(wanted)}, as the lists say: put _self_ last, or set '{early}' after it is listed",
     )
-
-
-def _keys_at(config: Mapping[str, Any], package: str) -> list[str]:
-    node = _node_at(config, package)
-    return list(node) if isinstance(node, Mapping) else []
-
-
-def _node_at(config: Mapping[str, Any], package: str) -> Any:
-    node: Any = config
-    for key in package.split("."):
-        node = node.get(key) if isinstance(node, Mapping) else None
-    return node

@@ -11,7 +11,7 @@ from wheelleg_exp.config.checking.check_terms import import_target, term_nodes
 from wheelleg_exp.config.checking.robot_names import RobotNames
 from wheelleg_exp.config.tree import dotted, split_path
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.sim.names import match_names, shared_errors, valueless_errors
+from wheelleg_exp.sim.names import match_names, order_errors, shared_errors, valueless_errors
 from wheelleg_exp.terms.binding import INJECTED, TARGET, walk_nodes
 
 ROBOT = "robot"
@@ -82,19 +82,7 @@ def _joint_order(order: Any, joints: list[str]) -> tuple[list[str], list[ConfigE
     """Return the joints in the robot's order, and what is wrong with the order that the config gives."""
     if not isinstance(order, list):
         return joints, []
-    key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
-    errors = [
-        ConfigError(f"the robot has no joint '{n}'", key=key, expected=expected, nearest=nearest_name(str(n), joints))
-        for n in order
-        if n not in joints
-    ]
-    meant = {error.nearest for error in errors}
-    missing = [name for name in joints if name not in order and name not in meant]
-    twice = sorted({str(name) for name in order if order.count(name) > 1})
-    if missing:
-        errors.append(ConfigError(f"lacks {', '.join(missing)}", key=key, expected=expected))
-    if twice:
-        errors.append(ConfigError(f"names {', '.join(twice)} more than once", key=key, expected=expected))
+    errors = order_errors(order, joints)
     return (joints if errors else list(order)), errors
 
 

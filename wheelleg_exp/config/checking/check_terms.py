@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import Any
 
 from wheelleg_exp.config.explaining.catalog import LIBRARY, MODULES
+from wheelleg_exp.config.tree import section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.terms.binding import RESERVED, TARGET, NotSelected, TermNode, resolve_target, split_node, walk_nodes
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
@@ -20,15 +21,11 @@ _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Yield ``(section, path, node)`` of every term in the tree."""
-    env = config.get("env")
     for section in RESERVED:
-        nodes = env.get(section) if isinstance(env, Mapping) else None
-        if not isinstance(nodes, Mapping):
-            continue
+        nodes = section_at(config, f"env.{section}")
         if section == "observations":
             for name, group in nodes.items():
-                terms = group.get("terms") if isinstance(group, Mapping) else None
-                for term, node in terms.items() if isinstance(terms, Mapping) else ():
+                for term, node in section_at(group, "terms").items():
                     yield section, f"env.observations.{name}.terms.{term}", node
         else:
             for term, node in nodes.items():
@@ -123,11 +120,7 @@ def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:
-    """Import an allowed target; whatever its module raises becomes a ConfigError.
-
-    Raises:
-        ConfigError: the target is not allowed, not there, not callable, or its module does not import.
-    """
+    """Import an allowed target (raises as ``resolve_target``), of a misspelled module with the name that is meant."""
     try:
         return resolve_target(target, path)
     except ConfigError as error:
@@ -135,12 +128,6 @@ def import_target(target: str, path: str) -> Callable[..., Any]:
             nearest = _nearest_target(target)
             error.nearest = nearest if nearest != target else None
         raise
-    except Exception as error:
-        raise ConfigError(
-            f"importing '{target}' fails: {type(error).__name__}: {error}",
-            key=f"{path}.{TARGET}",
-            expected="package.module.name",
-        ) from error
 
 
 def _nearest_target(target: str) -> str | None:

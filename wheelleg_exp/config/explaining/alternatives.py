@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import enum
 import inspect
-import re
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
 from wheelleg_exp.config import keys as known
-from wheelleg_exp.config.checking.check_agent import RESOLVERS
-from wheelleg_exp.config.tree import Keys
+from wheelleg_exp.config.checking.check_agent import RESOLVERS, known_words
+from wheelleg_exp.config.tree import Keys, section_at
 from wheelleg_exp.terms.binding import EVENT_MODES, TARGET
 from wheelleg_exp.terms.values import limit_words, options_in, type_words
 from wheelleg_exp.user_code import importing
-
-# Parameters that name a term of a section.
-_TERM_NAMES = {"command_name": "commands", "action_name": "actions"}
 
 
 @dataclass(frozen=True)
@@ -77,14 +73,14 @@ def _values(tree: Mapping[str, Any], keys: Keys, slot: known.Slot) -> list[Any]:
         return siblings(str(known.at(tree, keys)))
     if name == "mode" and known.section_of(keys[:-1]) == "events":
         return list(EVENT_MODES)
-    if name in _TERM_NAMES:
-        return _names(tree, ("env", _TERM_NAMES[name]))
+    if named := known.named_section(known.section_of(keys[:-1]), name):
+        return _names(tree, ("env", named))
     if keys[:2] == ("agent", "obs_groups"):
         return _names(tree, ("env", "observations"))
     if name == "name" and slot.reader.endswith(".SceneEntityCfg"):
         return ["robot", *_names(tree, ("env", "scene", "sensors"))]
     if keys[0] == "agent" and slot.reader.startswith("rsl_rl.") and name in RESOLVERS:
-        return _words(name)
+        return known_words(name) or []
     return literal_values(slot.annotation)
 
 
@@ -119,17 +115,4 @@ def siblings(target: str) -> list[str]:
 
 
 def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
-    node = known.at(tree, keys)
-    return [str(name) for name, value in node.items() if value is not None] if isinstance(node, Mapping) else []
-
-
-def _words(name: str) -> list[Any]:
-    """Return the words that rsl_rl knows under a key, as far as it says so."""
-    import rsl_rl.utils
-
-    resolver: Callable[[str], Any] = getattr(rsl_rl.utils, RESOLVERS[name])
-    try:
-        resolver("?")
-    except ValueError as error:
-        return re.findall(r"'([^']+)'", str(error).split("Valid")[-1])
-    return []
+    return [str(name) for name, value in section_at(tree, keys).items() if value is not None]

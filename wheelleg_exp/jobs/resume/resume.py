@@ -23,7 +23,6 @@ from wheelleg_exp.jobs.train import training
 from wheelleg_exp.jobs.train.training import Recipe, Training
 from wheelleg_exp.packages import join_recorded, left_out, read_project
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.recording.writing.recorder import require_env_ids
 from wheelleg_exp.rl import digests
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.run.begin import complete, refuse_secrets
@@ -87,7 +86,6 @@ def _prepare(
     with _telling_what_is_left_out(others):
         tree, changes = changed(kept, overrides)
     refuse_secrets((), {}, tree, kept)
-    require_env_ids(tree["recording"]["env_ids"], tree["env"]["num_envs"])
     point = find_point(run)
     _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
     texts = changed_texts(run, tree, changes, overrides)

@@ -13,6 +13,7 @@ from typing import Any
 
 from wheelleg_exp.asset import CachedConversion
 from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.config.checking.check_links import require_recorded
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
@@ -25,7 +26,6 @@ from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
 from wheelleg_exp.recording.options import RecordingOptions
-from wheelleg_exp.recording.writing.recorder import require_env_ids
 from wheelleg_exp.rl import export
 from wheelleg_exp.rl.episode_log import logged
 from wheelleg_exp.rl.global_draws import no_global_draws
@@ -90,7 +90,7 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
         WheellegError: the input is wrong; no run directory has been made.
     """
     with composed.placing():
-        require_env_ids(composed.config["recording"]["env_ids"], composed.config["env"]["num_envs"])
+        require_recorded(composed.config)
         recipe = Recipe(
             config=composed.config,
             hydra_files=composed.hydra_files(),

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
+from wheelleg_exp.config.checking.check_links import recorded_errors
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.errors import ConfigError
@@ -75,7 +76,8 @@ class Recorder:
         self.iteration: int | None = None
         self.captured = 0
         self._env, self._purpose, self._flush_every = env, purpose, flush_every
-        require_env_ids(env_ids, env.num_envs)
+        for error in recorded_errors(list(env_ids), env.num_envs):
+            raise error
         several = len(env_ids) > 1
         self._tracks = [
             Track(env, i, EnvPaths(f"env_{i}" if several else ""), place) for place, i in enumerate(env_ids)
@@ -300,17 +302,6 @@ def times(stamps: Sequence[Stamp]) -> list[Column]:
     steps, moments, iterations = (pa.array(values, pa.int64()) for values in zip(*map(astuple, stamps), strict=True))
     columns = [timeline(layout.STEP, steps), timeline(layout.SIM_TIME, moments.view(pa.duration("ns")))]
     return [*columns, timeline(layout.ITERATION, iterations)] if all(s.iteration >= 0 for s in stamps) else columns
-
-
-def require_env_ids(env_ids: Sequence[int], num_envs: int) -> None:
-    """Raise ConfigError unless ``env_ids`` names environments, each once."""
-    wrong = [i for i in env_ids if not 0 <= i < num_envs]
-    if wrong or not env_ids or len(set(env_ids)) != len(env_ids):
-        raise ConfigError(
-            f"is {list(env_ids)}",
-            key="recording.env_ids",
-            expected=f"at least one environment, each once, from 0 to {num_envs - 1}",
-        )
 
 
 def _require_unique(entities: Sequence[str], seen: set[str]) -> None:
