@@ -185,13 +185,6 @@ def test_what_is_of_the_last_sample_says_so(trained: Recording, played: Recordin
     assert plots.PLOTS["joints"].heading(Source(played)) == "Joints"
 
 
-def test_learning_curves_of_scalars_alone_are_those_of_the_recording(trained: Recording) -> None:
-    scalars = {key: (np.arange(ITERATIONS), values) for key, values in scalar_values().items()}
-    for name in ("learning_curves", "reward_shares"):
-        titles = [axes.get_title("left") for axes in plots.PLOTS[name].from_scalars(scalars).get_axes()]
-        assert titles == [axes.get_title("left") for axes in plots.make(trained, name).get_axes()]
-
-
 def test_a_training_shows_its_samples_from_pale_to_dark(trained: Recording) -> None:
     axes = panel(plots.make(trained, "tracking"), "Height of the base (m)")
     lines = [one for one in axes.get_lines() if one.get_label().startswith("iteration")]

@@ -130,15 +130,13 @@ def find_mistakes(
     return (composed if not search.found else None), mistakes
 
 
-def compose_valid(
-    overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()
-) -> Composed:
+def compose_valid(overrides: Sequence[str] = (), *, config_dirs: Sequence[Path] = ()) -> Composed:
     """Compose a config that has no mistakes.
 
     Raises:
         ConfigError: there are mistakes; it tells all of them.
     """
-    composed, mistakes = find_mistakes(overrides, primary=primary, config_dirs=config_dirs)
+    composed, mistakes = find_mistakes(overrides, config_dirs=config_dirs)
     if mistakes:
         raise_all(mistakes)
     assert composed is not None

@@ -19,7 +19,7 @@ from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.files import require_new, write_new
 from wheelleg_exp.inspection.plots import motion as plots_motion
 from wheelleg_exp.inspection.plots import training_curves as plots_training
-from wheelleg_exp.inspection.plots.plot_data import Scalars, Series, Source, broken
+from wheelleg_exp.inspection.plots.plot_data import Series, Source, broken
 from wheelleg_exp.inspection.plots.style import Panel, colour, figure_bytes, figure_svg, page, tile
 from wheelleg_exp.inspection.questions.selection import Selection
 from wheelleg_exp.recording.layout import TRAINING
@@ -40,7 +40,7 @@ class Plot:
         title: the line above it.
         about: what can be read from it, in one sentence.
         panels: returns its panels; none when a recording holds nothing for it.
-        of_scalars: returns the panels that need only the scalars of a training, by key; None when it needs motion.
+        is_of_all: whether it shows all environments of a training, from its scalars.
         is_of_last: whether it shows the last sample alone of a training.
     """
 
@@ -48,65 +48,41 @@ class Plot:
     title: str
     about: str
     panels: Callable[[Source], list[Panel]]
-    of_scalars: Callable[[Scalars], list[Panel]] | None = None
+    is_of_all: bool = False
     is_of_last: bool = False
 
-    def applies(self, recording: Recording, *, env: int | None = None) -> bool:
+    def applies(self, recording: Recording) -> bool:
         """Return whether a recording holds what the figure shows."""
-        return bool(self.panels(Source(recording, env)))
+        return bool(self.each(recording))
 
-    def make(
-        self,
-        recording: Recording,
-        size: tuple[float, float] | None = None,
-        *,
-        env: int | None = None,
-        columns: int = 2,
-        selection: Selection | None = None,
-    ) -> Figure:
-        """Return the figure.
+    def make(self, recording: Recording, *, selection: Selection | None = None) -> Figure:
+        """Return the figure, as wide as a page and as high as needed.
 
         Args:
             recording: what is shown.
-            size: width and height, in; by default as wide as a page and as high as needed.
-            env: which recorded environment; by default the first.
-            columns: panels in a row; 1 for narrow pages.
             selection: which rows.
 
         Raises:
             RunDirectoryError: the recording holds nothing for it.
         """
-        source = Source(recording, env, selection)
-        return self._figure(self.panels(source), size, columns, f"'{recording.path}'", self.heading(source))
+        source = Source(recording, None, selection)
+        panels = self.panels(source)
+        if not panels:
+            raise RunDirectoryError(f"'{recording.path}' holds nothing for the plot '{self.name}'")
+        figure = tile(panels, title=self.heading(source))
+        figure.set_label(self.name)
+        return figure
 
     def heading(self, source: Source) -> str:
         """Return the title, with the environment where one of several is shown, and the sample where it is of one."""
-        is_of_all = source.is_training and self.of_scalars is not None
+        is_of_all = source.is_training and self.is_of_all
         words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
         samples = source.samples() if self.is_of_last and source.is_training else []
         return ", ".join([*words, *(f"last sample, from iteration {sample.iteration} on" for sample in samples[-1:])])
 
-    def each(self, recording: Recording, *, env: int | None = None) -> list[Panel]:
-        """Return the panels one by one, for pages that flow; ``figures_style.tile([panel], size=...)`` draws one."""
-        return self.panels(Source(recording, env))
-
-    def from_scalars(self, scalars: Scalars, size: tuple[float, float] | None = None, *, columns: int = 2) -> Figure:
-        """Return the figure of a training of which there are only scalars: iterations and values by key.
-
-        Raises:
-            RunDirectoryError: the scalars hold nothing for it.
-        """
-        found = [] if self.of_scalars is None else self.of_scalars(scalars)
-        return self._figure(found, size, columns, "the scalars", self.title)
-
-    def _figure(
-        self, panels: list[Panel], size: tuple[float, float] | None, columns: int, source: str, title: str
-    ) -> Figure:
-        if not panels:
-            raise RunDirectoryError(f"{source} holds nothing for the plot '{self.name}'")
-        figure = tile(panels, title=title if size is None else None, columns=columns, size=size)
-        figure.set_label(self.name)
-        return figure
+    def each(self, recording: Recording) -> list[Panel]:
+        """Return the panels one by one, for pages that flow; ``style.tile([panel], size=...)`` draws one."""
+        return self.panels(Source(recording))
 
 
 def _learning(source: Source) -> list[Panel]:
@@ -129,21 +105,21 @@ PLOTS: dict[str, Plot] = {
             "Learning curves",
             "Whether it learned, how fast, and whether the optimiser was healthy.",
             _learning,
-            plots_training.learning,
+            is_of_all=True,
         ),
         Plot(
             "reward_shares",
             "Reward by term",
             "Which terms make up the return, and which cost it.",
             _rewards,
-            plots_training.reward_course,
+            is_of_all=True,
         ),
         Plot(
             "terminations",
             "How episodes ended",
             "Which termination ended the episodes.",
             _terminations,
-            plots_training.endings,
+            is_of_all=True,
         ),
         Plot(
             "tracking",

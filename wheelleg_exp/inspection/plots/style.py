@@ -32,6 +32,7 @@ PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", 
 
 PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
 _DPI = 150
+_COLUMNS = 2  # panels in a row, unless one is wide
 _MOST_PANELS = 200
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _WEB_FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
@@ -136,7 +137,6 @@ def tile(
     panels: Sequence[Panel],
     *,
     title: str | None = None,
-    columns: int = 2,
     size: tuple[float, float] | None = None,
 ) -> Figure:
     """Return a figure of panels, side by side.
@@ -144,30 +144,23 @@ def tile(
     Args:
         panels: what it shows, at least one.
         title: a line above them.
-        columns: how many panels stand in a row, unless one is wide.
         size: width and height, in; by default as wide as a page, as high as the panels ask for.
     """
     with styled():
-        return _tiled([(title, panels)], columns, size)
+        return _tiled([(title, panels)], size)
 
 
-def page(sections: Sequence[tuple[str, Sequence[Panel]]], *, columns: int = 2) -> Figure:
+def page(sections: Sequence[tuple[str, Sequence[Panel]]]) -> Figure:
     """Return one figure of several titled groups of panels, from top to bottom."""
     with styled():
-        return _tiled(sections, columns, None)
+        return _tiled(sections)
 
 
-def figure_svg(figure: Figure, *, size: tuple[float, float] | None = None) -> str:
+def figure_svg(figure: Figure) -> str:
     """Return a figure as an SVG document: the same text for the same figure, without a date.
 
     Letters stay text, in the reader's own font; the root has a ``viewBox``, so that a page may scale it.
-
-    Args:
-        figure: the figure; it is drawn anew.
-        size: width and height, in, when not its own.
     """
-    if size is not None:
-        figure.set_size_inches(*size)
     with _saved(figure):
         buffer = io.StringIO()
         nothing: Mapping[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -196,14 +189,12 @@ def figure_bytes(figure: Figure, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def _tiled(
-    sections: Sequence[tuple[str | None, Sequence[Panel]]], columns: int, size: tuple[float, float] | None
-) -> Figure:
+def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[float, float] | None = None) -> Figure:
     sections = [(title, _shown(panels)) for title, panels in sections]
-    rows = [_rows(panels, columns) for _, panels in sections]
+    rows = [_rows(panels) for _, panels in sections]
     heights = [sum(max(p.height for p in row) for row in section) for section in rows]
     heights = [height + (0.35 if title else 0.0) for height, (title, _) in zip(heights, sections, strict=True)]
-    width = PAGE_WIDTH if columns > 1 and max(map(len, (p for s in rows for p in s))) > 1 else PAGE_WIDTH / 1.6
+    width = PAGE_WIDTH if max(map(len, (p for s in rows for p in s))) > 1 else PAGE_WIDTH / 1.6
     figure = Figure(figsize=size or (width, sum(heights)))
     parts: list[Any] = [figure]
     if len(sections) > 1:
@@ -224,10 +215,10 @@ def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
     return [*panels[:_MOST_PANELS], Panel(beyond, lambda axes: axes.set_axis_off(), height=0.4, wide=True)]
 
 
-def _rows(panels: Sequence[Panel], columns: int) -> list[list[Panel]]:
+def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
     rows: list[list[Panel]] = []
     for panel in panels:
-        fits = rows and len(rows[-1]) < columns and not panel.wide and not rows[-1][-1].wide
+        fits = rows and len(rows[-1]) < _COLUMNS and not panel.wide and not rows[-1][-1].wide
         if fits:
             rows[-1].append(panel)
         else:
