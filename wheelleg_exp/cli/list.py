@@ -19,6 +19,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("kind", nargs="?", default="tasks", metavar="{" + ",".join(KINDS) + "}", help="what to list")
     parser.add_argument("group", nargs="?", metavar="GROUP", help="the group (reward) whose terms or options to list")
+    of_runs = parser.add_argument_group("list runs")
+    of_runs.add_argument(
+        "--filter",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="CONDITION",
+        help="those for which all hold: task=stand status!=failed 'return>5' name='abl*' agent.algorithm.gamma=0.99",
+    )
+    of_runs.add_argument("--sort", metavar="KEY", help="by a column or a key of the config, the largest first")
+    of_runs.add_argument("--reverse", action="store_true", help="the smallest, or the oldest, first")
+    of_runs.add_argument("--sweep", metavar="SWEEP", help="the runs of a sweep ('latest'), and in what they differ")
     parser.add_argument("--root", type=Path, metavar="DIR", help="where the runs are (default: runs)")
     add_config_dir(parser)
     add_json(parser)
@@ -33,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
             expected="one of " + ", ".join(KINDS),
             nearest=nearest_name(str(args.kind), KINDS),
         )
+    if args.kind != "runs" and (args.filter or args.sort or args.reverse or args.sweep):
+        raise UsageError("--filter, --sort, --reverse and --sweep are for runs", key=args.kind, expected="list runs")
     columns, rows, documents = _listed(args)
     if args.json:
         print_json(documents)
@@ -46,7 +60,9 @@ def _listed(args: argparse.Namespace) -> tuple[list[str], list[list[Any]], list[
     if args.kind in ("runs", "sweeps"):
         from wheelleg_exp.cli import list_runs
 
-        return list_runs.runs(args.root) if args.kind == "runs" else list_runs.sweeps(args.root)
+        if args.kind == "sweeps":
+            return list_runs.sweeps(args.root)
+        return list_runs.runs(args.root, args.filter, args.sort, args.sweep, reverse=args.reverse)
     columns, rows = _LISTS[args.kind](args)
     return columns, rows, [dict(zip(columns, row, strict=True)) for row in rows]
 

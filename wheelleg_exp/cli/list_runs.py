@@ -12,6 +12,7 @@ from wheelleg_exp.cli.printing.tables import hanging, print_table, screen_width,
 from wheelleg_exp.definitions.definition import percent
 from wheelleg_exp.definitions.training import LAST, LISTED
 from wheelleg_exp.errors import WheellegError, nearest_name
+from wheelleg_exp.run import choosing
 from wheelleg_exp.run.listing import RunSummary, SweepSummary, list_runs, list_sweeps
 from wheelleg_exp.run.timestamps import utc_text
 
@@ -31,14 +32,85 @@ _PROBLEMS_SHOWN = 10
 Listed = tuple[list[str], list[list[Any]], list[dict[str, Any]]]
 
 
-def runs(root: Path | None) -> Listed:
+def runs(
+    root: Path | None,
+    conditions: Sequence[str] = (),
+    sort: str | None = None,
+    sweep: str | None = None,
+    *,
+    reverse: bool = False,
+) -> Listed:
     """Return columns and rows of the runs below ``root``, and the same in full.
 
+    Where all belong to one sweep, what differs between them stands in place of the task and of what can be resumed.
+
+    Args:
+        root: the folder of all runs.
+        conditions: which of them, see ``choosing.chosen``.
+        sort: by which key, see ``choosing.ordered``; by default the newest first.
+        sweep: of which sweep: a path, an id or ``latest``.
+        reverse: whether the order is turned around.
+
     Raises:
-        WheellegError: there is no such folder.
+        WheellegError: there is no such folder or sweep, or a condition or key is wrong.
     """
-    found = list_runs(_folder(root))
-    return RUN_COLUMNS, [_run_row(run) for run in found], [_document(run) for run in found]
+    folder = _folder(root)
+    swept = choosing.swept_runs(folder)
+    found = choosing.chosen(_of_sweep(list_runs(folder), sweep, folder), conditions)
+    if sort is not None:
+        found = choosing.ordered(found, sort, reverse=reverse)
+    elif reverse:
+        found.reverse()
+    mine = {run.path: swept.get(run.path.resolve()) for run in found}
+    documents = [_document(run) | _swept_document(mine[run.path]) for run in found]
+    keys = _differing([mine[run.path] for run in found])
+    if keys is None:
+        return RUN_COLUMNS, [_run_row(run) for run in found], documents
+    columns = ["id", *_short(keys), "status", *LISTED]
+    rows = [[row[0], *_values_of(mine[run.path], keys), *row[2:-1]] for run in found for row in [_run_row(run)]]
+    return columns, rows, documents
+
+
+def _of_sweep(found: list[RunSummary], name: str | None, root: Path) -> list[RunSummary]:
+    if name is None:
+        return found
+    index = choosing.find_sweep(name, root)
+    if index is None:
+        known = [sweep.id for sweep in list_sweeps(root)]
+        expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
+        raise WheellegError(
+            f"there is no sweep '{name}'", key="--sweep", expected=expected, nearest=nearest_name(name, known)
+        )
+    members = choosing.runs_of(index)
+    return [run for run in found if run.path.resolve() in members]
+
+
+def _differing(swept: Sequence[choosing.Swept | None]) -> list[str] | None:
+    """Return the keys in which runs of one sweep differ; None where they are not of one."""
+    if not swept or None in swept or len({own.sweep for own in swept if own}) > 1:
+        return None
+    return list(dict.fromkeys(key for own in swept if own for key in own.values))
+
+
+def _short(keys: Sequence[str]) -> list[str]:
+    """Return keys by as many of their last parts as tell them from the others and from the columns."""
+    taken = {"id", "status", *LISTED}
+
+    def name(key: str, parts: int) -> str:
+        return ".".join(key.split(".")[-parts:])
+
+    def fits(key: str, parts: int) -> bool:
+        return name(key, parts) not in taken and [name(other, parts) for other in keys].count(name(key, parts)) == 1
+
+    return [next((name(k, n) for n in range(1, k.count(".") + 1) if fits(k, n)), k) for k in keys]
+
+
+def _values_of(own: choosing.Swept | None, keys: Sequence[str]) -> list[str | None]:
+    return [own.values.get(key) if own else None for key in keys]
+
+
+def _swept_document(own: choosing.Swept | None) -> dict[str, Any]:
+    return {"sweep": own.sweep if own else None, "swept": dict(own.values) if own else {}}
 
 
 def sweeps(root: Path | None) -> Listed:

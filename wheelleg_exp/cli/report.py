@@ -1,4 +1,4 @@
-"""``wheelleg report RUN``."""
+"""``wheelleg report RUN``, of one run or of several."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from wheelleg_exp.errors import EXIT_OK
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or the folder of an agent's run")
+    parser.add_argument(
+        "run",
+        nargs="+",
+        metavar="RUN",
+        help="a run directory, its id, 'latest', the folder of an agent's run, or a sweep; several are compared",
+    )
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="FILE",
-        help="where to write it (default: report.html in the run directory)",
+        help="where to write it (default: report.html in the run's or the sweep's folder; comparison.html of several)",
     )
     add_root(parser)
     parser.add_argument("--no-pictures", action="store_true", help="leave the pictures of the robot out")

@@ -6,6 +6,7 @@
 | ``compile`` | the sections one after the other |
 | ``does_it_stand``, ``how_it_stood``, ``how_it_looked``, ``how_it_learned`` | the robot, and the training |
 | ``what_was_measured``, ``what_was_set``, ``what_it_optimises``, ``what_it_ran_on`` | recording, config, machine |
+| ``several``, ``which_is_better`` | the page of several runs: settings, and the spread over seeds |
 | ``can_it_be_repeated`` | the run against its own manifest, replays and equal runs |
 | ``blocks``, ``drawings``, ``svg``, ``words`` | what a page is made of |
 | ``write`` | the text of the page, and where it goes |
@@ -36,17 +37,17 @@ class Report:
 
 
 def make_report(
-    run: str | Path,
+    run: str | Path | Sequence[str | Path],
     root: Path,
     output: Path | None = None,
     command: Sequence[str] = (),
     *,
     pictures: bool = True,
 ) -> Report:
-    """Write the report of a run.
+    """Write the report of a run, or of several: of a sweep into its folder, else as ``comparison.html``.
 
     Args:
-        run: a path, an id, ``latest``, or the folder of an agent's run.
+        run: a path, an id, ``latest``, the folder of an agent's run, or a sweep; or several of these.
         root: the folder of all runs.
         output: the file; by default ``report.html`` in the run directory.
         command: the command line, for the manifest.
@@ -58,9 +59,18 @@ def make_report(
     from wheelleg_exp.report import can_it_be_repeated as trust
     from wheelleg_exp.report.compile import compile_page
     from wheelleg_exp.report.how_it_looked import Look
+    from wheelleg_exp.report.several import COMPARISON, open_several, several_page
     from wheelleg_exp.report.subject import open_subject
     from wheelleg_exp.report.write import place, render, write
 
+    names = [run] if isinstance(run, (str, Path)) else list(run)
+    several = open_several(names, root)
+    if several is not None:
+        about, runs = several
+        path = place(about, Path(COMPARISON) if output is None and len(names) > 1 else output)
+        written = write(about, path, render(several_page(about, runs, command)), command)
+        return Report(about.path, written.path, written.size, ())
+    run = names[0]
     subject = open_subject(run, root)
     path = place(subject, output)
     look = Look(subject, pictures)

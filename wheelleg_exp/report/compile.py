@@ -34,7 +34,7 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
     """
     of_training = subject.status != AGENT
     sections = [
-        _section(
+        section(
             "standing",
             "Does it stand?",
             _or(lambda: _lead(subject), ""),
@@ -42,7 +42,7 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
             look.of_play,
         ),
         *(_of_training(subject, look, verdict) if of_training else []),
-        _section("settings", "What was set", _SETTINGS, lambda: settings.blocks(subject)),
+        section("settings", "What was set", _SETTINGS, lambda: settings.blocks(subject)),
         *(_rest(subject) if of_training else []),
     ]
     return Page(
@@ -84,7 +84,7 @@ def _lead(subject: Subject) -> str:
 
 def _of_training(subject: Subject, look: Look, verdict: trust.Verdict) -> list[Section]:
     return [
-        _section(
+        section(
             "learning",
             "How it learned",
             "",
@@ -92,14 +92,14 @@ def _of_training(subject: Subject, look: Look, verdict: trust.Verdict) -> list[S
             look.of_training,
             lambda: learning.rest(subject),
         ),
-        _section("objective", "What it optimises", "", lambda: objective.blocks(subject)),
-        _section("trust", "Can it be trusted and repeated?", "", verdict.blocks),
+        section("objective", "What it optimises", "", lambda: objective.blocks(subject)),
+        section("trust", "Can it be trusted and repeated?", "", verdict.blocks),
     ]
 
 
 def _rest(subject: Subject) -> list[Section]:
     return [
-        _section(
+        section(
             "source",
             "Source, machine and robot",
             "",
@@ -107,11 +107,12 @@ def _rest(subject: Subject) -> list[Section]:
             lambda: surroundings.machine(subject),
             lambda: surroundings.robot(subject),
         ),
-        _section("files", "Files", "", lambda: surroundings.resumes(subject), lambda: surroundings.files(subject)),
+        section("files", "Files", "", lambda: surroundings.resumes(subject), lambda: surroundings.files(subject)),
     ]
 
 
-def _section(name: str, title: str, lead: str, *builders: Builder) -> Section:
+def section(name: str, title: str, lead: str, *builders: Builder) -> Section:
+    """Return a section of the page; a part of it that fails is one sentence there."""
     return Section(name, title, lead, [block for builder in builders for block in _tried(builder)])
 
 

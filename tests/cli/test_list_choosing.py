@@ -1,0 +1,116 @@
+"""``wheelleg list runs --filter --sort --sweep``: which runs, in which order, and in what they differ."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+
+import pytest
+import yaml
+from jobs.small import wheelleg
+
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.sweep_index import SweepIndex
+
+# seed, gamma, return; of the last there is no figure
+RUNS = ((1, 0.9, 3.0), (2, 0.9, 5.0), (1, 0.99, 10.0), (2, 0.99, None))
+
+
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    """A sweep of four runs, and an older run that is of none and failed."""
+    monkeypatch.chdir(tmp_path)
+    root = tmp_path / "runs"
+    overrides = [[f"seed={seed}", f"agent.algorithm.gamma={gamma}"] for seed, gamma, _ in RUNS]
+    index = SweepIndex.create(root, command=[], launcher={}, jobs=[(words, words) for words in overrides])
+    for number, (seed, gamma, figure) in enumerate(RUNS, 1):
+        index.job_has_run(number, make(root, number, seed, gamma, figure, "finished"))
+    make(root, 0, 7, 0.5, -2.0, "failed")
+    return root
+
+
+def make(root, hour, seed, gamma, figure, status):
+    now = datetime(2026, 1, 1, hour, tzinfo=UTC)
+    run = RunDirectory.create(root, "stand", seed, None if status == "finished" else "broken", now)
+    Manifest.begin(run.path, task="stand", seed=seed, command=[], threads={}, now=now)
+    scalars = {} if figure is None else {"Train/mean_reward": figure}
+    (run.path / "iterations.jsonl").write_text(json.dumps({"iteration": 9, "scalars": scalars}) + "\n")
+    (run.path / ".hydra").mkdir()
+    (run.path / ".hydra" / "config.yaml").write_text(yaml.safe_dump({"agent": {"algorithm": {"gamma": gamma}}}))
+    run.manifest().finish(status, {}, None, now=now)
+    return run.path
+
+
+def listed(*words):
+    """Return the figures of the listed runs in order; the seed of a run without one."""
+    said = wheelleg("list", "runs", *words, "--json")
+    assert said.status == 0, said.err
+    return [run["figures"].get("return", f"seed {run['seeds'][0]}") for run in json.loads(said.out)]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), ["seed 2", 10, 5, 3, -2]),  # the newest first
+        (("--reverse",), [-2, 3, 5, 10, "seed 2"]),
+        (("--sort", "return"), [10, 5, 3, -2, "seed 2"]),
+        (("--sort", "return", "--reverse"), [-2, 3, 5, 10, "seed 2"]),
+        (("--sort", "agent.algorithm.gamma", "--reverse"), [-2, 5, 3, "seed 2", 10]),
+        (("--filter", "status=finished", "seed=2"), ["seed 2", 5]),
+        (("--filter", "status=finished", "--filter", "seed=2"), ["seed 2", 5]),
+        (("--filter", "status!=finished"), [-2]),
+        (("--filter", "return>=3", "return<10"), [5, 3]),
+        (("--filter", "agent.algorithm.gamma=0.990"), ["seed 2", 10]),
+        (("--filter", "name=bro*"), [-2]),
+        (("--filter", "name=null"), ["seed 2", 10, 5, 3]),
+        (("--filter", "task=walk"), []),
+        (("--sweep", "latest", "--sort", "return"), [10, 5, 3, "seed 2"]),
+        (("--sweep", "latest", "--filter", "seed=1"), [10, 3]),
+    ],
+)
+def test_runs_are_chosen_and_ordered(root, words, expected):
+    assert listed(*words) == expected
+
+
+def test_a_sweeps_runs_show_what_differs(root):
+    lines = wheelleg("list", "runs", "--sweep", "latest", "--sort", "return").out.splitlines()
+    assert lines[0].split()[:4] == ["id", "seed", "gamma", "status"]
+    assert lines[1].split()[1:4] == ["1", "0.99", "finished"]
+    assert max(map(len, lines)) <= 100
+    assert wheelleg("list", "runs", "--filter", "status=finished").out.splitlines()[0] == lines[0]  # all are of it
+    assert "gamma" not in wheelleg("list", "runs").out
+
+
+def test_json_says_of_which_sweep_a_run_is(root):
+    newest, *_, oldest = json.loads(wheelleg("list", "runs", "--json").out)
+    assert newest["swept"] == {"seed": "2", "agent.algorithm.gamma": "0.99"}
+    assert newest["sweep"] == next((root / "sweeps").iterdir()).name
+    assert (oldest["sweep"], oldest["swept"]) == (None, {})
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--filter", "statsu=finished"), ["no run has 'statsu'", "did you mean 'status'"]),
+        (("--filter", "finished"), ["'finished' is no condition", "KEY=VALUE"]),
+        (("--filter", "return>high"), ["'high' is no number"]),
+        (("--sort", "retrun"), ["no run has 'retrun'", "did you mean 'return'"]),
+        (("--sweep", "yesterday"), ["there is no sweep 'yesterday'", "'latest', or one of 20"]),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_message(root, words, told):
+    said = wheelleg("list", "runs", *words)
+    assert said.status == 2
+    assert all(text in said.err for text in told), said.err
+
+
+def test_other_lists_do_not_pass_them_over(root):
+    said = wheelleg("list", "tasks", "--sort", "task")
+    assert said.status == 2
+    assert "are for runs" in said.err
+
+
+def test_a_damaged_sweep_hides_no_run(root):
+    (next((root / "sweeps").iterdir()) / "sweep.json").write_text("{")
+    assert len(listed()) == 5
