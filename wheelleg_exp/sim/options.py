@@ -98,6 +98,8 @@ class RobotOptions:
         friction_source: which of a material's two coefficients MuJoCo's single one is taken from.
         actuators: one node an actuator group, by name.
         self_collisions: whether the robot's own bodies may touch; null is what the asset says.
+        root_frame: the root link's frame in the file's, (w, x, y, z), for a file that has not x forwards and z upwards;
+            null is the file's own.
     """
 
     profile: str
@@ -109,3 +111,4 @@ class RobotOptions:
     friction_source: Literal["static", "dynamic"]
     actuators: dict[str, Node | None]
     self_collisions: bool | None = None
+    root_frame: Annotated[Sequence[float], Length(4), NotAllZero()] | None = None

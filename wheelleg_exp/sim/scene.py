@@ -18,6 +18,7 @@ from wheelleg_exp.sim.batch import BatchEngine
 from wheelleg_exp.sim.engine import WRENCHES, Engine
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import Robot
+from wheelleg_exp.sim.root_frame import turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase
 from wheelleg_exp.sim.terrain import TerrainBase, is_ground
 from wheelleg_exp.state import Kept
@@ -61,6 +62,8 @@ class Scene(Kept):
         self.device = torch.device(sim.device)
         spec = _robot_spec(mjcf)
         root_name = _root_body(spec, mjcf)
+        if robot.root_frame is not None:
+            turn_root_frame(spec, root_name, robot.root_frame)
         _set_options(spec, sim)
         _set_self_collisions(spec, robot.self_collisions)
         terrain.add_to(spec)
