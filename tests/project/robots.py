@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 BODY, LEG, RADIUS = 2.0, 0.2, 0.06  # kg; m from hip to axle; m
@@ -45,6 +46,42 @@ def urdf(folder: Path, inside: str = "", name: str = "two") -> Path:
   </link>{legs}</robot>
 '''
     )
+    return path
+
+
+def along_y(path: Path) -> Path:
+    """Turn every axis of the robot's file by 90 degrees about z: what pointed along x points along y."""
+
+    def turned(match: re.Match[str]) -> str:
+        x, y, z = (float(part) for part in match[2].split())
+        return f'{match[1]}="{-y} {x} {z}"'
+
+    text = re.sub(r'(xyz)="([^"]+)"', turned, path.read_text())
+    text = text.replace('rpy="1.5707963267948966 0 0"', 'rpy="0 1.5707963267948966 0"')
+    text = text.replace('ixx="0.0002" iyy="0.0004"', 'ixx="0.0004" iyy="0.0002"')
+    path.write_text(text.replace('"0.2 0.1 0.1"', '"0.1 0.2 0.1"'))
+    return path
+
+
+def knees(folder: Path) -> Path:
+    """Write the robot with a knee in the middle of each leg, and hips and knees that turn both ways."""
+    path = urdf(folder, name="knees")
+    text = path.read_text().replace(f'lower="{LOW}" upper="{HIGH}"', 'lower="-1.5" upper="1.5"')
+    for side in "lr":
+        shank = f'''
+  <link name="{side}_shank">
+    <inertial><origin xyz="0 0 -0.05"/><mass value="0.2"/>
+      <inertia ixx="0.0005" iyy="0.0005" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0 0 -0.05"/><geometry><box size="0.02 0.02 0.06"/></geometry></collision>
+  </link>
+  <joint name="{side}_knee" type="revolute">
+    <parent link="{side}_leg"/><child link="{side}_shank"/><origin xyz="0 0 -{LEG}"/><axis xyz="0 1 0"/>
+    <limit lower="-2.5" upper="2.5" effort="8" velocity="20"/>
+  </joint>'''
+        text = text.replace(f'<link name="{side}_wheel">', f'{shank}\n  <link name="{side}_wheel">')
+        text = text.replace(f'<parent link="{side}_leg"/><child link="{side}_wheel"/>',
+                            f'<parent link="{side}_shank"/><child link="{side}_wheel"/>')  # fmt: skip
+    path.write_text(text)
     return path
 
 

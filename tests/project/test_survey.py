@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import re
 
+import mujoco
 import pytest
 import yaml
 
-from project.robots import HIGH, LEG, LOW, RADIUS, urdf
+from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, knees, urdf
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.project.gains import leg_gains, wheel_gains
@@ -48,16 +49,61 @@ def test_a_robot_without_wheels_gets_a_task_without_them(tmp_path):
     assert not [text for text in files.values() if "wheel_air" in text or "mine_wheels" in text]
 
 
-def test_a_default_position_lies_inside_the_limits_when_0_does_not(two):
-    assert two.positions["l_axle"] == 0.0
-    for hip in ("l_hip", "r_hip"):
-        assert two.positions[hip] == pytest.approx(LOW + 0.25 * (HIGH - LOW))
+def test_a_robot_whose_legs_cannot_balance_it_leans(two):
+    """All masses lie on the line from hip to axle: it stands on upright legs, and the body leans by their angle."""
+    hip = LOW + 0.08 * (HIGH - LOW)  # as near to the axle as the limits allow
+    assert two.positions == {"l_hip": pytest.approx(hip), "r_hip": pytest.approx(hip), "l_axle": 0.0, "r_axle": 0.0}
+    assert two.standing.lean == pytest.approx(-hip, abs=1e-4)
+    assert two.standing.frame == pytest.approx((math.cos(hip / 2), 0.0, math.sin(hip / 2), 0.0), abs=1e-4)
+    assert two.rotation == (1.0, 0.0, 0.0, 0.0)
+    assert two.up == pytest.approx((0.0, 0.0, 1.0), abs=1e-4)
 
 
 def test_the_lowest_collider_touches_the_ground(two):
-    touching = LEG * math.cos(two.positions["l_hip"]) + RADIUS
+    touching = LEG + RADIUS
     assert two.facts.standing_height == pytest.approx(touching, abs=1e-6)
     assert 0.0 <= spawn_height(two) - touching < 1.0001e-4
+
+
+def test_a_robot_drawn_along_another_axis_stands_like_the_one_along_x(two, tmp_path):
+    """The same robot with every axis of the file turned by 90 degrees about z: x of the first is y of this one."""
+    turned = surveyed(along_y(urdf(tmp_path)))
+    assert turned.positions == pytest.approx(two.positions, abs=1e-3)
+    assert turned.facts.standing_height == pytest.approx(two.facts.standing_height, abs=1e-4)
+    for mine, theirs in ((leg_gains(turned), leg_gains(two)), (wheel_gains(turned), wheel_gains(two))):
+        assert mine.stiffness == pytest.approx(theirs.stiffness, rel=0.02)
+        assert mine.damping == pytest.approx(theirs.damping, rel=0.02)
+    quarter, lean = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), two.standing.frame
+    product = (quarter[0] * lean[0], -quarter[3] * lean[2], quarter[0] * lean[2], quarter[3] * lean[0])
+    assert turned.standing.frame == pytest.approx(product, abs=1e-3)  # first along y, then the lean about its left
+
+
+def test_a_leg_of_two_joints_brings_the_mass_over_the_axle(tmp_path):
+    """Thigh and shank: the centre of mass of MuJoCo's own reader of the URDF stands over the axle."""
+    path = knees(tmp_path)
+    found = surveyed(path)
+    assert found.standing.lean == 0.0
+    assert found.standing.frame is None
+    model = mujoco.MjModel.from_xml_path(str(path))  # its base is welded to the world
+    data = mujoco.MjData(model)
+    for name, value in found.positions.items():
+        data.joint(name).qpos = value
+    mujoco.mj_forward(model, data)
+    mass = BODY + model.body_mass.sum()  # the body is part of that world, at its origin
+    assert mass == pytest.approx(found.facts.mass)
+    assert (model.body_mass @ data.xipos / mass)[0] == pytest.approx(data.joint("l_axle").xanchor[0], abs=2e-3)
+    assert found.positions["l_hip"] == found.positions["r_hip"]
+    assert abs(found.positions["l_knee"]) > 0.2  # stretched legs do not spring
+
+
+def test_an_overlap_of_the_default_pose_is_not_simulated(tmp_path):
+    path = urdf(tmp_path)
+    wide = path.read_text().replace('<box size="0.2 0.1 0.1"/>', '<box size="0.2 0.3 0.3"/>')
+    path.write_text(wide)
+    found = surveyed(path)
+    text = robot_yaml("mine", "mine/two.urdf", found)
+    assert {"body", "l_wheel"} in map(set, found.overlaps)
+    assert yaml.safe_load(text)["self_collisions"] is False
 
 
 def test_limits_are_the_files_and_missing_gains_follow_from_inertias(two):

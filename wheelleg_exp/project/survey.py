@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from wheelleg_exp.asset import Conversion, RobotDescription, convert
 from wheelleg_exp.asset.description import Dof
@@ -19,11 +20,13 @@ from wheelleg_exp.lint.anatomy.parts import Anatomy
 from wheelleg_exp.lint.collider_depth import lowest_point
 from wheelleg_exp.lint.robot_facts import RobotFacts, measure
 from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.project.standing import Standing, stand
 from wheelleg_exp.project.yaml_text import expression
 from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
 
 _INSIDE = 0.25  # share of a joint's range between a default position and the limit that it was moved away from
+_OFF = 0.02  # the same between a position of the file's and the limits
 _GROUND = 0.05  # of the standing height: a body this near to the ground stands on it
 _LEVEL = 0.99  # cosine of the tilt up to which a root link counts as upright
 
@@ -39,13 +42,15 @@ class Survey:
         passive: joints that nothing drives.
         positions: default positions, rad (m), by joint.
         rotation: of the root link, (w, x, y, z).
+        standing: how the pose was chosen; None where it was given.
+        overlaps: pairs of the robot's own links that overlap there and may touch, and how deep, m.
         facts: masses, inertias and heights at the default pose.
         anatomy: what its parts are for.
         radius: of the wheels, m; 0 without.
         size: the larger of the heights of root link and centre of mass over the ground, m.
         up: the root link's axis that points up, (0, 0, 1) for most.
-        root: the root link.
-        root_mass: kg.
+        trunk: the heaviest of the root link and those fixed to it: the root itself is often a frame without mass.
+        trunk_mass: kg.
         wheel_bodies: the links that wheels touch the ground with.
         raised_bodies: links with colliders that are not on the ground.
         notes: what a user should know of the file.
@@ -57,13 +62,15 @@ class Survey:
     passive: list[str]
     positions: dict[str, float]
     rotation: tuple[float, float, float, float]
+    standing: Standing | None
+    overlaps: dict[tuple[str, str], float]
     facts: RobotFacts
     anatomy: Anatomy
     radius: float
     size: float
     up: tuple[float, float, float]
-    root: str
-    root_mass: float
+    trunk: str
+    trunk_mass: float
     wheel_bodies: list[str]
     raised_bodies: list[str]
     notes: list[str]
@@ -92,11 +99,20 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float]) -> S
         given = values_by_name(pose, names, None, key="env.robot.init_state.joint_pos", what="joint")
         read = {dof.name: default_position(dof) for dof in conversion.description.dofs}
         chosen = read | {name: value for name, value in zip(names, given, strict=True) if value is not None}
-        described = conversion.description
-        section = provisional_robot(described.name, next(described.children(None)).pose.rotation, chosen)
-        scene = SceneManager({**env, "robot": section}, conversion.output, 1).scene
+        rotation = next(conversion.description.children(None)).pose.rotation
+        robot = provisional_robot(conversion.description.name, rotation, chosen)
+        scene = SceneManager({**env, "robot": robot}, conversion.output, 1).scene
         _require_floating(scene.robot, source)
-        return _measured(conversion, scene.robot, scene.spec.compile(), chosen)
+        model = scene.spec.compile()
+        standing = None
+        if not pose:
+            data = _at(model, scene.robot, chosen)
+            standing = stand(model, anatomy_of(model, data.qpos), data.qpos)
+            chosen |= standing.positions
+            robot = provisional_robot(conversion.description.name, standing.rotation, chosen)
+            scene = SceneManager({**env, "robot": robot | {"root_frame": standing.frame}}, conversion.output, 1).scene
+            model = scene.spec.compile()
+        return _measured(conversion, scene.robot, model, chosen, standing)
 
 
 def _require_robot(robot: RobotDescription, source: Path) -> None:
@@ -126,8 +142,8 @@ def default_position(dof: Dof) -> float:
     if dof.range is None:
         return value
     low, high = dof.range
-    margin = _INSIDE * (high - low)
-    return _short(value, low, high) if low <= value <= high else min(max(value, low + margin), high - margin)
+    margin = (_OFF if low <= value <= high else _INSIDE) * (high - low)
+    return _short(min(max(value, low + margin), high - margin), low, high)
 
 
 def _short(value: float, low: float, high: float) -> float:
@@ -162,7 +178,13 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
     }
 
 
-def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, positions: Mapping[str, float]) -> Survey:
+def _measured(
+    conversion: Conversion,
+    robot: Robot,
+    model: mujoco.MjModel,
+    positions: Mapping[str, float],
+    standing: Standing | None,
+) -> Survey:
     description = conversion.description
     dofs = {dof.name: dof for dof in description.dofs}
     dofs = {name: dofs[name] for name in robot.joint_names}
@@ -175,6 +197,8 @@ def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, posit
     touching = [name for name in turned if math.isfinite(lowest_point(model, data, [model.body(name).id]))]
     raised = _raised(model, data, robot.body_names, facts.standing_height)
     root = robot.body_names[0]
+    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[model.body(root).id])
+    trunk = int(fixed[np.argmax(model.body_mass[fixed])])
     w, x, y, z = (float(f"{part:.6g}") for part in robot.default_root_quat.tolist())
     up_x, up_y, up_z = (round(float(part), 4) + 0.0 for part in data.body(root).xmat[6:9])
     mass_height = float(data.body(root).subtree_com[2] - data.body(root).xpos[2]) + facts.standing_height
@@ -185,13 +209,15 @@ def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, posit
         passive=passive,
         positions={name: positions[name] for name in dofs},
         rotation=(w, x, y, z),
+        standing=standing,
+        overlaps=_overlaps(model, data),
         facts=facts,
         anatomy=anatomy,
         radius=facts.wheel_radius,
         size=max(facts.standing_height, mass_height),
         up=(up_x, up_y, up_z),
-        root=root,
-        root_mass=float(model.body_mass[model.body(root).id]),
+        trunk=model.body(trunk).name,
+        trunk_mass=float(model.body_mass[trunk]),
         wheel_bodies=[name for name in robot.body_names if name in touching],
         raised_bodies=[name for name in raised if name not in touching],
         notes=_notes(conversion, up_z >= _LEVEL, anatomy, legs, passive),
@@ -206,6 +232,17 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
         data.qpos[model.joint(name).qposadr[0]] = positions[name]
     mujoco.mj_forward(model, data)
     return data
+
+
+def _overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> dict[tuple[str, str], float]:
+    """Return the pairs of links that overlap, the deepest first; the ground is none."""
+    found: dict[tuple[str, str], float] = {}
+    for contact in data.contact:
+        one, other = sorted(model.geom(geom).bodyid[0] for geom in (contact.geom1, contact.geom2))
+        if one != 0 and contact.dist < 0:
+            pair = model.body(one).name, model.body(other).name
+            found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -233,9 +270,7 @@ def _notes(
 ) -> list[str]:
     notes = list(conversion.report.warnings)
     if not upright:
-        notes.append(
-            "the root link's z axis does not point up in the file, so the task leaves out terms that take it to"
-        )
+        notes.append("the root link's z axis does not point up, so the task leaves out terms that take it to")
     if not anatomy.wheels:
         notes.append(
             "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so the "

@@ -12,9 +12,9 @@ _ENTITY = "_target_: wheelleg_exp.managers.SceneEntityCfg"
 _CONTACT = 0.02  # of the weight: more than this is a contact
 _FORCE = 0.02  # of the weight, pushing on the base
 _TORQUE = 0.01  # of the weight at the standing height, turning the base
-_LOAD = (-0.05, 0.1)  # of the root's mass
+_LOAD = (-0.05, 0.1)  # of the trunk's mass
 _ERROR = 0.2  # of the standing height: an error that costs 1/s
-_COST = 0.1  # per second, of a motion at a tenth of the speeds that go with the robot's height
+_COST = 0.15  # per second, of a motion at a tenth of the speeds that go with the robot's height
 _STD = 0.5  # m/s, largest
 _LEG_SCALE = (0.05, 0.25)  # rad per unit of action, smallest and largest
 _WHEEL_EFFORT = 0.25  # of the largest torque, at standstill per unit of action
@@ -107,17 +107,17 @@ def _threshold(robot: Survey) -> str:
 
 def _events(robot: Survey) -> str:
     weight = robot.facts.weight
-    low, high = (number(share * robot.root_mass, 2) for share in _LOAD)
+    low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
-    root = names([robot.root], 8)
+    trunk = names([robot.trunk], 8)
     return f"""  events:                  # the stock disturbances, sized for {robot.facts.mass:.3g} kg
     add_base_mass:
       mass_distribution_params: [{low}, {high}]    # kg
-      asset_cfg: {{body_names: {root}}}
+      asset_cfg: {{body_names: {trunk}}}
     base_external_force_torque:
       force_range: [-{force}, {force}]          # N
       torque_range: [-{torque}, {torque}]       # N·m
-      asset_cfg: {{body_names: {root}}}
+      asset_cfg: {{body_names: {trunk}}}
     physics_material: {{restitution_range: [0.0, 0.0]}}    # MuJoCo has none
     reset_robot_joints: {{velocity_range: [1.0, 1.0]}}     # a factor on defaults of 0
 """
@@ -212,7 +212,12 @@ def _leg_positions(name: str, robot: Survey) -> str:
     {_ENTITY}
     name: robot
     joint_names: {names(robot.legs, 6, 17)}
-"""
+{_clip(robot)}"""
+
+
+def _clip(robot: Survey) -> str:
+    endless = [name for name in robot.legs if robot.dofs[name].range is None]
+    return f"  clip: [-3.15, 3.15]    # rad: {endless[0]} has no limits\n" if endless else ""
 
 
 def _contact(name: str, robot: Survey) -> str:
