@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -242,6 +243,8 @@ def test_masses_that_no_link_has(old, new, said, tmp_path):
 
 
 def test_moments_of_inertia_that_no_body_has(tmp_path):
+    base = GIVEN.replace('izz=".01"', 'izz=".05"')
+    assert "0.01, 0.01, 0.05 kg·m²" in found("link_masses", read_urdf(tmp_path, inertial=base))[0].message
     case = patient(tmp_path)
     case.robot.model.body_inertia[case.robot.model.body("trunk").id] = (0.01, 0.02, 0.06)
     assert "0.01, 0.02, 0.06 kg·m²" in only("link_masses", case)
@@ -305,7 +308,7 @@ def test_a_reset_into_the_ground(tmp_path):
 URDF = """<robot name="two"><link name="base">{inertial}
   <collision><geometry>{shape}</geometry></collision></link>
   <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
-    <limit lower="{low}" upper="1" effort="1" velocity="1"/></joint>
+    <limit lower="{low}" upper="1" effort="{effort}" velocity="1"/></joint>
   <link name="arm"><inertial><mass value="1"/>
     <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>
     <collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link></robot>"""
@@ -313,11 +316,11 @@ GIVEN = '<inertial><mass value="1"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="
 BOX = '<box size="0.3 0.3 0.3"/>'
 
 
-def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1):
+def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1, effort=1):
     from wheelleg_exp.lint.robot.from_file import case_of_file
 
     file = folder / "robot.urdf"
-    file.write_text(URDF.format(inertial=inertial, shape=shape, low=low))
+    file.write_text(URDF.format(inertial=inertial, shape=shape, low=low, effort=effort))
     return case_of_file(file)
 
 
@@ -331,7 +334,10 @@ def test_what_the_file_does_not_give(tmp_path):
     assert finding.figures["assumed_kg"] == pytest.approx(0.3**3 * 1000)  # of water
     assert "of 28 kg are assumed (96 %)" in finding.message
     (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial='<inertial><mass value="2"/></inertial>'))
-    assert "1 links have a mass and no inertia" in finding.message
+    assert "1 link has a mass and no inertia" in finding.message
+    idle = read_urdf(tmp_path, effort=0)
+    assert "'j' has a largest effort or speed of 0 in the file" in found("placeholder_limits", idle)[0].message
+    assert found("placeholder_limits", replace(idle, config={**idle.config, "task": {}})) == []
     (finding,) = found("lost_in_conversion", read_urdf(tmp_path, low=2))
     assert "wrong way round" in finding.message
 

@@ -8,11 +8,13 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from wheelleg_exp.asset.findings import Kind
 from wheelleg_exp.lint.anatomy.wheels import TURNS
 from wheelleg_exp.lint.case import Case
 from wheelleg_exp.lint.collider_depth import reach
 from wheelleg_exp.lint.findings import Finding, rule
 from wheelleg_exp.lint.robot.compiled import CompiledRobot
+from wheelleg_exp.lint.robot.rules_conversion import records
 
 _ASSET = "env.robot.asset"
 _DENSITY = (2.0, 5000.0)  # kg/m³ of a cube as long as the robot's longest edge
@@ -49,12 +51,24 @@ def link_masses(case: Case) -> Iterator[Finding]:
             {"mass_kg": mass, "size_m": size},
         )
         return
-    told = 0
-    for name in robot.bodies:
-        for finding in _link(robot, name, mass):
-            told += 1
-            if told <= _MOST:
-                yield finding
+    told = [finding for name in robot.bodies for finding in _link(robot, name, mass)]
+    yield from [*_impossible(case), *told][:_MOST]
+
+
+def _impossible(case: Case) -> Iterator[Finding]:
+    """Yield the tensors that the conversion had to cut to what a body can have."""
+    for item in records(case, "impossible_inertia"):
+        a, b, c = (item.numbers[name] for name in "abc")
+        yield _untrue(item.subject, a, b, c)
+
+
+def _untrue(name: str, a: float, b: float, c: float) -> Finding:
+    return Finding(
+        _ASSET,
+        f"'{name}' has the moments of inertia {a:.3g}, {b:.3g}, {c:.3g} kg·m²: one is more than the other two "
+        "together, as no body's is",
+        "the tensor again from CAD, about the centre of mass",
+    )
 
 
 def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
@@ -63,12 +77,7 @@ def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
     if mass < _WEIGHTY * whole:
         return
     if moments[2] > (1 + _TRIANGLE) * (moments[0] + moments[1]):
-        yield Finding(
-            _ASSET,
-            f"'{name}' has the moments of inertia {moments[0]:.3g}, {moments[1]:.3g}, {moments[2]:.3g} kg·m²: the last "
-            "is more than the other two together, as no body's is",
-            "the tensor again from CAD, about the centre of mass",
-        )
+        yield _untrue(name, *moments.tolist())
     geoms = np.flatnonzero(model.geom_bodyid == body).tolist()
     if not geoms:
         return
@@ -120,9 +129,11 @@ def joint_limits(case: Case) -> Iterator[Finding]:
                if g.wheel == w.joint}  # fmt: skip
     free = [name for name in free if name not in steered]
     if free:
+        written = [item for item in records(case, "no_limits") if item.subject in free and "lower" in item.numbers]
+        says = f" (the file says {written[0].numbers['lower']:g} to {written[0].numbers['upper']:g})" if written else ""
         yield Finding(
             _ASSET,
-            f"{_listed(free)} {'has' if len(free) == 1 else 'have'} no limits: a leg may turn all round",
+            f"{_listed(free)} {'has' if len(free) == 1 else 'have'} no limits{says}: a leg may turn all round",
             'the limits of the real joint (URDF: type="revolute" with lower and upper; USD: physics:lowerLimit)',
             {"joints": float(len(free))},
         )
@@ -139,32 +150,42 @@ def joint_limits(case: Case) -> Iterator[Finding]:
 def placeholder_limits(case: Case) -> Iterator[Finding]:
     """Largest efforts and speeds that no motor has: 0, or so large that they limit nothing.
 
-    An effort limit of 0 drives nothing. One that would lift fifty times the robot on an arm as long as the robot is a
-    placeholder, and what a policy learns with it does not transfer. Source: statics.
+    A file's effort limit of 0 drives nothing. One that would lift fifty times the robot on an arm as long as the robot
+    is a placeholder, and what a policy learns with it does not transfer. Source: statics.
     """
     if case.robot is None:
         return
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * case.robot.anatomy.size
-    weak, strong, fast = [], [], []
+    strong, fast = [], []
+    weak = _written_as_zero(case)
     for name, joint in facts.joints.items():
         if joint.drive is None:
             continue
-        if joint.drive.effort == 0.0 or joint.drive.velocity == 0.0:
-            weak.append(name)
-        elif most < joint.drive.effort < math.inf:
+        if most < joint.drive.effort < math.inf:
             strong.append(name)
         if _FAST < joint.drive.velocity < math.inf:
             fast.append(name)
     for names, what, hint in (
-        (weak, "an effort or velocity limit of 0, and drive nothing", "the motors' largest torque and speed"),
+        (weak, "a largest effort or speed of 0 in the file, as exporters write where CAD says nothing",
+         "the motors' largest torque and speed"),
         (strong, f"effort limits beyond {most:.3g} N·m, which lift fifty times the robot on an arm of its own size",
          "the motors' largest torque"),
         (fast, f"velocity limits above {_FAST:g} rad/s", "the motors' largest speed behind the gear"),
     ):  # fmt: skip
         if names:
-            key = f"env.robot.actuators.{facts.joints[names[0]].drive.group}"  # type: ignore[union-attr]
+            drive = facts.joints[names[0]].drive
+            key = f"env.robot.actuators.{drive.group}" if drive is not None else "env.robot.actuators"
             yield Finding(key, f"{_listed(names)} {'has' if len(names) == 1 else 'have'} {what}", hint)
+
+
+def _written_as_zero(case: Case) -> list[str]:
+    """Return the joints to which a file that stands alone gives an effort or a speed of 0; a task has its own."""
+    if "task" in case.config or case.robot is None:
+        return []
+    kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
+    written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
+    return [name for name in case.facts.joints if name in written]
 
 
 def _listed(names: list[str]) -> str:
