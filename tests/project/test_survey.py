@@ -12,6 +12,8 @@ import yaml
 from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, knees, urdf
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
+from wheelleg_exp.lint.examine import examine
+from wheelleg_exp.project.create import create
 from wheelleg_exp.project.gains import leg_gains, wheel_gains
 from wheelleg_exp.project.robot_yaml import robot_yaml, spawn_height
 from wheelleg_exp.project.survey import survey
@@ -180,3 +182,25 @@ def test_odd_names_survive_yaml_and_match_themselves_alone():
     odd = ["a.b", "on", "knee:L", "hip (left)", "x[1]", "-", "1", "plain_name"]
     for name, read in zip(odd, yaml.safe_load(names(odd, 4)), strict=True):
         assert [other for other in [*odd, "aXb"] if re.fullmatch(read, other)] == [name]
+
+
+def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
+    """Hips that turn all round: the project says so, silences it, and passes its own look."""
+    source = urdf(tmp_path / "file")
+    text = source.read_text()
+    text = re.sub(r'(_hip" type=")revolute', r"\1continuous", text)
+    source.write_text(text)
+    made = create(tmp_path / "mine", source)
+    assert "joint_limits" in made.accepted
+    report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
+    assert report.open == []
+    assert "l_hip" in report.reasons["joint_limits"]
+
+
+def test_an_effort_that_cannot_hold_the_weight_is_not_taken(tmp_path):
+    path = urdf(tmp_path)
+    wide = path.read_text().replace('effort="8"', 'effort="0.001"').replace('xyz="0 0 -0.1"', 'xyz="0.1 0 -0.1"')
+    path.write_text(wide)
+    gains = leg_gains(surveyed(path))
+    assert min(gains.effort.values()) > 1.0
+    assert any("does not hold the weight at l_hip" in reason for reason in gains.refused)

@@ -43,9 +43,11 @@ def _show(made: Created) -> None:
     print(f"  wheels: {', '.join(robot.wheels) or 'none'}")
     for note in robot.notes:
         print(f"  note: {note}")
+    for rule, text in made.accepted.items():
+        print(f"  accepted as the file has it ({rule}): {text}")
     name = made.name
     print(f"next: cd {shown}")
     print(f"      wheelleg check --physics task={name}")
-    print(f"      wheelleg train task={name} env.num_envs=64 agent.max_iterations=5")
+    print(f"      wheelleg train task={name}    # learns to stand: some minutes on two cores")
     print(f"      python -m pytest              # {name} and its test")
     print("      README.md tells more; nothing has to be installed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.errors import AssetError, nearest_name
 from wheelleg_exp.files import for_people
+from wheelleg_exp.lint.examine import examine
 from wheelleg_exp.paths import configs_dir, find_asset
 from wheelleg_exp.project.project_names import NameTaken, require_name
 from wheelleg_exp.project.robot_files import copy_robot
@@ -79,12 +81,14 @@ class Created:
         name: its name, which is its package's, its task's and its robot's.
         files: what it holds, relative to ``path``.
         robot: what was found out about the robot.
+        accepted: what `check --physics` says of it that no setting mends, by rule; the task silences it by name.
     """
 
     path: Path
     name: str
     files: list[Path]
     robot: Survey
+    accepted: dict[str, str]
 
 
 def create(place: Path, source: Path | None = None) -> Created:
@@ -106,11 +110,11 @@ def create(place: Path, source: Path | None = None) -> Created:
     with for_people(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{name}.making.") as scratch:
         draft = Path(scratch) / name
         draft.mkdir()
-        robot = _fill(draft, name, source)
+        robot, accepted = _fill(draft, name, source)
         files = sorted(file.relative_to(draft) for file in draft.rglob("*") if file.is_file())
         _require_free(path)
         draft.rename(path)
-    return Created(path, name, files, robot)
+    return Created(path, name, files, robot, accepted)
 
 
 def _require_place(path: Path) -> None:
@@ -144,7 +148,7 @@ def _require_source(source: Path) -> None:
     )
 
 
-def _fill(draft: Path, name: str, source: Path | None) -> Survey:
+def _fill(draft: Path, name: str, source: Path | None) -> tuple[Survey, dict[str, str]]:
     """Write all files of a project, and hold them against the checks that every task passes."""
     env = compose(["task=stand"]).config["env"]
     pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
@@ -154,8 +158,12 @@ def _fill(draft: Path, name: str, source: Path | None) -> Survey:
     texts = {f"robot/{name}.yaml": robot_yaml(name, asset, robot), **config_files(name, robot)}
     write(draft, {f"configs/{file}": text for file, text in texts.items()})
     write(draft, project_files(name, asset, list(texts)))
-    _require_valid(draft, name)
-    return robot
+    try:
+        _require_valid(draft, name)
+        accepted = _accept(draft, name)
+    finally:
+        projects.forget(draft)
+    return robot, accepted
 
 
 def _surveyed(source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[str, float]) -> Survey:
@@ -172,9 +180,20 @@ def _surveyed(source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[
 
 def _require_valid(draft: Path, name: str) -> None:
     """Raise what `wheelleg check` finds in the draft: a robot that the program cannot use makes no project."""
-    try:
-        _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
-    finally:
-        projects.forget(draft)
+    _, mistakes = find_mistakes([f"task={name}"], config_dirs=[draft / projects.CONFIGS])
     if mistakes:
         raise_all(mistakes)
+
+
+def _accept(draft: Path, name: str) -> dict[str, str]:
+    """Silence in the task what `wheelleg check --physics` finds in the robot's file, saying what it is."""
+    found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
+    accepted = {finding.rule: " ".join(finding.message.split()) for finding in reversed(found)}
+    if accepted:
+        task = draft / projects.CONFIGS / "task" / f"{name}.yaml"
+        lines = "".join(
+            f"    {rule}: {json.dumps(f'so in the file: {text}', ensure_ascii=False)}\n"
+            for rule, text in accepted.items()
+        )
+        task.write_text(task.read_text(encoding="utf-8") + lines, encoding="utf-8")
+    return accepted

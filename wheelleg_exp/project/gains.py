@@ -18,6 +18,7 @@ _BENDS = 0.35  # rad (m): with a stiffness that lets the weight bend a joint by 
 _FULL = 4.0  # times the effort: a stiffness that asks for more at an error of 0.05 rad only switches
 _SLIPS = 5.0  # times the torque at which a wheel slips: a larger effort stands for none
 _FAST = 100.0  # rad/s, from here on a limit of speed stands for none
+_WEAK = 0.3  # of the torque that holds the weight at its least lever
 _STEP = 0.005  # s, physics time step of the task
 _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # s in which a wheel takes up a speed
@@ -87,7 +88,7 @@ def leg_gains(robot: Survey) -> Gains:
 
     def said_effort(name: str) -> float | None:
         effort = _effort(dofs[name])
-        if effort is not None and effort < loads[name].holds_now:
+        if effort is not None and effort < max(loads[name].holds_now, _WEAK * loads[name].hold):
             refused.append(f"an effort of {effort:.3g} does not hold the weight at {name}")
             return None
         return effort

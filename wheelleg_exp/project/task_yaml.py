@@ -15,6 +15,8 @@ _TORQUE = 0.01  # of the weight at the standing height, turning the base
 _LOAD = (-0.05, 0.1)  # of the trunk's mass
 _ERROR = 0.2  # of the standing height: an error that costs 1/s
 _COST = 0.15  # per second, of a motion at a tenth of the speeds that go with the robot's height
+_ROLL = 0.03  # rad, of the stock event
+_DIP = 0.005  # of the robot's size: how deep a wheel may begin in the ground
 _STD = 0.5  # m/s, largest
 _LEG_SCALE = (0.05, 0.25)  # rad per unit of action, smallest and largest
 _WHEEL_EFFORT = 0.25  # of the largest torque, at standstill per unit of action
@@ -120,7 +122,16 @@ def _events(robot: Survey) -> str:
       asset_cfg: {{body_names: {trunk}}}
     physics_material: {{restitution_range: [0.0, 0.0]}}    # MuJoCo has none
     reset_robot_joints: {{velocity_range: [1.0, 1.0]}}     # a factor on defaults of 0
-"""
+{_tilt(robot)}"""
+
+
+def _tilt(robot: Survey) -> str:
+    """Return the roll that episodes begin with, where the stock one would put a wheel into the ground."""
+    width = robot.anatomy.support_width
+    roll = math.floor(1e3 * _DIP * robot.anatomy.size / (width / 2)) / 1e3 if width > 0 else _ROLL
+    if roll >= _ROLL:
+        return ""
+    return f"    reset_base: {{pose_range: {{roll: [-{roll}, {roll}]}}}}    # rad: more puts a wheel into the ground\n"
 
 
 def _rewards(robot: Survey) -> str:
