@@ -104,7 +104,9 @@ def test_a_mesh_is_a_wheel_when_it_is_round(corners):
 
 
 def test_a_mesh_beside_its_axis_is_no_wheel():
-    assert look(with_mesh(64, x=0.05)).wheels == ()
+    found = look(with_mesh(64, x=0.05))
+    assert found.wheels == ()
+    assert found.near["l_axle"] == "its colliders are round about a line 50 mm beside its axis"
 
 
 def test_a_square_collider_is_a_wheel_when_its_masses_say_so():
@@ -202,6 +204,20 @@ def test_a_mirror_image_is_measured():
     model = mujoco.MjModel.from_xml_string(mjcf(leg("l", 0.2) + leg("r", -0.2, x=0.01)))
     found = anatomy_of(model)
     assert [pair.offset for pair in found.mirrored] == pytest.approx([0.01] * 3)
+
+
+def test_wheels_of_different_width_do_not_move_the_mirror():
+    """Joints are images in the base's middle, of which the wheel alone, 0.03 m wider on one side, is none."""
+    wide = '<geom type="cylinder" size="0.1 0.05" pos="0 0.03 0" euler="1.5707963267948966 0 0"/>'
+    found = look(mjcf(leg("l", 0.2, wheel=wide) + leg("r", -0.2)))
+    assert [pair.offset for pair in found.mirrored] == pytest.approx([0.0, 0.0, 0.03])
+    assert found.middle == pytest.approx((0, 0, 0))
+
+
+def test_a_base_beside_the_middle_has_its_mirror_between_the_legs():
+    found = look(mjcf(leg("l", 0.25) + leg("r", -0.15)))
+    assert [pair.offset for pair in found.mirrored] == pytest.approx([0.0] * 3, abs=1e-9)
+    assert found.middle == pytest.approx((0, 0.05, 0))
 
 
 def test_the_pose_decides_where_things_are():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Sequence
+from statistics import median
 
 import mujoco
 import numpy as np
@@ -51,7 +52,7 @@ def anatomy_of(
     forward = _forward(tree, [wheel.axis for wheel, turned in zip(found, steered, strict=True) if not turned])
     left = np.cross(tree.up, forward) if forward is not None else None
     size = _size(tree)
-    mirrored, unmatched = _mirrored(tree, found, left, size)
+    middle, mirrored, unmatched = _mirrored(tree, found, left, size)
     lowest = min((float(contact @ tree.up) for contact in contacts), default=0.0)
     stands = [float(contact @ tree.up) <= lowest + _LEVEL_WITH * size for contact in contacts]
     ground = list(itertools.compress(contacts, stands))
@@ -81,6 +82,7 @@ def anatomy_of(
         forward=None if forward is None else _vec(tree.to_base @ forward),
         left=None if left is None else _vec(tree.to_base @ left),
         up=_vec(tree.to_base @ tree.up),
+        middle=_vec(tree.point(middle)),
         mirrored=tuple(mirrored),
         unmatched=tuple(unmatched),
         support_height=min(float((c - data.xpos[tree.base]) @ tree.up) for c in contacts) if contacts else None,
@@ -183,15 +185,20 @@ def _size(tree: Tree) -> float:
 
 def _mirrored(
     tree: Tree, wheels: Sequence[Found], left: Array | None, size: float
-) -> tuple[list[MirroredPair], list[str]]:
-    """Match joints across the plane between the wheels; without wheels, across the base's own middle."""
-    normal = left if left is not None else tree.to_base[1]
-    middle = tree.data.xpos[tree.base]
-    if left is not None:
-        places = [float(wheel.centre @ left) for wheel in wheels]
-        middle = middle + ((max(places) + min(places)) / 2 - float(middle @ left)) * left
+) -> tuple[Array, list[MirroredPair], list[str]]:
+    """Match joints across the base's own middle or that between the wheels, whichever shows the better images.
+
+    Returns:
+        A point of the mirror's plane in the world, m, (3,), the pairs, and the joints without an image.
+    """
+    normal, origin = left if left is not None else tree.to_base[1], tree.data.xpos[tree.base]
+    middles = [origin]
+    if wheels:
+        places = [float(wheel.centre @ normal) for wheel in wheels]
+        middles.append(origin + ((max(places) + min(places)) / 2 - float(origin @ normal)) * normal)
     centres = {wheel.joint: wheel.centre for wheel in wheels}
-    return find_mirrored(tree, normal, middle, max(size, 1e-9), centres)
+    found = [(middle, *find_mirrored(tree, normal, middle, max(size, 1e-9), centres)) for middle in middles]
+    return min(found, key=lambda one: (len(one[2]), median([0.0, *(pair.offset for pair in one[1])])))
 
 
 def _vec(vector: Array) -> Vec3:

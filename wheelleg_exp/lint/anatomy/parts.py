@@ -100,6 +100,7 @@ class Anatomy:
         forward: the level direction in which the wheels roll; None without wheels or when their axles cross.
         left: the level direction to the left of ``forward``.
         up: against gravity.
+        middle: a point of the plane between left and right, m.
         mirrored: mirrored joints; a pair once, with the left one first.
         unmatched: joints without a mirror image.
         support_height: of the wheels' contacts under the base's origin, m (negative: below); None without wheels.
@@ -117,6 +118,7 @@ class Anatomy:
     forward: Vec3 | None
     left: Vec3 | None
     up: Vec3
+    middle: Vec3
     mirrored: tuple[MirroredPair, ...]
     unmatched: tuple[str, ...]
     support_height: float | None

@@ -17,6 +17,7 @@ LEVEL = 0.5  # largest upright part of an axle
 _ROUND = 0.9  # least reach across the axle over the largest; that of a hull of seven corners
 _ROUGH = 0.6  # the same, of a square box, where the masses lie as those of a wheel
 _LOW = 0.4  # of the robot's height: where wheels end above its lowest point
+_BESIDE = 0.05  # of the reach: from here on a wheel's shape lies beside its axis
 _SMALLEST = 1e-3  # m, radius
 _EQUAL = 0.1  # of the larger: between two moments of inertia that count as equal
 _CENTRED = 0.1  # of the radius: from the axle to the centre of mass
@@ -36,6 +37,7 @@ class Found:
         radius: largest reach across the axis.
         width: extent along the axis.
         roundness: least reach across the axis over the largest.
+        beside: distance from the axis to the line that the colliders are round about; 0 where there is none.
         why: how it is known.
     """
 
@@ -46,6 +48,7 @@ class Found:
     radius: float
     width: float
     roundness: float
+    beside: float
     why: str
 
 
@@ -66,6 +69,8 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
             continue
         shape = _measured(tree, joint, bodies, solid)
         if not _is_round(tree, shape):
+            if tree.turns(joint) > TURNS and shape.beside > _BESIDE * shape.radius and _spins_freely(tree, shape):
+                near[joint] = f"its colliders are round about a line {1e3 * shape.beside:.3g} mm beside its axis"
             continue
         low = float(shape.centre @ tree.up) - shape.radius
         if low > bottom + _LOW * (top - bottom):
@@ -112,9 +117,17 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
         radius=radius,
         width=float(there + back),
         roundness=roundness,
+        beside=_beside(outline, angles),
         why=f"turns without end about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
         f"from the axis all round, within {100 * (1 - roundness):.1f} %",
     )
+
+
+def _beside(outline: Array, angles: Array) -> float:
+    """Return how far from the axis lies the line that an outline is round about, m; 0 where there is none."""
+    shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
+    centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
+    return float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
 
 
 def _is_round(tree: Tree, shape: Found) -> bool:

@@ -100,7 +100,9 @@ def wheels_that_do_not_roll(case: Case) -> Iterator[Finding]:
         yield Finding(
             _ASSET,
             f"'{name}' would be a wheel's joint, but {why}",
-            'limits: none (URDF: type="continuous")' if "limits" in why else "a cylinder as its collider",
+            'no limits (URDF: type="continuous")'
+            if "limits" in why
+            else "a cylinder about the joint's axis as collider",
         )
     wheels = robot.anatomy.wheels
     for wheel in wheels:

@@ -89,7 +89,7 @@ def mirror_images(case: Case) -> Iterator[Finding]:
     """Legs of the left and the right that are no mirror images: in place, mass, centre of mass, or limits.
 
     A robot that is meant to be symmetric drifts to one side, and rewards of symmetry ask for what is none. Source:
-    the image of each joint and link in the plane between the wheels, in the pose that the file draws.
+    the image of each joint and link in the plane between the sides, in the pose that the file draws.
     """
     robot = case.robot
     if robot is None or robot.drawn.left is None:
@@ -146,11 +146,10 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
     base = model.body(robot.drawn.base).id
-    left = data.xmat[base].reshape(3, 3) @ np.array(robot.drawn.left)
+    frame = data.xmat[base].reshape(3, 3)
+    left = frame @ np.array(robot.drawn.left)
     flip = np.eye(3) - 2 * np.outer(left, left)
-    middles = [data.xanchor[model.joint(wheel.joint).id] for wheel in robot.drawn.wheels]
-    places = [float(middle @ left) for middle in middles]
-    middle = (max(places) + min(places)) / 2 * left
+    middle = data.xpos[base] + frame @ np.array(robot.drawn.middle)
     offset = flip @ (data.xipos[one] - middle) - (data.xipos[other] - middle)
     distance = float(np.linalg.norm(offset))
     if distance > _CENTRE * size:
