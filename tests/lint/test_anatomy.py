@@ -68,6 +68,7 @@ def test_a_leg_that_ends_without_a_wheel_has_none():
     found = look(two_legged(hip="", wheel=point))
     assert (found.wheels, found.forward, found.support_height) == ((), None, None)
     assert found.others == ("l_hip", "l_knee", "l_axle", "r_hip", "r_knee", "r_axle")
+    assert "round about a line 100 mm beside its axis" in found.near["l_axle"]  # for its masses are a wheel's
 
 
 @pytest.mark.parametrize("limits", ["-1e6 1e6", "-6.3 6.3"])

@@ -69,8 +69,8 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
             continue
         shape = _measured(tree, joint, bodies, solid)
         if not _is_round(tree, shape):
-            if tree.turns(joint) > TURNS and shape.beside > _BESIDE * shape.radius and _spins_freely(tree, shape):
-                near[joint] = f"its colliders are round about a line {1e3 * shape.beside:.3g} mm beside its axis"
+            if tree.turns(joint) > TURNS and _spins_freely(tree, shape):
+                near[joint] = _where_its_shape_is(shape)
             continue
         low = float(shape.centre @ tree.up) - shape.radius
         if low > bottom + _LOW * (top - bottom):
@@ -121,6 +121,14 @@ def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int])
         why=f"turns without end about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
         f"from the axis all round, within {100 * (1 - roundness):.1f} %",
     )
+
+
+def _where_its_shape_is(shape: Found) -> str:
+    """Return what is wrong with colliders on a joint whose masses lie about it as a wheel's."""
+    if shape.beside > _BESIDE * shape.radius:
+        return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm beside its axis"
+    reach_of = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
+    return f"its colliders, unlike its masses, do not lie about its axis as a wheel's: they reach {reach_of} from it"
 
 
 def _beside(outline: Array, angles: Array) -> float:

@@ -129,8 +129,9 @@ def joint_limits(case: Case) -> Iterator[Finding]:
                if g.wheel == w.joint}  # fmt: skip
     free = [name for name in free if name not in steered]
     if free:
-        written = [item for item in records(case, "no_limits") if item.subject in free and "lower" in item.numbers]
-        says = f" (the file says {written[0].numbers['lower']:g} to {written[0].numbers['upper']:g})" if written else ""
+        told = [*records(case, "limits_ignored"), *records(case, "no_limits")]
+        written = [item.numbers for item in told if item.subject in free and "lower" in item.numbers]
+        says = f" (the file writes {written[0]['lower']:g} to {written[0]['upper']:g})" if written else ""
         yield Finding(
             _ASSET,
             f"{_listed(free)} {'has' if len(free) == 1 else 'have'} no limits{says}: a leg may turn all round",

@@ -100,9 +100,7 @@ def wheels_that_do_not_roll(case: Case) -> Iterator[Finding]:
         yield Finding(
             _ASSET,
             f"'{name}' would be a wheel's joint, but {why}",
-            'no limits (URDF: type="continuous")'
-            if "limits" in why
-            else "a cylinder about the joint's axis as collider",
+            'no limits (URDF: type="continuous")' if "limits" in why else "a cylinder on the joint's axis as collider",
         )
     wheels = robot.anatomy.wheels
     for wheel in wheels:

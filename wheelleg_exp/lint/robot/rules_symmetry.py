@@ -97,7 +97,7 @@ def mirror_images(case: Case) -> Iterator[Finding]:
     pairs = [pair for pair in robot.drawn.mirrored if pair.left != pair.right]
     displaced = [pair for pair in pairs if pair.offset > _PLACE * robot.drawn.size or pair.tilt > _TILT]
     if displaced:
-        yield _displaced(displaced)
+        yield _displaced(displaced, set(robot.drawn.wheel_joints))
     told = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
     yield from told[:_MOST]
     legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
@@ -110,13 +110,15 @@ def mirror_images(case: Case) -> Iterator[Finding]:
         )
 
 
-def _displaced(pairs: list[MirroredPair]) -> Finding:
+def _displaced(pairs: list[MirroredPair], wheels: set[str]) -> Finding:
     first, more = pairs[0], len(pairs) - 1
+    what = "the wheels of " if first.left in wheels else ""
+    by = ", by the middles of their colliders" if what else ""
     others = f", nor are {more} more pairs" if more > 1 else ", nor is one more pair" if more else ""
     return Finding(
         _ASSET,
-        f"'{first.left}' and '{first.right}' are no mirror images: {1e3 * first.offset:.3g} mm and "
-        f"{math.degrees(first.tilt):.2g}° off{others}",
+        f"{what}'{first.left}' and '{first.right}' are no mirror images: {1e3 * first.offset:.3g} mm and "
+        f"{math.degrees(first.tilt):.2g}° off{by}{others}",
         _HINT,
         {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(pairs))},
     )
