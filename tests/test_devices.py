@@ -30,6 +30,7 @@ HOST = {
     "env/host.py": "the door out",
     "managers/returned.py": "tells of an array in place of a tensor",
     "sim/engine.py": "reads the compiled model",
+    "sim/root_frame.py": "edits the robot before it is compiled",
     "sim/scene.py": "digests the compiled model",
     "managers/curriculum_manager.py": "takes what a user's term returned",
 }

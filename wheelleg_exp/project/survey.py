@@ -205,7 +205,7 @@ def _measured(
     return Survey(
         dofs=dofs,
         legs=legs,
-        wheels=[name for name in wheels if name not in passive],
+        wheels=[name for name in dofs if name in wheels and name not in passive],
         passive=passive,
         positions={name: positions[name] for name in dofs},
         rotation=(w, x, y, z),

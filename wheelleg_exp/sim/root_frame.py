@@ -20,7 +20,7 @@ def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float])
         frame: the new frame's orientation in the file's, (w, x, y, z), of any length.
     """
     root = spec.body(root_name)
-    back = np.array(frame, dtype=np.float64) / np.linalg.norm(frame)
+    back = np.array(frame, dtype=float) / np.linalg.norm(frame)
     back[1:] *= -1.0
     held = [*root.geoms, *root.sites, *root.cameras, *root.lights, *root.bodies]
     held += [joint for joint in root.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
@@ -44,11 +44,11 @@ def _turn_inertia(root: mujoco.MjsBody, back: np.ndarray) -> None:
         root.fullinertia = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
     else:
         quat = np.empty(4)
-        mujoco.mju_mulQuat(quat, back, np.asarray(root.iquat, dtype=np.float64))
+        mujoco.mju_mulQuat(quat, back, np.asarray(root.iquat, dtype=float))
         root.iquat = quat
 
 
 def _rotated(vector: Sequence[float], quat: np.ndarray) -> np.ndarray:
     result = np.empty(3)
-    mujoco.mju_rotVecQuat(result, np.asarray(vector, dtype=np.float64), quat)
+    mujoco.mju_rotVecQuat(result, np.asarray(vector, dtype=float), quat)
     return result
