@@ -1,4 +1,4 @@
-"""What may stand under ``recording.`` in the config: no defaults, so that every number is in the config."""
+"""What may stand under ``recording.`` in the config: what runs of all versions have has no default."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ class RecordingOptions:
         steps: control steps with which a sample has enough; it ends with that episode.
         max_mb: size that recorded motion may reach, MB; scalars are written beyond it.
         live: whether a viewer is opened that shows the run as it goes.
+        video_every: iterations after which the next film of the first of ``env_ids`` is due, ``steps`` control steps
+            long; 0 makes none. Runs of earlier versions do not have it.
     """
 
     enabled: bool
@@ -26,3 +28,4 @@ class RecordingOptions:
     steps: Count
     max_mb: NonNegative
     live: bool
+    video_every: Natural = 0

@@ -137,6 +137,11 @@ class RunDirectory(os.PathLike[str]):
         return self.path / "play"
 
     @property
+    def videos(self) -> Path:
+        """The folder of films made while training."""
+        return self.path / "videos"
+
+    @property
     def evaluation(self) -> Path:
         """The folder of evaluations."""
         return self.path / "evaluation"

@@ -21,7 +21,7 @@ _BELIEVED = re.compile(
 )
 # What is written while a run goes on, and recorded at its end.
 _GROWING = re.compile(
-    r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|exported/.*"
+    r"model_\d+\.pt|iterations\.jsonl|recording\.rrd|failure\.npz|events\.out\.tfevents\..*|(exported|videos)/.*"
 )
 _FORGED = "was changed after it was written: its own digest differs"
 

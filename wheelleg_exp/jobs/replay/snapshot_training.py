@@ -142,13 +142,14 @@ def _train(events: ReplayEvents, line: bytes, stop: StopRequest) -> None:
 
 
 def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Return the snapshot's config, with the new run's place."""
+    """Return the snapshot's config, with the new run's place, and without films, which are not compared."""
     from wheelleg_exp.run.params import load_params
     from wheelleg_exp.run.recorded import recorded_config
 
     env, agent = load_params(run)
     config: dict[str, Any] = {"env": env, "agent": agent, **recorded_config(run, os.environ)}
     config["run"] = {**config["run"], "root": request.root, "name": request.name}
+    config["recording"] = {**config["recording"], "video_every": 0}
     # A resume may have gone on beyond the number that the config names.
     agent["max_iterations"] = max(int(agent["max_iterations"]), request.until)
     return config

@@ -1,4 +1,4 @@
-"""What a training run writes as it goes: TensorBoard, ``iterations.jsonl``, the recording, checkpoints."""
+"""What a training run writes as it goes: TensorBoard, ``iterations.jsonl``, the recording, films, checkpoints."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import for_people, json_plain, sync, write_bytes
 from wheelleg_exp.jobs.train.event_files import event_files, open_events
+from wheelleg_exp.jobs.train.films import Films
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording
 from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.rl import checkpoint, digests
@@ -53,6 +54,7 @@ class Outputs:
         self._logger = logger
         self._tensorboard: SummaryWriter | None = None
         self._recording: TrainingRecording | None = None
+        self._films: Films | None = None
         self._state: dict[str, Any] = {}
         self._last: int | None = None
 
@@ -64,6 +66,8 @@ class Outputs:
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
             if self._options.enabled:
                 self._recording = opened.enter_context(self._training_recording())
+            if self._options.video_every:
+                self._films = opened.enter_context(self._made_films())
             self._close = opened.pop_all().close
         return self
 
@@ -75,6 +79,9 @@ class Outputs:
             self._documents,
             start_iteration=self._trainer.iteration,
         )
+
+    def _made_films(self) -> Films:
+        return Films(self._directory.videos, self._trainer.env.env, self._options, self._trainer.iteration)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -90,6 +97,11 @@ class Outputs:
     def unfinished(self) -> str | None:
         """Why the recording was not put together when it was closed, for want of room or of rerun's program."""
         return None if self._recording is None else self._recording.unfinished
+
+    @property
+    def unfilmed(self) -> str | None:
+        """Why films are missing; None when none are."""
+        return None if self._films is None else self._films.ended
 
     def write(self, iteration: Iteration) -> dict[str, str]:
         """Write one iteration's scalars and digests; return the digests.
@@ -121,6 +133,8 @@ class Outputs:
             self._lines.flush()
         if self._recording is not None:
             self._recording.write(iteration.scalars, iteration.index)
+        if self._films is not None:
+            self._films.write(iteration.index)
         return found
 
     def checkpoint(self, iteration: int) -> str:

@@ -23,6 +23,7 @@ from wheelleg_exp.jobs.kept_robot import keep_asset
 from wheelleg_exp.jobs.resume.recomputed import Proof
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.threads import set_threads, thread_notes
+from wheelleg_exp.jobs.train.films import require_graphics
 from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
 from wheelleg_exp.recording.options import RecordingOptions
@@ -144,6 +145,7 @@ def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
     config, agent = recipe.config, recipe.config["agent"]
     with no_global_draws():
         env = ManagerBasedRLEnv(config["env"], recipe.asset.output, config["seed"])
+    require_graphics(env, RecordingOptions(**config["recording"]))
     samples = env.num_envs * int(agent["num_steps_per_env"])
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
     return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"]), threads
@@ -227,6 +229,8 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
 
 def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     training.manifest.record(last_ended_by=dict(training.trainer.env.env.termination_manager.last_endings()))
+    if outputs.unfilmed:
+        display.note(f"warning: {outputs.unfilmed}")
     unfinished = outputs.unfinished
     if unfinished:
         display.note(
