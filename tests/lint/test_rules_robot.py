@@ -60,7 +60,7 @@ def test_a_shifted_mass(tmp_path):
     upper = [model.body(n).id for n in ("trunk", "l_thigh", "l_shank", "r_thigh", "r_shank")]
     x = model.body_mass[upper] @ data.xipos[upper][:, 0] / model.body_mass[upper].sum()
     assert x == pytest.approx(data.body("l_wheel").xpos[0], abs=1e-3)
-    assert data.body("l_wheel").xpos[2] == pytest.approx(1 - height, abs=1e-3)  # as high as before
+    assert data.body("l_wheel").xpos[2] > 1 - height  # lower than before, because stretched legs do not spring
 
 
 def test_the_weight_of_a_robot_that_balances_is_over_its_axle(tmp_path):
