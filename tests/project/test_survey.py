@@ -204,3 +204,25 @@ def test_an_effort_that_cannot_hold_the_weight_is_not_taken(tmp_path):
     gains = leg_gains(surveyed(path))
     assert min(gains.effort.values()) > 1.0
     assert any("does not hold the weight at l_hip" in reason for reason in gains.refused)
+
+
+def test_joints_of_no_leg_are_held_and_no_action_moves_them(tmp_path):
+    """A turret on the body: its drive holds it, and neither actions, observations nor rewards name it."""
+    path = urdf(tmp_path)
+    turret = """
+  <link name="turret"><inertial><origin xyz="0 0 0.05"/><mass value="0.3"/>
+    <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="turret_yaw" type="revolute"><parent link="body"/><child link="turret"/><origin xyz="0 0 0.05"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="3" velocity="5"/></joint></robot>"""
+    path.write_text(path.read_text().replace("</robot>", turret))
+    found = surveyed(path)
+    assert (found.legs, found.held) == (["l_hip", "r_hip"], ["turret_yaw"])
+    assert yaml.safe_load(robot_yaml("mine", "mine/two.urdf", found))["actuators"]["held"]["effort_limit"] == 3.0
+    assert not [file for file, text in config_files("mine", found).items() if "turret_yaw" in text]
+
+
+def test_no_episode_begins_with_a_wheel_in_the_ground(two):
+    """The dip of a contact beside or before the root is arm · tilt, for small tilts."""
+    ranges = yaml.safe_load(config_files("mine", two)["task/mine.yaml"])["env"]["events"]["reset_base"]["pose_range"]
+    half = 0.08  # m, robots.py: hips to the sides of the middle
+    assert half * ranges["roll"][1] <= 0.0045 * two.anatomy.size < half * (ranges["roll"][1] + 1e-3)

@@ -40,6 +40,8 @@ def _show(made: Created) -> None:
     print(f"made {shown}: {len(made.files)} files")
     print(f"  robot: {facts.mass:.4g} kg, {1e3 * facts.standing_height:.4g} mm high in its default pose")
     print(f"  legs: {', '.join(robot.legs) or 'none'}")
+    if robot.held:
+        print(f"  held still: {', '.join(robot.held)}")
     print(f"  wheels: {', '.join(robot.wheels) or 'none'}")
     for note in robot.notes:
         print(f"  note: {note}")

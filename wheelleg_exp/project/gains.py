@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from wheelleg_exp.asset.description import Dof
@@ -48,8 +48,8 @@ class Gains:
     refused: list[str]
 
 
-def leg_gains(robot: Survey) -> Gains:
-    """Return the legs' gains.
+def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
+    """Return the gains of joints that hold angles, by default the legs'.
 
     Without a usable drive in the file: a stiffness with which the joint follows at 3 Hz, and the weight bends it by
     0.05 rad at most, at a damping ratio of 0.7 under load; three times the torque that holds the weight. A stiffness
@@ -57,7 +57,8 @@ def leg_gains(robot: Survey) -> Gains:
     cannot carry it.
     """
     dofs, refused = robot.dofs, list[str]()
-    loads = {name: _load(robot, name) for name in robot.legs}
+    held = robot.legs if joints is None else list(joints)
+    loads = {name: _load(robot, name) for name in held}
 
     def modest_stiffness(name: str) -> float:
         wanted = max(loads[name].inertia * _LEG_RATE**2, loads[name].hold / _SAG)
@@ -77,8 +78,8 @@ def leg_gains(robot: Survey) -> Gains:
             return None
         return kp
 
-    stiffness, given = _filled(robot, robot.legs, said_stiffness, modest_stiffness)
-    taken = {name for name in robot.legs if not any(name in reason for reason in refused)}
+    stiffness, given = _filled(robot, held, said_stiffness, modest_stiffness)
+    taken = {name for name in held if not any(name in reason for reason in refused)}
 
     def said_damping(name: str) -> float | None:
         return _damping(dofs[name]) if name in taken else None
@@ -96,9 +97,9 @@ def leg_gains(robot: Survey) -> Gains:
     def modest_effort(name: str) -> float:
         return max(_STRENGTH * loads[name].hold, stiffness[name] * _SAG * _STRENGTH)
 
-    damping, own = _filled(robot, robot.legs, said_damping, modest_damping)
-    effort, limited = _filled(robot, robot.legs, said_effort, modest_effort)
-    velocity, fast = _filled(robot, robot.legs, lambda name: _velocity(dofs[name]), lambda _: _LEG_SPEED)
+    damping, own = _filled(robot, held, said_damping, modest_damping)
+    effort, limited = _filled(robot, held, said_effort, modest_effort)
+    velocity, fast = _filled(robot, held, lambda name: _velocity(dofs[name]), lambda _: _LEG_SPEED)
     found = {"stiffness": given, "damping": own, "effort": limited, "velocity": fast}
     return Gains(stiffness, damping, effort, velocity, [name for name, said in found.items() if said], refused)
 

@@ -29,7 +29,7 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
         else "  # rad; all joints are 0"
     )
     return f"""# @package env.robot
-# {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_wheels(robot)}.
+# {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_wheels(robot)}{_held(robot)}.
 profile: {name}    # the name that results carry
 asset: {word(asset)}    # below this project's assets/
 base: floating                     # auto | floating | fixed
@@ -96,6 +96,10 @@ def _wheels(robot: Survey) -> str:
     return _counted(len(robot.wheels), "wheel") + size
 
 
+def _held(robot: Survey) -> str:
+    return f"; {_counted(len(robot.held), 'other joint')} held still" if robot.held else ""
+
+
 def _limits(robot: Survey) -> str:
     at_zero = [n for n, dof in robot.dofs.items() if dof.range is not None and not dof.range[0] <= 0.0 <= dof.range[1]]
     return "; 0 is outside the limits of " + ", ".join(at_zero) if at_zero else ""
@@ -105,6 +109,8 @@ def _groups(robot: Survey) -> str:
     groups = ""
     if robot.legs:
         groups += _group("legs", robot.legs, leg_gains(robot))
+    if robot.held:
+        groups += _group("held", robot.held, leg_gains(robot, robot.held))
     if robot.wheels:
         groups += _group("wheels", robot.wheels, wheel_gains(robot))
     return groups
@@ -113,7 +119,9 @@ def _groups(robot: Survey) -> str:
 def _group(name: str, joints: list[str], gains: Gains) -> str:
     said = " and ".join(filter(None, [", ".join(gains.given[:-1]), *gains.given[-1:]]))
     source = f"{said} as the robot's file gives {'it' if len(gains.given) == 1 else 'them'}" if said else ""
-    rest = "" if len(gains.given) == (4 if name == "legs" else 3) else "modest, from masses and inertias: look at them"
+    rest = (
+        "" if len(gains.given) == (3 if name == "wheels" else 4) else "modest, from masses and inertias: look at them"
+    )
     refused = "".join(f"\n    # not taken: {reason}" for reason in gains.refused)
     return f"""  {name}:
     # {"; others ".join(filter(None, [source, rest])) if source else rest}{refused}

@@ -37,7 +37,8 @@ class Survey:
 
     Attributes:
         dofs: the degrees of freedom by name, in the robot's order: breadth first.
-        legs: the joints that hold the pose.
+        legs: the driven joints between base and wheels; without wheels, all that are driven.
+        held: the other driven joints, such as those of an arm: their drives hold them, and no action moves them.
         wheels: the joints that wheels turn on.
         passive: joints that nothing drives.
         positions: default positions, rad (m), by joint.
@@ -58,6 +59,7 @@ class Survey:
 
     dofs: dict[str, Dof]
     legs: list[str]
+    held: list[str]
     wheels: list[str]
     passive: list[str]
     positions: dict[str, float]
@@ -192,7 +194,9 @@ def _measured(
     anatomy = anatomy_of(model, data.qpos)
     wheels = anatomy.wheel_joints
     facts = measure(model, robot, anatomy)
-    legs, passive = _driven(description, dofs, wheels)
+    driven, passive = _driven(description, dofs, wheels)
+    limbs = {name for leg in anatomy.legs for name in (*leg.joints, *leg.beside)} if wheels else set(driven)
+    legs = [name for name in driven if name in limbs]
     turned = [name for wheel in anatomy.wheels for name in wheel.bodies]
     touching = [name for name in turned if math.isfinite(lowest_point(model, data, [model.body(name).id]))]
     raised = _raised(model, data, robot.body_names, facts.standing_height)
@@ -205,6 +209,7 @@ def _measured(
     return Survey(
         dofs=dofs,
         legs=legs,
+        held=[name for name in driven if name not in limbs],
         wheels=[name for name in dofs if name in wheels and name not in passive],
         passive=passive,
         positions={name: positions[name] for name in dofs},
@@ -246,7 +251,7 @@ def _overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> dict[tuple[str, str
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the legs, and the joints that nothing drives: followers, and those that the file leaves without a drive.
+    """Return the driven joints but the wheels', and those that nothing drives: followers, and what the file leaves so.
 
     A file without drives says nothing of what is driven; neither does one that drives no leg, or no wheel, of these.
     """

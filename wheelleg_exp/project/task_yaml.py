@@ -15,8 +15,8 @@ _TORQUE = 0.01  # of the weight at the standing height, turning the base
 _LOAD = (-0.05, 0.1)  # of the trunk's mass
 _ERROR = 0.2  # of the standing height: an error that costs 1/s
 _COST = 0.15  # per second, of a motion at a tenth of the speeds that go with the robot's height
-_ROLL = 0.03  # rad, of the stock event
-_DIP = 0.005  # of the robot's size: how deep a wheel may begin in the ground
+_TILT = 0.03  # rad, of the stock event
+_DIP = 0.0045  # of the robot's size: how deep either tilt may put a wheel into the ground
 _STD = 0.5  # m/s, largest
 _LEG_SCALE = (0.05, 0.25)  # rad per unit of action, smallest and largest
 _WHEEL_EFFORT = 0.25  # of the largest torque, at standstill per unit of action
@@ -93,6 +93,8 @@ env:
     sensors:
       contact_forces: {{force_threshold: {_threshold(robot)}}}   # N
 
+agent: {{max_iterations: 200}}   # some eight minutes on two cores; most robots stand after 110
+
 check:
   silence:   # findings of `wheelleg check --physics` that this task accepts, each with its reason
     zero_width_range: joints begin at their defaults, nothing bounces, and the command of standing is zero
@@ -126,12 +128,18 @@ def _events(robot: Survey) -> str:
 
 
 def _tilt(robot: Survey) -> str:
-    """Return the roll that episodes begin with, where the stock one would put a wheel into the ground."""
-    width = robot.anatomy.support_width
-    roll = math.floor(1e3 * _DIP * robot.anatomy.size / (width / 2)) / 1e3 if width > 0 else _ROLL
-    if roll >= _ROLL:
+    """Return the tilts that episodes begin with, where the stock ones would put a wheel into the ground."""
+    anatomy = robot.anatomy
+    if anatomy.forward is None:
         return ""
-    return f"    reset_base: {{pose_range: {{roll: [-{roll}, {roll}]}}}}    # rad: more puts a wheel into the ground\n"
+    along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
+    arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
+    dip = _DIP * anatomy.size
+    most = {axis: math.floor(1e3 * dip / arm) / 1e3 for axis, arm in arms.items() if arm * _TILT > dip}
+    ranges = ", ".join(f"{axis}: [-{tilt}, {tilt}]" for axis, tilt in most.items())
+    return (
+        f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel into the ground\n" if ranges else ""
+    )
 
 
 def _rewards(robot: Survey) -> str:
