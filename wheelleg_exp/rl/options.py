@@ -43,7 +43,7 @@ class Agent:
     device: str
     torch_threads: Annotated[int, AtLeast(1), AtMost(1024)]
     clip_actions: Positive | None = None
-    logger: Literal["tensorboard"] | None = "tensorboard"
+    logger: Literal["tensorboard", "wandb"] | None = "tensorboard"
     torch_compile_mode: str | None = None
     max_non_finite: NonNegative = 0.1
 

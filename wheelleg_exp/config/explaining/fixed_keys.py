@@ -62,7 +62,7 @@ KEYS: dict[str, str] = {
     "agent.num_steps_per_env": "control steps of one rollout in each environment",
     "agent.max_iterations": "iterations in total",
     "agent.save_interval": "iterations between checkpoints",
-    "agent.logger": "tensorboard, or null for no event files",
+    "agent.logger": "tensorboard; wandb also sends scalars and config to Weights & Biases; null for no event files",
     "agent.device": "device of the networks",
     "agent.torch_threads": "threads of torch; recorded in the run",
     "agent.clip_actions": "bound of the raw actions, null for none",

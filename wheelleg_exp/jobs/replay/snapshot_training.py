@@ -142,7 +142,7 @@ def _train(events: ReplayEvents, line: bytes, stop: StopRequest) -> None:
 
 
 def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
-    """Return the snapshot's config, with the new run's place, and without films, which are not compared."""
+    """Return the snapshot's config, with the new run's place; a replay makes no films and sends nothing."""
     from wheelleg_exp.run.params import load_params
     from wheelleg_exp.run.recorded import recorded_config
 
@@ -150,6 +150,7 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     config: dict[str, Any] = {"env": env, "agent": agent, **recorded_config(run, os.environ)}
     config["run"] = {**config["run"], "root": request.root, "name": request.name}
     config["recording"] = {**config["recording"], "video_every": 0}
+    agent["logger"] = agent.get("logger") and "tensorboard"
     # A resume may have gone on beyond the number that the config names.
     agent["max_iterations"] = max(int(agent["max_iterations"]), request.until)
     return config

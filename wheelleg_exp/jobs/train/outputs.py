@@ -18,6 +18,7 @@ from wheelleg_exp.files import for_people, json_plain, sync, write_bytes
 from wheelleg_exp.jobs.train.event_files import event_files, open_events
 from wheelleg_exp.jobs.train.films import Films
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording
+from wheelleg_exp.jobs.train.wandb_log import WandbLog
 from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.rl.trainer import Iteration, Trainer
@@ -36,7 +37,8 @@ class Outputs:
         trainer: the training, at the iteration from which it goes on.
         options: what is recorded.
         documents: texts that go into the recording, by name.
-        logger: ``tensorboard``, or None for no event files.
+        events: whether TensorBoard's event files are written.
+        wandb: what sends the scalars elsewhere as well, or None.
     """
 
     def __init__(
@@ -45,13 +47,16 @@ class Outputs:
         trainer: Trainer,
         options: RecordingOptions,
         documents: Mapping[str, str],
-        logger: str | None = "tensorboard",
+        *,
+        events: bool,
+        wandb: WandbLog | None,
     ) -> None:
         self._directory = directory
         self._trainer = trainer
         self._options = options
         self._documents = documents
-        self._logger = logger
+        self._events = events
+        self._wandb = wandb
         self._tensorboard: SummaryWriter | None = None
         self._recording: TrainingRecording | None = None
         self._films: Films | None = None
@@ -60,7 +65,7 @@ class Outputs:
 
     def __enter__(self) -> Outputs:
         with ExitStack() as opened:
-            if self._logger is not None:
+            if self._events:
                 self._tensorboard = open_events(self._directory.path)
                 opened.callback(self._tensorboard.close)
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
@@ -68,7 +73,9 @@ class Outputs:
                 self._recording = opened.enter_context(self._training_recording())
             if self._options.video_every:
                 self._films = opened.enter_context(self._made_films())
-            self._close = opened.pop_all().close
+            if self._wandb is not None:
+                opened.enter_context(self._wandb)
+            self._opened = opened.pop_all()
         return self
 
     def _training_recording(self) -> TrainingRecording:
@@ -86,7 +93,7 @@ class Outputs:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._close()
+        self._opened.__exit__(kind, error, trace)
 
     @property
     def note(self) -> str | None:
@@ -97,6 +104,11 @@ class Outputs:
     def unfinished(self) -> str | None:
         """Why the recording was not put together when it was closed, for want of room or of rerun's program."""
         return None if self._recording is None else self._recording.unfinished
+
+    @property
+    def sent_to(self) -> str | None:
+        """Where the scalars go besides; None when they stay in the run directory."""
+        return None if self._wandb is None else self._wandb.place
 
     @property
     def unfilmed(self) -> str | None:
@@ -133,6 +145,8 @@ class Outputs:
             self._lines.flush()
         if self._recording is not None:
             self._recording.write(iteration.scalars, iteration.index)
+        if self._wandb is not None:
+            self._wandb.write(iteration.scalars, iteration.index)
         if self._films is not None:
             self._films.write(iteration.index)
         return found

@@ -26,6 +26,7 @@ from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.jobs.train.films import require_graphics
 from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
+from wheelleg_exp.jobs.train.wandb_log import WandbLog, require_wandb
 from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.rl import export
 from wheelleg_exp.rl.episode_log import logged
@@ -143,6 +144,7 @@ def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
 def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
     """Build environment and networks; return the trainer, and what the manifest says of threads."""
     config, agent = recipe.config, recipe.config["agent"]
+    require_wandb(agent.get("logger"))
     with no_global_draws():
         env = ManagerBasedRLEnv(config["env"], recipe.asset.output, config["seed"])
     require_graphics(env, RecordingOptions(**config["recording"]))
@@ -168,6 +170,8 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
         results |= _results(training.earlier)
         if outputs.note:
             display.note(f"warning: {outputs.note}")
+        if outputs.sent_to:
+            display.note(f"scalars and config go to {outputs.sent_to}")
         stop.check()
         for iteration in _learned(training, outputs, results):
             training.proof.check(iteration.index, outputs.write(iteration))
@@ -245,7 +249,9 @@ def _made_outputs(training: Training) -> Outputs:
     config = training.recipe.config
     documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
     options = RecordingOptions(**config["recording"])
-    return Outputs(training.directory, training.trainer, options, documents, config["agent"].get("logger"))
+    logger, directory = config["agent"].get("logger"), training.directory
+    wandb = WandbLog(directory, config) if logger == "wandb" else None
+    return Outputs(directory, training.trainer, options, documents, events=logger is not None, wandb=wandb)
 
 
 def _results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
