@@ -6,8 +6,6 @@ import re
 from pathlib import Path
 from types import TracebackType
 
-from av.error import FFmpegError
-
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.errors import WheellegError
@@ -77,6 +75,8 @@ class Films:
         self._positions, self._begun = [], None
         if begun is None or not shown:
             return
+        from av.error import FFmpegError  # the encoder takes its time to import, and few trainings are filmed
+
         pictures = _pictures(self._env)
         try:
             path, fps = self._folder / f"iteration_{begun}.mp4", 1 / (self._env.step_dt * self._stride)
