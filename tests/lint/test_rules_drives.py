@@ -117,3 +117,12 @@ def test_a_wheel_needs_twice_the_rate_of_the_fall():
     assert finding.key == "env.robot.actuators.wheels.damping"
     assert finding.figures["bandwidth"] == pytest.approx(3.5)
     assert found("drive_bandwidth", case(with_joint("left", drive={"damping": 0.09}))) == []
+
+
+def test_a_leg_whose_targets_make_up_for_its_sag_is_fine():
+    soft = with_joint("hip", drive={"stiffness": 10.0})  # holds 2.0 at 0.5 rad: wants a target of 0.7
+    sagging = {"legs": term("actions.JointPositionAction", joint_names=["hip"], use_default_offset=True)}
+    assert len(found("effort_against_load", case(soft, actions=sagging))) == 1
+    for offset, findings in ((0.7, 0), (0.5, 1), ({"hip": 0.72}, 0)):
+        node = term("actions.JointPositionAction", joint_names=["hip"], use_default_offset=False, offset=offset)
+        assert len(found("effort_against_load", case(soft, actions={"legs": node}))) == findings, offset
