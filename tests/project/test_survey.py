@@ -195,6 +195,8 @@ def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
     report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
     assert report.open == []
     assert "l_hip" in report.reasons["joint_limits"]
+    wild = compose(["task=mine", "env.actions.mine_legs.scale=50"], config_dirs=[made.path / "configs"])
+    assert "action_scale" in {finding.rule for finding in examine(wild).open}  # a number of one's own is looked at
 
 
 def test_an_effort_that_cannot_hold_the_weight_is_not_taken(tmp_path):

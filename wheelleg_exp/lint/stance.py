@@ -34,11 +34,10 @@ class Stance:
 
     Attributes:
         positions: of the legs' joints, rad (m), by name.
-        height: of the base's origin over the ground, m.
+        height: of the hips over the wheels' centres, m.
         offset: of the centre of mass before the middle of the wheels' contacts, m; negative behind.
         lean: pitch of the base that would bring the rest of ``offset`` over the contacts, rad; positive forwards down.
-        tallest: the largest height that was found, m.
-        overlap: deepest overlap of the robot's own colliders, m.
+        tallest: the largest such height that was found, m.
         balanced: whether ``offset`` is next to nothing.
     """
 
@@ -47,13 +46,10 @@ class Stance:
     offset: float
     lean: float
     tallest: float
-    overlap: float
     balanced: bool
 
 
-def solve_stance(
-    model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array, fixed: Sequence[str] = ()
-) -> Stance | None:
+def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     """Find the standing pose next to a given one.
 
     The base keeps its orientation and all joints but the legs' their positions. A nonlinear least-squares problem is
@@ -63,15 +59,14 @@ def solve_stance(
         model: the compiled robot, perhaps in its scene.
         anatomy: what its parts are for.
         qpos: the pose that is preferred, (nq,).
-        fixed: joints of the legs that keep their positions.
 
     Returns:
         The pose, or None for a robot without wheels that roll, or without joints in its legs.
     """
     if anatomy.forward is None:
         return None
-    problem = _Problem(model, anatomy, np.array(qpos, dtype=np.float64), fixed)
-    if not problem.joints:
+    problem = _Problem(model, anatomy, np.array(qpos, dtype=np.float64))
+    if not problem.joints or not problem.hips:
         return None
     problem.choose_height()
     starts = [problem.preferred, *problem.random_poses(_STARTS)]
@@ -82,13 +77,13 @@ def solve_stance(
 class _Problem:
     """The least-squares problem: what a pose costs, over the positions of the legs' joints."""
 
-    def __init__(self, model: mujoco.MjModel, anatomy: Anatomy, qpos: Array, fixed: Sequence[str]) -> None:
+    def __init__(self, model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> None:
         self.model, self.anatomy = model, anatomy
         self.data = mujoco.MjData(model)
         self.data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, self.data)
         named = dict.fromkeys(name for leg in anatomy.legs for name in (*leg.joints, *leg.beside))
-        self.joints = [name for name in named if name not in fixed and name not in anatomy.wheel_joints]
+        self.joints = [name for name in named if name not in anatomy.wheel_joints]
         ids = [model.joint(name).id for name in self.joints]
         self.places = model.jnt_qposadr[ids]
         self.low, self.high = self._limits(ids)
@@ -106,9 +101,11 @@ class _Problem:
         )
         self.size = max(anatomy.size, 1e-6)
         self.radius = min((wheel.radius for wheel in anatomy.standing), default=0.0)
+        stand = {wheel.joint for wheel in anatomy.standing}
+        self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
         self.pairs = self._pairs()
         self.rest = self._overlaps()  # what overlaps whatever the legs do is no pose's fault
-        self.tallest = self.wanted = self._height()
+        self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
         limited = self.model.jnt_limited[ids].astype(bool)
@@ -142,11 +139,9 @@ class _Problem:
         return np.array(found)
 
     def _height(self) -> float:
-        """Return the height of the base's origin over the wheels' lowest points, m."""
-        drops = self._centres() @ self.up
-        radii = [wheel.radius for wheel in self.anatomy.standing]
-        lowest = min((drop - radius for drop, radius in zip(drops, radii, strict=True)), default=0.0)
-        return float(self.data.xpos[self.base] @ self.up - lowest)
+        """Return the height of the hips, the first joints of the legs, over the wheels' centres, m."""
+        hips = np.mean([self.data.xanchor[joint] for joint in self.hips], axis=0)
+        return float((hips - self._centres().mean(axis=0)) @ self.up)
 
     def choose_height(self) -> None:
         """Keep the height of the preferred pose, unless its legs are stretched or fully folded."""
@@ -255,6 +250,5 @@ class _Problem:
             offset=offset,
             lean=-math.atan2(offset, above) if above > 0 else 0.0,
             tallest=self.tallest,
-            overlap=max(0.0, self.overlap()),
             balanced=abs(offset) <= _BALANCED * self.size,
         )

@@ -33,6 +33,21 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
+# Rules about what stands in the robot's file, which no setting of a project mends.
+_OF_THE_FILE = frozenset(
+    {
+        "armature_ratio",
+        "assumed_masses",
+        "joint_limits",
+        "link_masses",
+        "lopsided_pose",
+        "lost_in_conversion",
+        "mirror_images",
+        "missing_files",
+        "placeholder_limits",
+        "wheel_senses",
+    }
+)
 _SAID = {
     "action": "what a unit of action moves",
     "observation": "positions of the legs alone",
@@ -139,9 +154,9 @@ def _require_source(source: Path) -> None:
         return
     folder = source.absolute().parent
     beside = [file.name for file in folder.iterdir()] if folder.is_dir() else []
-    nearest = nearest_name(source.name, beside)
+    nearest = None if source.is_dir() else nearest_name(source.name, beside)
     raise AssetError(
-        "there is no such file",
+        "is a folder" if source.is_dir() else "there is no such file",
         key=f"--robot {source}",
         expected="a USD or URDF file",
         nearest=str(source.with_name(nearest)) if nearest else None,
@@ -160,7 +175,7 @@ def _fill(draft: Path, name: str, source: Path | None) -> tuple[Survey, dict[str
     write(draft, project_files(name, asset, list(texts)))
     try:
         _require_valid(draft, name)
-        accepted = _accept(draft, name)
+        accepted = _accept(draft, name, ours=source is None)
     finally:
         projects.forget(draft)
     return robot, accepted
@@ -185,9 +200,13 @@ def _require_valid(draft: Path, name: str) -> None:
         raise_all(mistakes)
 
 
-def _accept(draft: Path, name: str) -> dict[str, str]:
-    """Silence in the task what `wheelleg check --physics` finds in the robot's file, saying what it is."""
+def _accept(draft: Path, name: str, *, ours: bool) -> dict[str, str]:
+    """Silence in the task what `wheelleg check --physics` finds in the robot's file, saying what it is.
+
+    All numbers of the stock robot (``ours``) stand in its file.
+    """
     found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
+    found = [finding for finding in found if ours or finding.rule in _OF_THE_FILE]
     accepted = {finding.rule: " ".join(finding.message.split()) for finding in reversed(found)}
     if accepted:
         task = draft / projects.CONFIGS / "task" / f"{name}.yaml"

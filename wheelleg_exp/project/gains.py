@@ -56,33 +56,33 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
     of the file's is not taken when the weight would bend the joint by more than 0.35 rad, or when the physics step
     cannot carry it.
     """
-    dofs, refused = robot.dofs, list[str]()
+    dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
     loads = {name: _load(robot, name) for name in held}
 
     def modest_stiffness(name: str) -> float:
         wanted = max(loads[name].inertia * _LEG_RATE**2, loads[name].hold / _SAG)
-        return min(wanted, loads[name].stiffest)
+        return min(wanted, 2 * loads[name].stiffest)
 
     def said_stiffness(name: str) -> float | None:
-        kp = _stiffness(dofs[name])
+        kp, effort = _stiffness(dofs[name]), _effort(dofs[name])
+        reason = ""
         if kp is not None and kp * _BENDS < loads[name].holds_now:
-            refused.append(f"a stiffness of {kp:.3g} lets the weight bend {name} by more than {_BENDS} rad")
-            return None
-        effort = _effort(dofs[name])
-        if kp is not None and effort is not None and kp * _SAG > _FULL * effort:
-            refused.append(f"a stiffness of {kp:.3g} asks {name} for its whole effort at {effort / kp:.2g} rad")
-            return None
-        if kp is not None and kp > 4 * loads[name].stiffest:
-            refused.append(f"a stiffness of {kp:.3g} is more than steps of {_STEP} s can carry on {name}")
-            return None
-        return kp
+            reason = f"lets the weight bend {name} by more than {_BENDS} rad"
+        elif kp is not None and effort is not None and kp * _SAG > _FULL * effort:
+            reason = f"asks {name} for its whole effort at {effort / kp:.2g} rad"
+        elif kp is not None and kp > 4 * loads[name].stiffest:
+            reason = f"is more than steps of {_STEP} s can carry on {name}"
+        if not reason:
+            return kp
+        refused.append(f"a stiffness of {kp:.3g} {reason}")
+        untaken.add(name)
+        return None
 
     stiffness, given = _filled(robot, held, said_stiffness, modest_stiffness)
-    taken = {name for name in held if not any(name in reason for reason in refused)}
 
     def said_damping(name: str) -> float | None:
-        return _damping(dofs[name]) if name in taken else None
+        return _damping(dofs[name]) if name not in untaken else None
 
     def modest_damping(name: str) -> float:
         return 2 * _DAMPING_RATIO * math.sqrt(stiffness[name] * max(loads[name].inertia, loads[name].carried))
@@ -127,7 +127,7 @@ def _load(robot: Survey, name: str) -> _Load:
     joint, share = robot.facts.joints[name], 1 / max(1, len(robot.wheels))
     weight = robot.facts.weight * share
     on_chain = any(name in leg.joints for leg in robot.anatomy.legs) or not robot.wheels
-    least = _LEVER * max(0.0, robot.facts.standing_height - robot.radius) * weight if on_chain else 0.0
+    least = _LEVER * max(0.0, robot.size - robot.radius) * weight if on_chain else 0.0
     hold = max(abs(joint.hold), least)
     lever = hold / weight if weight > 0 else 0.0
     carried = robot.facts.mass * share * lever**2
