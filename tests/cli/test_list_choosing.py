@@ -65,6 +65,8 @@ def listed(*words):
         (("--filter", "name=bro*"), [-2]),
         (("--filter", "name=null"), ["seed 2", 10, 5, 3]),
         (("--filter", "task=walk"), []),
+        (("--filter", "started>2027"), []),  # a year begins a date
+        (("--filter", "started>2025", "seed=7"), [-2]),
         (("--sweep", "latest", "--sort", "return"), [10, 5, 3, "seed 2"]),
         (("--sweep", "latest", "--filter", "seed=1"), [10, 3]),
     ],
@@ -95,6 +97,7 @@ def test_json_says_of_which_sweep_a_run_is(root):
         (("--filter", "statsu=finished"), ["no run has 'statsu'", "did you mean 'status'"]),
         (("--filter", "finished"), ["'finished' is no condition", "KEY=VALUE"]),
         (("--filter", "return>high"), ["'high' is no number"]),
+        (("--filter", "status<5"), ["'status' is text, such as 'finished', and 5 a number", "expected status=TEXT"]),
         (("--sort", "retrun"), ["no run has 'retrun'", "did you mean 'return'"]),
         (("--sweep", "yesterday"), ["there is no sweep 'yesterday'", "'latest', or one of 20"]),
     ],
@@ -103,6 +106,12 @@ def test_what_is_wrong_is_told_in_one_message(root, words, told):
     said = wheelleg("list", "runs", *words)
     assert said.status == 2
     assert all(text in said.err for text in told), said.err
+
+
+@pytest.mark.parametrize(("words", "of"), [((), 5), (("--sweep", "latest"), 4)])
+def test_that_no_run_matches_is_said(root, words, of):
+    said = wheelleg("list", "runs", "--filter", "return>1e3", *words)
+    assert (said.status, said.out) == (0, f"no run of {of} matches\n")
 
 
 def test_other_lists_do_not_pass_them_over(root):

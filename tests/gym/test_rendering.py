@@ -129,7 +129,14 @@ def test_without_graphics_one_message_says_what_to_install(monkeypatch):
 
 @pytest.mark.parametrize(
     ("options", "key"),
-    [({"render_mode": "rgb_aray"}, "render_mode"), ({"width": 4}, "width"), ({"height": 0}, "height")],
+    [
+        ({"render_mode": "rgb_aray"}, "render_mode"),
+        ({"render_mode": ["rgb_array"]}, "render_mode"),
+        ({"width": 4}, "width"),
+        ({"width": "a"}, "width"),
+        ({"width": 64.5}, "width"),
+        ({"height": 0}, "height"),
+    ],
 )
 def test_what_cannot_be_drawn_is_told_at_once(options, key):
     with pytest.raises(ConfigError) as caught:

@@ -221,9 +221,10 @@ def test_the_mode_of_autoreset_is_said_where_wrappers_look(given, mode):
     assert type(env.unwrapped).metadata["autoreset_mode"] is AutoresetMode.SAME_STEP  # no other env's
 
 
-def test_an_unknown_mode_of_autoreset_is_told_with_the_nearest():
+@pytest.mark.parametrize("mode", ["next_stp", ["next_step"]])
+def test_an_unknown_mode_of_autoreset_is_told_with_the_nearest(mode):
     with pytest.raises(ConfigError, match="same_step, next_step, disabled") as caught:
-        gymnasium.make_vec(ENV_ID, num_envs=2, autoreset_mode="next_stp")
+        gymnasium.make_vec(ENV_ID, num_envs=2, autoreset_mode=mode)
     assert (caught.value.key, caught.value.nearest) == ("autoreset_mode", "next_step")
 
 

@@ -11,7 +11,8 @@ from jobs.small import wheelleg
 from report.pages import Page
 from report.runs import add_play, iteration, make_run
 from wheelleg_exp.files import write_text
-from wheelleg_exp.report.which_is_better import course
+from wheelleg_exp.report.subject import Series, Subject, open_subject
+from wheelleg_exp.report.which_is_better import course, grouped, sentence
 from wheelleg_exp.run.sweep_index import SweepIndex
 
 # By weight of a reward: the last return of each seed. Mean 4 and 8; standard deviation of a sample 2 and sqrt(2).
@@ -59,10 +60,59 @@ def test_settings_are_compared_with_the_spread_over_their_seeds(root, runs):
     assert head == "env.rewards.alive.weight runs return episode length, steps time-out survived the last play"
     assert first == "1 3 4.00 ± 2.00 60.0 ± 0.00 80.0 % ± 0 % 75 % ± 35.4 %"
     assert second.startswith("2 2 8.00 ± 1.41 ")
-    assert "5 runs with 2 settings. The highest mean return, 8.00, is that of weight=2." in " ".join(
-        page.all("body")[0].text.split()
-    )
+    told = "5 runs with 2 settings. Their returns do not compare, as env.rewards.alive.weight differs."
+    assert told in " ".join(page.all("body")[0].text.split())
     assert len(rows(page, "runs")) == 6
+
+
+def subject(folder, config, scalars):
+    """Return a run of that config and those values of its last iteration."""
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / ".hydra" / "config.yaml").write_text(json.dumps(config))
+    return Subject(folder, None, scalars={key: Series((9,), (value,)) for key, value in scalars.items()})
+
+
+@pytest.mark.parametrize(
+    ("configs", "time_outs", "told"),
+    [
+        # Returns 1 and 3 of one and the same reward; of other rewards they tell nothing.
+        (({"a": 1}, {"a": 2}), (0.5, 0.25), "The highest mean return, 3.00, is that of a=2."),
+        (
+            ({"env": {"rewards": {"alive": {"weight": 1}}}}, {"env": {"rewards": {"alive": {"weight": 3}}}}),
+            (0.5, 0.25),
+            "Their returns do not compare, as env.rewards.alive.weight differs. "
+            "The highest mean time-out share, 50 %, is that of weight=1.",
+        ),
+        (
+            ({"env": {"episode_length_s": 5}}, {"env": {"episode_length_s": 9}}),
+            (None, None),
+            "Their returns do not compare, as env.episode_length_s differs.",
+        ),
+        (
+            ({"agent": {"algorithm": {"gamma": 0.9}}}, {"agent": {"algorithm": {"gamma": 0.99}}}),
+            (1.0, 1.0),
+            "Their returns do not compare, as agent.algorithm.gamma differs. "
+            "The mean time-out share is the same, 100 %.",
+        ),
+    ],
+)
+def test_returns_are_ranked_where_they_are_of_the_same_reward(tmp_path, configs, time_outs, told):
+    runs = []
+    for number, (config, share) in enumerate(zip(configs, time_outs, strict=True)):
+        scalars = {"Train/mean_reward": 1.0 + 2 * number}
+        scalars |= {} if share is None else {"Episode_Termination/time_out": share}
+        runs.append(subject(tmp_path / str(number), config, scalars))
+    assert sentence(grouped(runs)) == f"2 runs with 2 settings. {told}"
+
+
+def test_where_trainings_have_no_time_out_the_last_plays_survival_ranks(root, runs):
+    found = [open_subject(run.path, root) for run in (runs[0], runs[3])]
+    for subject in found:
+        del subject.scalars["Episode_Termination/time_out"]
+    assert "survival" not in sentence(grouped(found))  # one of them was never played
+    add_play(runs[3], survival=0.75)
+    found[1].manifest = json.loads((runs[3].path / "manifest.json").read_text())
+    assert sentence(grouped(found)).endswith("The highest mean survival in the last plays, 75 %, is that of weight=2.")
 
 
 def test_names_and_seeds_alone_make_no_other_setting(root, runs):
@@ -79,11 +129,22 @@ def test_curves_are_overlaid(root, runs, drawings_too):
     assert page.section("learned").count("weight=2") == 3  # in the legend of each of three drawings
 
 
-def test_a_curve_is_the_mean_and_deviation_of_the_runs_that_have_a_value():
-    at, mean, deviation = course([([0, 1, 2], [1.0, 2.0, float("nan")]), ([0, 2], [3.0, 5.0])])
-    np.testing.assert_array_equal(at, [0, 1, 2])
-    np.testing.assert_allclose(mean, [2.0, 2.0, 5.0])
-    np.testing.assert_allclose(deviation, [np.sqrt(2), 0.0, 0.0])
+def test_a_curve_is_the_mean_and_deviation_where_all_runs_have_a_value():
+    at, mean, deviation = course(
+        [([0, 1, 2, 3], [1.0, 2.0, float("nan"), 4.0]), ([0, 2, 3], [3.0, 5.0, 4.0]), ([], [])]
+    )
+    np.testing.assert_array_equal(at, [0, 3])
+    np.testing.assert_allclose(mean, [2.0, 4.0])
+    np.testing.assert_allclose(deviation, [np.sqrt(2), 0.0])
+    assert [len(part) for part in course([])] == [0, 0, 0]
+
+
+def test_long_runs_of_unequal_length_are_averaged_before_they_are_thinned():
+    at, mean, deviation = course([(range(1499), [1.0] * 1499), (range(1500), [3.0] * 1500)])
+    assert len(at) <= 800
+    assert at[-1] == 1498
+    np.testing.assert_allclose(mean, 2.0)
+    np.testing.assert_allclose(deviation, np.sqrt(2))
 
 
 def test_a_sweeps_report_stands_in_its_folder(root, runs):

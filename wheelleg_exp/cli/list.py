@@ -50,6 +50,10 @@ def run(args: argparse.Namespace) -> int:
     columns, rows, documents = _listed(args)
     if args.json:
         print_json(documents)
+    elif args.filter and not rows:
+        from wheelleg_exp.cli.list_runs import no_match
+
+        print(no_match(args.root, args.sweep))
     else:
         _show(args.kind, columns, [list(map(_cell, row)) for row in rows], documents)
     return EXIT_OK

@@ -71,6 +71,12 @@ def runs(
     return columns, rows, documents
 
 
+def no_match(root: Path | None, sweep: str | None) -> str:
+    """Return what is said where no run matches the conditions."""
+    folder = _folder(root)
+    return f"no run of {len(_of_sweep(list_runs(folder), sweep, folder))} matches"
+
+
 def _of_sweep(found: list[RunSummary], name: str | None, root: Path) -> list[RunSummary]:
     if name is None:
         return found

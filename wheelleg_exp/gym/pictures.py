@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Integral
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,11 +31,13 @@ class Pictures:
 
     def __init__(self, env: ManagerBasedRLEnv, mode: str | None, width: int, height: int) -> None:
         if mode is not None and mode not in RENDER_MODES:
-            expected, nearest = " or ".join([*RENDER_MODES, "None"]), nearest_name(mode, RENDER_MODES)
+            expected, nearest = " or ".join([*RENDER_MODES, "None"]), nearest_name(str(mode), RENDER_MODES)
             raise ConfigError(f"there is no mode '{mode}'", key="render_mode", expected=expected, nearest=nearest)
         for key, size in (("width", width), ("height", height)):
-            if not _SIZE_PX[0] <= size <= _SIZE_PX[1]:
-                raise ConfigError(f"{size} px is no size", key=key, expected="{} to {}".format(*_SIZE_PX))
+            whole = isinstance(size, Integral) and not isinstance(size, bool)
+            if not (whole and _SIZE_PX[0] <= size <= _SIZE_PX[1]):
+                expected = "a whole number of px, {} to {}".format(*_SIZE_PX)
+                raise ConfigError(f"{size!r} is no size", key=key, expected=expected)
         self._env, self._mode = env, mode
         self._pictures = LivePictures(env.scene.model, env.scene.robot.body_names[0], width, height)
 

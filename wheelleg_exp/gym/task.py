@@ -72,10 +72,11 @@ def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) 
     if bound is None:
         return gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
     try:
-        high = np.broadcast_to(np.asarray(bound, dtype=np.float32), (width,)).copy()
+        given = np.asarray(bound)
+        high = np.broadcast_to(given.astype(np.float32), (width,)).copy() if given.dtype.kind in "iuf" else None
     except (ValueError, TypeError):
-        high = np.full(1, np.nan)
-    if not (np.isfinite(high).all() and (high > 0).all()):
+        high = None
+    if high is None or not (np.isfinite(high).all() and (high > 0).all()):
         raise ConfigError(
             f"{bound!r} bounds no action", key="action_bound", expected=f"a number above 0, {width} such, or None"
         )

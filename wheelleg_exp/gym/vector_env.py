@@ -165,7 +165,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
 def _autoreset(mode: str | AutoresetMode) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
-    found = _MODES.get(mode) or next((known for known in AutoresetMode if known.value == mode), None)
+    found = _MODES.get(str(mode)) or next((known for known in AutoresetMode if known.value == mode), None)
     if found is None:
         expected = "one of " + ", ".join(_MODES)
         nearest = nearest_name(str(mode), _MODES)

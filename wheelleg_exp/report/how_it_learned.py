@@ -35,7 +35,12 @@ def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
     return {name: _thin(series) for name, series in subject.scalars.items()}
 
 
+def picked(count: int) -> slice:
+    """Return which of so many points are drawn: evenly picked ones, the last among them."""
+    every = max(1, -(-count // _POINTS))
+    return slice((count - 1) % every, None, every)
+
+
 def _thin(series: Series) -> tuple[list[int], list[float]]:
-    every = -(-len(series.at) // _POINTS)
-    start = (len(series.at) - 1) % every
-    return list(series.at[start::every]), list(series.values[start::every])
+    which = picked(len(series.at))
+    return list(series.at[which]), list(series.values[which])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from wheelleg_exp.definitions.training import LAST, scalar, title
 from wheelleg_exp.report.blocks import Block, Cell, Code, Note, Table
 from wheelleg_exp.report.does_it_stand import done, played
 from wheelleg_exp.report.drawings import drawn
-from wheelleg_exp.report.how_it_learned import thinned
+from wheelleg_exp.report.how_it_learned import picked
 from wheelleg_exp.report.subject import Subject
 from wheelleg_exp.report.words import brief, counted, number, percent
 from wheelleg_exp.run.recorded import written_config
@@ -29,7 +30,9 @@ _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_inter
 _RETURN, _LENGTH, _TIME_OUT = "Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/time_out"
 _CURVES = (_RETURN, _LENGTH, _TIME_OUT)
 LEAD = f"At the last iteration (return and length: means of {LAST}). Over several seeds: mean ± standard deviation."
-BANDS = "The mean over the seeds of a setting, and one standard deviation about it."
+BANDS = "The mean over the seeds of a setting, where all of them have a value, and one standard deviation about it."
+# Where these differ, a return is not of the same thing.
+_MEASURE = ("env.rewards", "env.episode_length_s", "agent.algorithm.gamma")
 _FIGURES = ("return", "episode length, steps", "time-out")
 _ABSENT = "–"
 _MOST_DIFFERENCES = 12
@@ -71,18 +74,46 @@ def grouped(subjects: Sequence[Subject]) -> list[Group]:
 def _settings(subject: Subject) -> dict[str, str]:
     """Return what a run was set to, by key."""
     found = {".".join(map(str, keys)): value for keys, value in leaves(written_config(subject.path))}
-    return {k: brief(v) for k, v in found.items() if not any(k == own or k.startswith(f"{own}.") for own in _ASIDE)}
+    return {key: brief(value) for key, value in found.items() if not _below(key, _ASIDE)}
+
+
+def _below(key: str, keys: Sequence[str]) -> bool:
+    return any(key == own or key.startswith(f"{own}.") for own in keys)
 
 
 def sentence(groups: Sequence[Group]) -> str:
-    """Return what stands at the top: what was compared, and which group's mean return is the highest."""
+    """Return what stands at the top: what was compared, and which group's mean return is the highest.
+
+    Where the settings change what a return is, the shares of episodes that reach the time-out are compared instead,
+    of the training or else of the last plays.
+    """
     runs = sum(len(group.runs) for group in groups)
     said = f"{counted(runs, 'run')} with {counted(len(groups), 'setting')}."
-    known = [(statistics.fmean(values), group) for group in groups if (values := group.last(_RETURN))]
-    if len(known) > 1:
-        best, group = max(known, key=lambda pair: pair[0])
-        said += f" The highest mean return, {number(best)}, is that of {group.label}."
-    return said
+    if len(groups) < 2:
+        return said
+    other = next((key for key in groups[0].settings if _below(key, _MEASURE)), None)
+    if other is None:
+        return said + _highest("mean return", [(group, group.last(_RETURN)) for group in groups], number)
+    return f"{said} Their returns do not compare, as {other} differs." + (
+        _highest("mean time-out share", [(group, group.last(_TIME_OUT)) for group in groups], percent)
+        or _highest("mean survival in the last plays", [(group, _survivals(group)) for group in groups], percent)
+    )
+
+
+def _highest(what: str, known: Sequence[tuple[Group, Sequence[float]]], form: Callable[[float], str]) -> str:
+    """Return which groups' mean is the highest, as a sentence; nothing where fewer than two groups have one."""
+    means = [(statistics.fmean(values), group.label) for group, values in known if values]
+    if len(means) < 2:
+        return ""
+    best = max(mean for mean, _ in means)
+    labels = [label for mean, label in means if mean == best]
+    if len(labels) == len(means):
+        return f" The {what} is the same, {form(best)}."
+    return f" The highest {what}, {form(best)}, is that of {' and of '.join(labels)}."
+
+
+def _survivals(group: Group) -> list[float]:
+    return [float(v) for run in group.runs if isinstance(v := played(run).get("survival"), (int, float))]
 
 
 def figures(groups: Sequence[Group]) -> list[Block]:
@@ -91,14 +122,13 @@ def figures(groups: Sequence[Group]) -> list[Block]:
     columns = [*(shown or ["setting"]), "runs", *_FIGURES, "survived the last play"]
     rows = []
     for group in groups:
-        survival = [float(v) for run in group.runs if isinstance(v := played(run).get("survival"), (int, float))]
         rows.append(
             [
                 *([Cell(group.settings[key], code=True) for key in shown] or [Cell(group.label)]),
                 Cell(str(len(group.runs)), number=True),
                 *(Cell(_spread(group.last(key)), number=True) for key in (_RETURN, _LENGTH)),
                 Cell(_spread(group.last(_TIME_OUT), share=True), number=True),
-                Cell(_spread(survival, share=True), number=True),
+                Cell(_spread(_survivals(group), share=True), number=True),
             ]
         )
     blocks: list[Block] = [Table("How they ended", columns, rows, titled=False)]
@@ -137,7 +167,9 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 
     def draw(axes: Axes) -> None:
         for i, group in enumerate(groups):
-            at, mean, deviation = course([thinned(run).get(key, ([], [])) for run in group.runs])
+            at, mean, deviation = course(
+                [(run.scalars[key].at, run.scalars[key].values) for run in group.runs if key in run.scalars]
+            )
             if len(at):
                 axes.plot(at, mean, color=colour(i), label=group.label, marker="." if len(at) < 15 else None)
                 axes.fill_between(at, mean - deviation, mean + deviation, color=colour(i), alpha=0.2, linewidth=0)
@@ -152,20 +184,23 @@ def _panel(key: str, groups: Sequence[Group]) -> Panel:
 def course(
     series: Sequence[tuple[Sequence[int], Sequence[float]]],
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return iterations, and mean and standard deviation over the runs that have a value there.
+    """Return iterations, and mean and standard deviation of the runs (of a sample; 0 of one run) there.
+
+    The iterations are those at which all runs have a value, so that no run's end moves the mean; of a long training
+    evenly picked ones, (n,). A run without any value does not count.
 
     Args:
         series: iterations and values of each run.
     """
-    by_iteration: dict[int, list[float]] = {}
-    for own, values in series:
-        for at, value in zip(own, values, strict=True):
-            if np.isfinite(value):
-                by_iteration.setdefault(int(at), []).append(float(value))
-    iterations = sorted(by_iteration)
-    found = [by_iteration[at] for at in iterations]
-    deviations = [statistics.stdev(values) if len(values) > 1 else 0.0 for values in found]
-    return np.array(iterations), np.array([statistics.fmean(values) for values in found]), np.array(deviations)
+    runs = [{at: value for at, value in zip(*own, strict=True) if math.isfinite(value)} for own in series]
+    runs = [run for run in runs if run]
+    common = sorted(set.intersection(*map(set, runs))) if runs else []
+    common = common[picked(len(common))]
+    if not common:
+        return np.array([]), np.array([]), np.array([])
+    values = np.array([[run[at] for at in common] for run in runs])
+    deviation = values.std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(len(common))
+    return np.array(common), values.mean(axis=0), deviation
 
 
 def members(groups: Sequence[Group]) -> list[Block]:

@@ -99,7 +99,7 @@ def chosen(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[RunSum
             is a column of the list or one of the run's config.
 
     Raises:
-        WheellegError: one is no condition, or no run has its key.
+        WheellegError: one is no condition, or no run has its key, or it compares text with a number.
     """
     kept = list(runs)
     for text in conditions:
@@ -107,7 +107,10 @@ def chosen(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[RunSum
         if match is None:
             raise WheellegError(f"'{text}' is no condition", key="--filter", expected="KEY=VALUE, or !=, <, <=, >, >=")
         values = _values(runs, match["key"].strip(), "--filter")
-        kept = [run for run in kept if _holds(values[run.path], match["sign"], match["value"].strip())]
+        wanted = match["value"].strip()
+        if match["sign"] in _ORDERED and _number(wanted) is not None:
+            _require_ordered(match["key"].strip(), [value for value in values.values() if value is not None], wanted)
+        kept = [run for run in kept if _holds(values[run.path], match["sign"], wanted)]
     return kept
 
 
@@ -147,11 +150,24 @@ def _at(config: Any, key: str) -> Any:
     return config
 
 
+def _require_ordered(key: str, known: Sequence[Any], wanted: str) -> None:
+    """Raise where all values are words, and so neither smaller nor larger than a number."""
+    if known and all(isinstance(value, str) and not _begins_with_digit(value) for value in known):
+        raise WheellegError(
+            f"'{key}' is text, such as '{known[0]}', and {wanted} a number", key="--filter", expected=f"{key}=TEXT"
+        )
+
+
+def _begins_with_digit(text: str) -> bool:
+    """Return whether a text is a date, an id or the like, of which a number such as a year is a beginning."""
+    return text[:1].isdigit()
+
+
 def _holds(value: Any, sign: str, wanted: str) -> bool:
     if sign in _ORDERED:
-        if isinstance(value, str):
-            return _ORDERED[sign](value, wanted)
         number = _number(wanted)
+        if isinstance(value, str):
+            return (number is None or _begins_with_digit(value)) and _ORDERED[sign](value, wanted)
         if number is None:
             raise WheellegError(f"'{wanted}' is no number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)
