@@ -195,7 +195,7 @@ def test_what_is_there_already_stays(kind, tmp_path):
         (["myrobot", "--robot", "two.urd"], "did you mean 'two.urdf'?"),
         (["myrobot", "--robot", "bare.urdf"], "no joints"),
         (["myrobot", "--robot", "broken.urdf"], "broken.urdf"),
-        (["myrobot", "--robot", "robots"], "there is no such file"),
+        (["myrobot", "--robot", "robots"], "is a folder"),
         ([], "NAME: is missing"),
     ],
 )
