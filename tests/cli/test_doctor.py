@@ -92,6 +92,17 @@ def test_the_stock_task_has_nothing_to_mend_but_what_it_silences(capsys):
     assert "balance_pose" in [finding["rule"] for finding in json.loads(capsys.readouterr().out)["findings"]]
 
 
+def test_a_cost_that_outweighs_what_is_earned_at_random(capsys):
+    """The weight that is advised follows from the figures: a cost is linear in its weight."""
+    weight = -20.0
+    assert main(["doctor", "task=stand", f"env.rewards.ang_vel_xy.weight={weight:g}", "--json"]) == 1
+    (found,) = [f for f in json.loads(capsys.readouterr().out)["findings"] if f["rule"] == "reward_outweighs"]
+    figures, written = found["figures"], float(found["hint"].split()[3].rstrip(","))
+    assert found["key"] == "env.rewards.ang_vel_xy.weight"
+    ratio = figures["cost_per_s"] / figures["earned_per_s"]
+    assert written == pytest.approx(weight * 4 / ratio, rel=0.1)
+
+
 @pytest.mark.corpus
 def test_robots_that_are_known_to_work_raise_no_alarm(request, monkeypatch, capsys):
     folder = corpus_folder(request.config.getoption("--corpus"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,6 +94,21 @@ def test_failures_and_unknown_terms_are_not_too_small():
         "x": term("rewards.joint_acc_l2", weight=-1e-9),
     }
     assert found("reward_too_small", case(rewards=rewards)) == []
+
+
+def test_a_cost_that_random_actions_make_larger_than_all_that_is_earned():
+    """5 earned: a cost of 20 is four times that, and allowed; 40 at a weight of -8 would be 20 at -4."""
+    rewards = {**height(-8.0), "fall": term("rewards.is_terminated", weight=-200.0)}
+
+    def tried(cost):
+        return replace(case(rewards=rewards), trial={"alive": 5.0, "height": -cost, "fall": -1000.0})
+
+    assert found("reward_outweighs", tried(20.0)) == []
+    (finding,) = found("reward_outweighs", tried(40.0))
+    assert finding.key == "env.rewards.height.weight"
+    assert finding.figures == {"cost_per_s": 40.0, "earned_per_s": 5.0}
+    assert "a weight near -4," in finding.hint
+    assert found("reward_outweighs", case(rewards=rewards)) == []  # nobody tried
 
 
 # At the tolerances: 0.1 rad; a tenth of the height 0.4 m, of sqrt(10 · 0.4) = 2 m/s, of sqrt(10/0.4) = 5 rad/s.

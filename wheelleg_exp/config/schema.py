@@ -115,6 +115,7 @@ PHYSICS_RULES: tuple[str, ...] = (
     "ppo_batch",
     "push_size",
     "reset_into_ground",
+    "reward_outweighs",
     "reward_too_small",
     "rolling_direction",
     "spawn_height",

@@ -43,11 +43,13 @@ class Case:
         config: the composed tree, plain and free of mistakes.
         facts: the robot's facts.
         robot: the robot itself; None where only its facts are at hand.
+        trial: the mean of each reward under random actions, by name, per second; None where nobody tried.
     """
 
     config: Mapping[str, Any]
     facts: RobotFacts
     robot: CompiledRobot | None = None
+    trial: Mapping[str, float] | None = None
 
     @property
     def env(self) -> Mapping[str, Any]:

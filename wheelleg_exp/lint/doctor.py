@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from wheelleg_exp.lint.robot.balancing import weight_over_axle
 from wheelleg_exp.lint.robot.compiled import CompiledRobot
 from wheelleg_exp.lint.robot.from_file import case_of_file
 from wheelleg_exp.lint.robot.overlaps import find_overlaps
+from wheelleg_exp.lint.trial import random_rewards
 
 # What is to be mended first stands first: nothing that follows means much before it.
 OF_ROBOT = (
@@ -52,6 +53,7 @@ OF_TASK = (
     "drive_bandwidth",
     "control_rate",
     "falling_pays",
+    "reward_outweighs",
 )
 
 
@@ -127,8 +129,10 @@ def diagnose_task(composed: Composed) -> Diagnosis:
         WheellegError: the robot cannot be read, or the scene cannot be built.
     """
     report = examine(composed)
+    case = replace(report.case, trial=random_rewards(composed))
+    tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]
     order = {name: place for place, name in enumerate(OF_TASK)}
-    ours = sorted((f for f in report.findings if f.rule in order), key=lambda finding: order[finding.rule])
+    ours = sorted((f for f in (*report.findings, *tried) if f.rule in order), key=lambda finding: order[finding.rule])
     silenced = tuple((finding, report.reasons[finding.rule]) for finding in ours if finding.rule in report.reasons)
     found = tuple(finding for finding in ours if finding.rule not in report.reasons)
     subject = f"task={report.case.config['task']['name']}"

@@ -18,6 +18,7 @@ from wheelleg_exp.lint.reward_tolerances import (
 )
 
 _AUDIBLE = 0.01  # share of what a perfect robot earns that an error should cost
+_OUTWEIGHS = 4.0  # times what all rewards earn
 _STILL = 0.5  # score of a robot that does not move, above which a std cannot tell
 _UNIT = {"lin": "m/s", "ang": "rad/s"}
 
@@ -45,6 +46,30 @@ def tracking_std(case: Case) -> Iterator[Finding]:
         finding = _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
         if finding is not None:
             yield finding
+
+
+@rule
+def reward_outweighs(case: Case) -> Iterator[Finding]:
+    """A cost that outweighs all that can be earned while the actions are random, as they are when training begins.
+
+    What the policy learns first is then to lower this cost, if by ending the episode. Only `wheelleg doctor task=…`
+    tries it. Source: the mean of each term over two seconds of standard normal actions in 32 environments.
+    """
+    trial = case.trial or {}
+    earned = sum(value for value in trial.values() if value > 0.0)
+    for term in case.terms("rewards"):
+        cost = -trial.get(term.name, 0.0)
+        if term.kind in FAILURES or cost <= _OUTWEIGHS * earned:
+            continue
+        weight = float(term.node["weight"])
+        key, right = f"{term.path}.weight", at_most(abs(weight) * _OUTWEIGHS * earned / cost, 2)
+        times = f"{cost / earned:.2g} times" if earned > 0.0 else "and nothing earns any of"
+        yield Finding(
+            key,
+            f"costs {cost:.3g} per second under random actions, {times} the {earned:.3g} that all rewards earn",
+            f"a weight near {math.copysign(right, weight):g}, or smaller scales of actions",
+            {"cost_per_s": cost, "earned_per_s": earned},
+        )
 
 
 def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | None:
