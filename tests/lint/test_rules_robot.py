@@ -13,7 +13,9 @@ import pytest
 from lint.cases import found, joints, term
 from lint.patients import HEALTHY, HIP, KNEE, LINK, all_findings, patient, seeded
 from wheelleg_exp.lint.robot.balancing import balanced_pose, weight_over_axle
+from wheelleg_exp.lint.robot.from_file import _drives_of_mjcf
 from wheelleg_exp.lint.robot.overlaps import find_overlaps
+from wheelleg_exp.lint.robot_facts import Drive
 from wheelleg_exp.paths import assets_dir
 
 TRUNK = '<inertial pos="0 0 0" mass="4" diaginertia="0.02 0.06 0.07"/>'
@@ -299,6 +301,12 @@ def test_a_reset_into_the_ground(tmp_path):
     height = 2 * LINK * math.cos(HIP) + 0.1
     low = 0.22 * math.sin(0.2) + (height - 0.1) * math.cos(0.2) + 0.1 * math.cos(0.2) - height
     assert finding.figures["depth_m"] == pytest.approx(low, abs=1e-4)
+    both = patient(tmp_path, events=reset(roll=[0.4, 0.4], pitch=[0.15, 0.15]))
+    (finding,) = found("reset_into_ground", both)
+    # What is upright, in the base's axes: the last row of R_y(pitch) R_x(roll), the resets' rotation about fixed axes.
+    x, y, z = -math.sin(0.15), math.cos(0.15) * math.sin(0.4), math.cos(0.15) * math.cos(0.4)
+    low = 0.22 * y + (height - 0.1) * z + 0.1 * math.hypot(x, z) - height
+    assert finding.figures["depth_m"] == pytest.approx(low, abs=1e-4)
     assert found("reset_into_ground", patient(tmp_path, events=reset(roll=[-0.01, 0.01], x=[-1, 1]))) == []
     legs = term("events.reset_joints_by_offset", mode="reset", position_range=[0.0, 0.4], velocity_range=[0, 0],
                 asset_cfg=joints("._knee"))  # fmt: skip
@@ -347,3 +355,13 @@ def test_the_stock_robots_file_has_only_its_armature(name):
     from wheelleg_exp.lint.doctor import diagnose_file
 
     assert {finding.rule for finding in diagnose_file(assets_dir() / name).findings} <= {"armature_ratio"}
+
+
+def test_actuators_of_an_mjcf_add_up_and_the_joint_limits_them(tmp_path):
+    actuators = """<actuator><position joint="l_hip" kp="50"/><velocity joint="l_hip" kv="2"/>
+      <motor joint="r_hip" gear="10" ctrllimited="true" ctrlrange="-1 2"/></actuator></mujoco>"""
+    text = HEALTHY[: HEALTHY.index("<actuator>")] if "<actuator>" in HEALTHY else HEALTHY.replace("</mujoco>", "")
+    text = text.replace('name="l_hip"', 'name="l_hip" actuatorfrcrange="-3 3"')
+    drives = _drives_of_mjcf(mujoco.MjModel.from_xml_string(text + actuators))
+    assert drives["l_hip"] == Drive("", 50.0, 2.0, 3.0, math.inf)
+    assert drives["r_hip"] == Drive("", 0.0, 0.0, 20.0, math.inf)

@@ -42,16 +42,17 @@ def case_of_file(source: Path) -> Case:
     with tempfile.TemporaryDirectory(prefix="wheelleg-doctor-") as folder:
         if source.suffix.lower() in _MJCF:
             model = _model(source)
-            return _looked_at(env, source, _robot_of_mjcf(source, model), None, _drives_of_mjcf(model))
+            return _looked_at(source, env, source, _robot_of_mjcf(source, model), None, _drives_of_mjcf(model))
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
         positions = {dof.name: default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"}
         described = conversion.description
         robot = provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         drives = {dof.name: _drive(dof) for dof in described.dofs}
-        return _looked_at(env, conversion.output, robot, conversion, drives)
+        return _looked_at(source, env, conversion.output, robot, conversion, drives)
 
 
 def _looked_at(
+    source: Path,
     env: Mapping[str, Any],
     mjcf: Path,
     robot: dict[str, Any],
@@ -62,7 +63,7 @@ def _looked_at(
     scene = SceneManager(config["env"], mjcf, 1).scene
     if not scene.robot.joint_names:
         expected = "a robot with joints to drive"
-        raise AssetError("the robot has no joints", where=str(mjcf), expected=expected)
+        raise AssetError("the robot has no joints", where=str(source), expected=expected)
     model = scene.spec.compile()
     bodies = [model.body(name).id for name in scene.robot.body_names]
     lowest = lowest_point(model, at_default(model, scene.robot), bodies)
@@ -126,20 +127,29 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
-    """Return the drives of joints with an actuator of their own."""
+    """Return the drives of joints with actuators of their own: these add up, and the joint may limit their sum."""
     drives: dict[str, Drive | None] = {}
-    for index in range(model.nu):
-        if model.actuator_trntype[index] != mujoco.mjtTrn.mjTRN_JOINT:
+    for joint in range(model.njnt):
+        own = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
+        parts = [_actuator(model, index) for index in np.flatnonzero(own).tolist()]
+        if not parts:
             continue
-        joint = int(model.actuator_trnid[index, 0])
-        gear = abs(float(model.actuator_gear[index, 0]))
-        limits = [math.inf]
-        if model.actuator_forcelimited[index]:
-            limits.append(gear * float(np.abs(model.actuator_forcerange[index]).max()))
-        bias = model.actuator_biasprm[index]
-        if model.actuator_ctrllimited[index] and not bias.any():  # a motor's control is its torque
-            gain = gear * float(model.actuator_gainprm[index, 0])
-            limits.append(gain * float(np.abs(model.actuator_ctrlrange[index]).max()))
-        damping = gear**2 * -float(bias[2]) + float(model.dof_damping[model.jnt_dofadr[joint]])
-        drives[model.joint(joint).name] = Drive("", gear**2 * -float(bias[1]), damping, min(limits), math.inf)
+        stiffness, damping, effort = (sum(values) for values in zip(*parts, strict=True))
+        damping += float(model.dof_damping[model.jnt_dofadr[joint]])
+        if model.jnt_actfrclimited[joint]:
+            effort = min(effort, float(np.abs(model.jnt_actfrcrange[joint]).max()))
+        drives[model.joint(joint).name] = Drive("", stiffness, damping, effort, math.inf)
     return drives
+
+
+def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
+    """Return an actuator's stiffness, N·m/rad, damping, N·m·s/rad, and largest torque, N·m, at its joint."""
+    gear = abs(float(model.actuator_gear[index, 0]))
+    limits = [math.inf]
+    if model.actuator_forcelimited[index]:
+        limits.append(gear * float(np.abs(model.actuator_forcerange[index]).max()))
+    bias = model.actuator_biasprm[index]
+    if model.actuator_ctrllimited[index] and not bias.any():  # a motor's control is its torque
+        gain = gear * float(model.actuator_gainprm[index, 0])
+        limits.append(gain * float(np.abs(model.actuator_ctrlrange[index]).max()))
+    return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)

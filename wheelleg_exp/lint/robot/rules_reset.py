@@ -67,7 +67,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
     turn, quat = np.zeros(4), np.zeros(4)
-    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "xyz")
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # as resets do: about fixed axes
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
     mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
     data.qpos[start : start + 4] = quat
