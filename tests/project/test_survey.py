@@ -38,6 +38,19 @@ def test_wheels_are_the_unlimited_hinges_and_legs_the_others(two):
     assert two.radius == pytest.approx(RADIUS)
 
 
+def test_a_hub_beside_its_tyre_does_not_touch_the_ground(tmp_path):
+    path = urdf(tmp_path)
+    hub = """
+  <link name="l_hub"><inertial><mass value="0.01"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="0.02" length="0.05"/>
+    </geometry></collision></link>
+  <joint name="l_rim" type="fixed"><parent link="l_wheel"/><child link="l_hub"/></joint></robot>"""
+    path.write_text(path.read_text().replace("</robot>", hub))
+    found = surveyed(path)
+    assert found.wheel_bodies == ["l_wheel", "r_wheel"]
+    assert "l_hub" not in found.raised_bodies
+
+
 def test_a_robot_without_wheels_gets_a_task_without_them(tmp_path):
     """Ankles instead of axles: hinges with limits, however round what they turn."""
     path = urdf(tmp_path)

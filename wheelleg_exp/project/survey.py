@@ -52,7 +52,7 @@ class Survey:
         up: the root link's axis that points up, (0, 0, 1) for most.
         trunk: the heaviest of the root link and those fixed to it: the root itself is often a frame without mass.
         trunk_mass: kg.
-        wheel_bodies: the links that wheels touch the ground with.
+        wheel_bodies: the link of each wheel that reaches lowest, and so touches the ground.
         raised_bodies: links with colliders that are not on the ground.
         notes: what a user should know of the file.
     """
@@ -198,7 +198,9 @@ def _measured(
     limbs = {name for leg in anatomy.legs for name in (*leg.joints, *leg.beside)} if wheels else set(driven)
     legs = [name for name in driven if name in limbs]
     turned = [name for wheel in anatomy.wheels for name in wheel.bodies]
-    touching = [name for name in turned if math.isfinite(lowest_point(model, data, [model.body(name).id]))]
+    touching = {
+        min(wheel.bodies, key=lambda name: lowest_point(model, data, [model.body(name).id])) for wheel in anatomy.wheels
+    }
     raised = _raised(model, data, robot.body_names, facts.standing_height)
     root = robot.body_names[0]
     fixed = np.flatnonzero(model.body_weldid == model.body_weldid[model.body(root).id])
@@ -224,7 +226,7 @@ def _measured(
         trunk=model.body(trunk).name,
         trunk_mass=float(model.body_mass[trunk]),
         wheel_bodies=[name for name in robot.body_names if name in touching],
-        raised_bodies=[name for name in raised if name not in touching],
+        raised_bodies=[name for name in raised if name not in turned],
         notes=_notes(conversion, up_z >= _LEVEL, anatomy, legs, passive),
     )
 
