@@ -165,8 +165,8 @@ def _require_source(source: Path) -> None:
 
 def _fill(draft: Path, name: str, source: Path | None) -> tuple[Survey, dict[str, str]]:
     """Write all files of a project, and hold them against the checks that every task passes."""
-    env = compose(["task=stand"]).config["env"]
-    pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
+    env, ours = compose(["task=stand"]).config["env"], source is None
+    pose = env["robot"]["init_state"]["joint_pos"] if ours else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
     robot = _surveyed(source, draft / "assets" / name, env, pose)
     asset = f"{name}/{source.name}"
@@ -175,7 +175,7 @@ def _fill(draft: Path, name: str, source: Path | None) -> tuple[Survey, dict[str
     write(draft, project_files(name, asset, list(texts)))
     try:
         _require_valid(draft, name)
-        accepted = _accept(draft, name, ours=source is None)
+        accepted = _accept(draft, name, ours=ours)
     finally:
         projects.forget(draft)
     return robot, accepted
