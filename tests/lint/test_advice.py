@@ -173,6 +173,7 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
 }  # fmt: skip
 # Rules whose hints name no number: what to do is another kind of thing.
 WITHOUT = {
+    "reward_outweighs",  # what a weight costs is tried, by tests/cli/test_doctor.py
     "action_clip_never_acts", "armature_ratio", "falling_pays", "gains_against_time_step", "noop_joint_reset",
     "ppo_batch", "unbounded_observation", "zero_width_range",
     # What they tell of is a file's, or a pose's.
