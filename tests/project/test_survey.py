@@ -11,9 +11,10 @@ import yaml
 
 from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, knees, urdf
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.schema import PHYSICS_RULES
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.examine import examine
-from wheelleg_exp.project.create import create
+from wheelleg_exp.project.create import OF_THE_FILE, create
 from wheelleg_exp.project.gains import leg_gains, wheel_gains
 from wheelleg_exp.project.robot_yaml import robot_yaml, spawn_height
 from wheelleg_exp.project.survey import survey
@@ -210,6 +211,10 @@ def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
     assert "l_hip" in report.reasons["joint_limits"]
     wild = compose(["task=mine", "env.actions.mine_legs.scale=50"], config_dirs=[made.path / "configs"])
     assert "action_scale" in {finding.rule for finding in examine(wild).open}  # a number of one's own is looked at
+
+
+def test_what_may_be_accepted_are_rules_that_there_are():
+    assert set(PHYSICS_RULES) >= OF_THE_FILE
 
 
 def test_an_effort_that_cannot_hold_the_weight_is_not_taken(tmp_path):

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
         require_picture(args.screenshot)
     found = (
-        _of_file(args.overrides)
+        _of_file(args.overrides, args.config_dirs)
         if _names_a_file(args.overrides[0])
         else _of_task(args.overrides, args.config_dirs, args.json)
     )
@@ -64,11 +64,13 @@ def _names_a_file(word: str) -> bool:
     return "=" not in word and (Path(word).suffix.lower() in _FILES or Path(word).is_file())
 
 
-def _of_file(words: list[str]) -> Diagnosis:
+def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
     from wheelleg_exp.lint.doctor import diagnose_file
 
     if len(words) > 1:
         raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
+    if config_dirs:
+        raise UsageError("is of a task", key="--config-dir", expected=f"'{words[0]}' without it, or task=…")
     return diagnose_file(Path(words[0]))
 
 

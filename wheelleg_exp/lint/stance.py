@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.lint.anatomy.parts import Anatomy
 from wheelleg_exp.lint.collider_depth import lowest_point
+from wheelleg_exp.lint.robot.overlaps import overlap_depths
 
 Array = NDArray[np.float64]
 
@@ -96,15 +97,21 @@ class _Problem:
         turned = {name for wheel in anatomy.standing for name in wheel.bodies}
         self.raised = [body for body in self.bodies if model.body(body).name not in turned]
         rotation = self.data.xmat[self.base].reshape(3, 3)
-        self.forward, self.left, self.up = (
-            rotation @ np.array(axis) for axis in (anatomy.forward or (1, 0, 0), anatomy.left or (0, 1, 0), anatomy.up)
-        )
+        self.forward, self.up = (rotation @ np.array(axis) for axis in (anatomy.forward or (1, 0, 0), anatomy.up))
+        self.wheels = [model.body(wheel.body).id for wheel in anatomy.standing]
+        self.centres = [
+            self.data.xmat[body].reshape(3, 3).T
+            @ (self.data.xpos[self.base] + rotation @ np.array(wheel.centre) - self.data.xpos[body])
+            for body, wheel in zip(self.wheels, anatomy.standing, strict=True)
+        ]  # in the wheels' own frames, m
         self.size = max(anatomy.size, 1e-6)
         self.radius = min((wheel.radius for wheel in anatomy.standing), default=0.0)
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
         self.pairs = self._pairs()
-        self.rest = self._overlaps()  # what overlaps whatever the legs do is no pose's fault
+        self.rest = overlap_depths(
+            model, self.data, self.bodies
+        )  # what overlaps whatever the legs do is no pose's fault
         self.tallest = self.wanted = 0.0
 
     def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
@@ -128,15 +135,8 @@ class _Problem:
 
     def _centres(self) -> Array:
         """Return the wheels' centres, m, (wheels, 3)."""
-        data, found = self.data, []
-        for wheel in self.anatomy.standing:
-            joint = self.model.joint(wheel.joint).id
-            axis = data.xaxis[joint]
-            body = self.model.body(wheel.body).id
-            geoms = data.geom_xpos[self.model.geom_bodyid == body]
-            middle = geoms.mean(axis=0) if len(geoms) else data.xipos[body]
-            found.append(data.xanchor[joint] + axis * float((middle - data.xanchor[joint]) @ axis))
-        return np.array(found)
+        data, placed = self.data, zip(self.wheels, self.centres, strict=True)
+        return np.array([data.xpos[body] + data.xmat[body].reshape(3, 3) @ centre for body, centre in placed])
 
     def _height(self) -> float:
         """Return the height of the hips, the first joints of the legs, over the wheels' centres, m."""
@@ -164,18 +164,10 @@ class _Problem:
             poses[:, right] = np.clip(sign * poses[:, left], self.low[right], self.high[right])
         return list(poses)
 
-    def _overlaps(self) -> dict[tuple[int, int], float]:
-        """Return the depth of overlaps of the robot's own bodies, m, by pair."""
-        data, found = self.data, dict[tuple[int, int], float]()
-        for contact in data.contact:
-            one, other = (int(self.model.geom_bodyid[geom]) for geom in (contact.geom1, contact.geom2))
-            if one in self.bodies and other in self.bodies and contact.dist < 0:
-                found[one, other] = max(found.get((one, other), 0.0), -float(contact.dist))
-        return found
-
     def overlap(self) -> float:
         """Return the deepest overlap beyond those of the preferred pose, m."""
-        return max((depth - self.rest.get(pair, 0.0) for pair, depth in self._overlaps().items()), default=0.0)
+        depths = overlap_depths(self.model, self.data, self.bodies)
+        return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
 
     def offset(self) -> float:
         """Return how far the centre of mass stands before the middle of the wheels, m."""

@@ -34,7 +34,7 @@ _TEMPLATES = {
     "tests/test_{{name}}.py": "test.py.txt",
 }
 # Rules about what stands in the robot's file, which no setting of a project mends.
-_OF_THE_FILE = frozenset(
+OF_THE_FILE = frozenset(
     {
         "armature_ratio",
         "assumed_masses",
@@ -206,7 +206,7 @@ def _accept(draft: Path, name: str, *, ours: bool) -> dict[str, str]:
     All numbers of the stock robot (``ours``) stand in its file.
     """
     found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
-    found = [finding for finding in found if ours or finding.rule in _OF_THE_FILE]
+    found = [finding for finding in found if ours or finding.rule in OF_THE_FILE]
     accepted = {finding.rule: " ".join(finding.message.split()) for finding in reversed(found)}
     if accepted:
         task = draft / projects.CONFIGS / "task" / f"{name}.yaml"

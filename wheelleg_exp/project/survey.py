@@ -18,6 +18,7 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.anatomy.examine import anatomy_of
 from wheelleg_exp.lint.anatomy.parts import Anatomy
 from wheelleg_exp.lint.collider_depth import lowest_point
+from wheelleg_exp.lint.robot.overlaps import overlap_depths
 from wheelleg_exp.lint.robot_facts import RobotFacts, measure
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.project.standing import Standing, stand
@@ -243,13 +244,8 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
 
 def _overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> dict[tuple[str, str], float]:
     """Return the pairs of links that overlap, the deepest first; the ground is none."""
-    found: dict[tuple[str, str], float] = {}
-    for contact in data.contact:
-        one, other = sorted(model.geom(geom).bodyid[0] for geom in (contact.geom1, contact.geom2))
-        if one != 0 and contact.dist < 0:
-            pair = model.body(one).name, model.body(other).name
-            found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+    depths = sorted(overlap_depths(model, data, range(1, model.nbody)).items(), key=lambda item: -item[1])
+    return {(model.body(one).name, model.body(other).name): depth for (one, other), depth in depths}
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -108,16 +108,19 @@ class _Check:
         self.model, self.source = model, source
 
     def same(self, what: str, got: object, want: object) -> None:
+        """Hold numbers against the file's; AssetError when they differ."""
         if not np.allclose(np.asarray(got, float), np.asarray(want, float), rtol=RELATIVE, atol=SMALL):
             raise AssetError(f"the model of '{self.source}' has other {what} than the file: {got}, expected {want}")
 
     def find(self, kind: mujoco.mjtObj, name: str, what: str) -> int:
+        """Return the id of a named element; AssetError when there is none."""
         index = mujoco.mj_name2id(self.model, kind, name)
         if index < 0:
             raise AssetError(f"the model of '{self.source}' has no {what} '{name}'")
         return int(index)
 
     def body(self, body: Body) -> None:
+        """Hold a body's place, mass and inertia against the model."""
         model, name, inertial = self.model, body.name, body.inertial
         index = self.find(mujoco.mjtObj.mjOBJ_BODY, name, "body")
         parent = self.find(mujoco.mjtObj.mjOBJ_BODY, body.parent, "body") if body.parent is not None else 0
@@ -132,6 +135,7 @@ class _Check:
         self.same(f"inertia of {name}", got / scale, want / scale)
 
     def dof(self, dof: Dof) -> None:
+        """Hold a joint's kind, axis, limits and passive forces against the model."""
         model, name = self.model, dof.name
         index = self.find(mujoco.mjtObj.mjOBJ_JOINT, name, "joint")
         first = model.jnt_dofadr[index]
@@ -150,17 +154,20 @@ class _Check:
             self.same(f"stiffness of {name}", model.jnt_stiffness[index], dof.stiffness)
 
     def actuator(self, actuator: Actuator) -> None:
+        """Hold what an actuator acts on against the model."""
         index = self.find(mujoco.mjtObj.mjOBJ_ACTUATOR, actuator.name, "actuator")
         target = self.find(TARGETS[actuator.transmission], actuator.target, actuator.transmission)
         self.same(f"target of {actuator.name}", self.model.actuator_trnid[index][0], target)
 
     def tendon(self, tendon: Tendon) -> None:
+        """Hold a tendon's path and limits against the model."""
         index = self.find(mujoco.mjtObj.mjOBJ_TENDON, tendon.name, "tendon")
         length = len(tendon.points) + len(tendon.joints)
         self.same(f"path of {tendon.name}", self.model.tendon_num[index], length)
         self.same(f"limits of {tendon.name}", self.model.tendon_limited[index], _limited(tendon))
 
     def counts(self, robot: RobotDescription) -> None:
+        """Hold how many there are of everything against the model."""
         model = self.model
         geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
         anchors = sum(len(closure.anchors) for closure in robot.closures)

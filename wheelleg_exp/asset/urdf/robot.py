@@ -67,6 +67,7 @@ class _Builder:
         self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
 
     def build(self) -> tuple[RobotDescription, Files]:
+        """Return the robot, and the files that it names."""
         tree, document = self.tree, self.document
         masses = inertials(document, tree, self.seen, self.shapes.solids(), self.base)
         links = [link for link in tree.depth_first() if link is not tree.world]

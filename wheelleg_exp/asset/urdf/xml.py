@@ -70,6 +70,7 @@ class _Parser:
         self.expat.StartDoctypeDeclHandler = self._doctype
 
     def parse(self, data: bytes) -> Element:
+        """Return the root element; AssetError, with file and line, when the text is no XML."""
         try:
             self.expat.Parse(data, True)
         except expat.ExpatError as error:

@@ -102,6 +102,7 @@ class _Replay:
         self.deleted: dict[Keys, Source] = {}
 
     def write(self, keys: Keys, source: Source) -> None:
+        """Note that a leaf was written, and whose values it hides."""
         below = [leaf for leaf in self.sources if len(leaf) > len(keys) and leaf[: len(keys)] == keys]
         if source.value == {} and (below or isinstance(self._value(keys), dict)):
             return
@@ -115,6 +116,7 @@ class _Replay:
         self._put(keys, replace(source, shadowed=shadowed), hidden)
 
     def delete(self, keys: Keys, override: str) -> None:
+        """Note that an override took away a key and all below it."""
         gone = [leaf for leaf in self.sources if leaf[: len(keys)] == keys]
         for leaf in gone:
             shadowed = _history(self.sources[leaf])

@@ -39,6 +39,7 @@ class _TolerantRepository(Repository):
         self._leniency = leniency
 
     def load_config(self, config_path: str) -> ConfigResult | None:
+        """Load a config as Hydra asks for it; one that is broken counts as empty."""
         if config_path in self._leniency.empty:
             header = {"package": self._package(config_path)}
             return ConfigResult("wheelleg", config_path, OmegaConf.create({}), header, [])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,15 +34,10 @@ class Weight:
         return math.atan2(self.ahead, self.above)
 
 
-def weight_over_axle(robot: CompiledRobot, qpos: Array | None = None) -> Weight:
-    """Return where the weight lies; of a robot with wheels that roll one way.
-
-    Args:
-        robot: the robot.
-        qpos: another pose than that where episodes begin, (nq,).
-    """
+def weight_over_axle(robot: CompiledRobot) -> Weight:
+    """Return where the weight lies as episodes begin; of a robot with wheels that roll one way."""
     model, anatomy = robot.model, robot.anatomy
-    data = robot.data if qpos is None else _at(model, qpos)
+    data = robot.data
     base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
     turned = {model.body(name).id for wheel in anatomy.standing for name in wheel.bodies}
     upper = [body for body in (model.body(name).id for name in robot.bodies) if body not in turned]
@@ -59,10 +53,3 @@ def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
     """Return leg positions that put the weight over the axle while the base stays level; None when there are none."""
     stance = solve_stance(robot.model, robot.anatomy, robot.data.qpos)
     return stance.positions if stance is not None and stance.balanced else None
-
-
-def _at(model: mujoco.MjModel, qpos: Array) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    return data

@@ -14,6 +14,7 @@ import numpy as np
 
 from wheelleg_exp.asset import Conversion, convert
 from wheelleg_exp.asset.description import Dof
+from wheelleg_exp.asset.values import effort_of
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.case import Case
@@ -83,15 +84,14 @@ def _grouped(drive: Drive | None, wheels: set[str], name: str) -> Drive | None:
 
 def _drive(dof: Dof) -> Drive | None:
     """Return a joint's drive as its file gives it; what the file leaves out limits nothing."""
-    efforts = [dof.drive.effort] if dof.drive is not None else []
-    efforts += [max(map(abs, dof.force_range))] if dof.force_range is not None else []
-    if dof.drive is None and not efforts and dof.max_velocity is None:
+    effort = effort_of(dof)
+    if dof.drive is None and effort is None and dof.max_velocity is None:
         return None
     return Drive(
         "",
         dof.drive.stiffness if dof.drive is not None else 0.0,
         dof.drive.damping if dof.drive is not None else 0.0,
-        _limit(min((effort for effort in efforts if effort is not None), default=None)),
+        _limit(effort),
         _limit(dof.max_velocity),
     )
 

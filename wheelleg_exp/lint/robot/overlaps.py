@@ -68,6 +68,17 @@ def _depths(model: mujoco.MjModel, qpos: np.ndarray, bodies: set[int]) -> dict[t
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
+    return overlap_depths(model, data, bodies)
+
+
+def overlap_depths(model: mujoco.MjModel, data: mujoco.MjData, bodies: Collection[int]) -> dict[tuple[int, int], float]:
+    """Return how deep bodies lie inside one another where the model lets them touch, m, by pair of their ids.
+
+    Args:
+        model: the robot, perhaps in its scene.
+        data: its pose, with the contacts found.
+        bodies: ids of the robot's bodies.
+    """
     found: dict[tuple[int, int], float] = {}
     for contact in data.contact[: data.ncon]:
         one, other = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
