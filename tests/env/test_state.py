@@ -30,7 +30,7 @@ DERIVED = frozenset(
     {
         "._views['sensordata']",  # results of the last solve: sensors take them up behind each step
         "._views['actuator_force']",
-        ".sensors['contact']._data",
+        ".sensors['contact']._readings",
         ".sensors['contact']._pressures",
         ".sensors['contact']._normals",
         "._views['xmat']",  # outputs that are kept current from the first time on that a term asks for one
@@ -184,7 +184,7 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
         lambda env: env.observation_manager._groups["policy"]["modified"]._modifiers[3]._integral.add_(1e-6),
         lambda env: env.scene.robot.data._qvel_before.add_(1e-12),
         lambda env: env.scene.sim.expand("body_mass").mul_(1.0 + 1e-12),
-        lambda env: env.scene.sensors["contact"]._times["last_air_time"].add_(1e-6),
+        lambda env: env.scene.sensors["contact"].data.last_air_time.add_(1e-6),
         lambda env: env.streams.get("env.commands.v").manual_seed(1),
         lambda env: setattr(env, "common_step_counter", env.common_step_counter + 1),
         lambda env: env.reward_manager.get_term("alive").fields.update(weight=1.5),

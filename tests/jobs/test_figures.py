@@ -22,7 +22,9 @@ class FakeEnv:
         self.episode_length_buf = torch.zeros(3, dtype=torch.long)
         self.reward_buf = torch.zeros(3)
         self.data = SimpleNamespace(root_pos_w=torch.zeros(3, 3), projected_gravity_b=torch.zeros(3, 3))
-        self.sensor = SimpleNamespace(body_names=["wheel", "leg"], net_forces_w=torch.zeros(3, 2, 3))
+        self.sensor = SimpleNamespace(
+            body_names=["wheel", "leg"], data=SimpleNamespace(net_forces_w=torch.zeros(3, 2, 3))
+        )
         self.scene = _Scene(SimpleNamespace(data=self.data), self.sensor)
         fired = {"time_out": torch.zeros(3, dtype=torch.bool), "fell": torch.zeros(3, dtype=torch.bool)}
         self.fired = fired
@@ -212,7 +214,7 @@ def test_the_target_is_the_one_that_a_reward_names():
 
 def contact(env, forces, pitches=(0.0, 0.0, 0.0)):
     env.set(pitches=pitches)
-    env.sensor.net_forces_w = torch.tensor([[[0.0, 0.0, f] for f in row] for row in forces])
+    env.sensor.data.net_forces_w = torch.tensor([[[0.0, 0.0, f] for f in row] for row in forces])
 
 
 def test_contacts_by_hand():
@@ -234,7 +236,7 @@ def test_the_length_of_a_force_counts():
     env = FakeEnv()
     meter = ContactMeter(env, "contact_forces", settle_s=0.0, upright_rad=0.3)
     env.set()
-    env.sensor.net_forces_w = torch.tensor([[[3.0, 0.0, 4.0], [0.0, -2.0, 0.0]]] * 3)
+    env.sensor.data.net_forces_w = torch.tensor([[[3.0, 0.0, 4.0], [0.0, -2.0, 0.0]]] * 3)
     meter.observe()
     assert [row.mean_n for row in meter.figures()] == pytest.approx([5.0, 2.0])
 

@@ -165,7 +165,7 @@ def test_the_drawn_mass_is_what_the_engine_moves(make_env):
     for _ in range(60):
         env.step(torch.zeros(4, 1))
     mass = np.array(env.scene.sim.batch.expanded("body_mass")).sum(axis=1)
-    np.testing.assert_allclose(env.scene["contact"].net_forces_w[:, 0, 2], mass * 9.81, atol=0.05)
+    np.testing.assert_allclose(env.scene["contact"].data.net_forces_w[:, 0, 2], mass * 9.81, atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ class Account:
             "joint_vel_target": data.joint_vel_target[i],
             "effort": data.applied_torque[i],
             "command": env.command_manager.get_command("base_velocity")[i],
-            "forces": env.scene["contact_forces"].net_forces_w[i],
+            "forces": env.scene["contact_forces"].data.net_forces_w[i],
             "rewards": env.reward_manager.step_reward[:, i],
             "policy": observed["policy"][i],
             "critic": observed["critic"][i],

@@ -262,6 +262,21 @@ def test_two_builds_have_the_same_identity_and_another_timestep_has_not(make_env
     assert first.scene.model_digest() != other.scene.model_digest()
 
 
+def test_the_group_that_rays_ask_for_the_ground_holds_nothing_else(make_env):
+    """Geoms of a file that names no group lie in MuJoCo's group 0 until the scene takes it for the ground."""
+    model = make_env().scene.model
+    assert {model.geom(g).name for g in range(model.ngeom) if model.geom_group[g] == 0} == {"ground"}
+    assert set(model.geom_group) == {0, 1}  # both are shown by MuJoCo's viewer
+    down = mujoco.mj_ray(model, _placed(model), [0, 0, 1.0], [0, 0, -1.0], np.eye(1, 6, dtype=np.uint8)[0], 1, -1, None)
+    assert down == pytest.approx(1.0)  # through the robot
+
+
+def _placed(model):
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
 MESH = """<mujoco><asset><mesh name="t" file="t.obj"/></asset>
 <worldbody><body><freejoint/><geom type="mesh" mesh="t" mass="{mass}"/></body></worldbody></mujoco>"""
 

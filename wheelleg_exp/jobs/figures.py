@@ -167,7 +167,7 @@ class ContactMeter:
         env = self._env
         tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
         standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
-        force = torch.linalg.vector_norm(self._sensor.net_forces_w[standing], dim=-1)
+        force = torch.linalg.vector_norm(self._sensor.data.net_forces_w[standing], dim=-1)
         if len(force):
             self._sum += force.sum(dim=0)
             self._max = torch.maximum(self._max, force.amax(dim=0))

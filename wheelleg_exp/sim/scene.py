@@ -20,11 +20,12 @@ from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import Robot
 from wheelleg_exp.sim.root_frame import turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase
-from wheelleg_exp.sim.terrain import TerrainBase, is_ground
+from wheelleg_exp.sim.terrain import GROUND_GROUP, TerrainBase, is_ground
 from wheelleg_exp.state import Kept
 
 _ENGINES = {"mujoco": BatchEngine}
 _ROBOT_PRIORITY = 1
+_ROBOT_GROUP = 1  # of geoms that came without one; drawn like the ground's
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
 
 
@@ -67,6 +68,7 @@ class Scene(Kept):
         _set_options(spec, sim)
         _set_self_collisions(spec, robot.self_collisions)
         terrain.add_to(spec)
+        _leave_group_to_ground(spec)
         self._effective_friction(spec, robot.friction_source)
         self.robot = Robot(robot, actuators, spec, root_name, self.device)
         self.sensors = dict(sensors)
@@ -258,6 +260,15 @@ def _set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
     for geom in spec.geoms:
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity = int(wanted), 1
+
+
+def _leave_group_to_ground(spec: mujoco.MjSpec) -> None:
+    """Put the ground's geoms into a group that is theirs alone, so that rays may ask for the ground."""
+    for geom in spec.geoms:
+        if is_ground(geom.name):
+            geom.group = GROUND_GROUP
+        elif geom.group == GROUND_GROUP:
+            geom.group = _ROBOT_GROUP
 
 
 def _set_options(spec: mujoco.MjSpec, sim: SimOptions) -> None:

@@ -27,7 +27,7 @@ def _settle(env, steps=60):
 
 def test_the_force_on_a_resting_body_is_its_weight_upwards(env):
     _settle(env)
-    force = env.scene["contact"].net_forces_w
+    force = env.scene["contact"].data.net_forces_w
     expected = torch.tensor([0.0, 0.0, WEIGHT]).expand(4, 3)
     torch.testing.assert_close(force[:, 0], expected, atol=0.02, rtol=0)
     assert (force[:, 1] == 0).all()
@@ -41,7 +41,9 @@ def test_the_force_keeps_its_direction_when_the_body_is_upside_down(env):
     env.scene.refresh()
     _settle(env)
     assert float(robot.data.projected_gravity_b[0, 2]) == pytest.approx(1.0, abs=1e-3)
-    torch.testing.assert_close(env.scene["contact"].net_forces_w[:, 0, 2], torch.full((4,), WEIGHT), atol=0.02, rtol=0)
+    torch.testing.assert_close(
+        env.scene["contact"].data.net_forces_w[:, 0, 2], torch.full((4,), WEIGHT), atol=0.02, rtol=0
+    )
 
 
 def test_friction_is_left_out(env):
@@ -51,7 +53,7 @@ def test_friction_is_left_out(env):
     wrench[:, 0, 0] = 5.0  # friction takes up 5 N of at most .65 * 19.6 N
     env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
     _settle(env)
-    force = env.scene["contact"].net_forces_w[:, 0]
+    force = env.scene["contact"].data.net_forces_w[:, 0]
     assert env.scene.robot.data.root_lin_vel_w.abs().max() < 5e-3
     assert force[:, :2].abs().max() < 0.01
     torch.testing.assert_close(force[:, 2], torch.full((4,), WEIGHT), atol=0.05, rtol=0)
@@ -65,9 +67,9 @@ def test_history_is_newest_first_and_rolls_each_physics_step(env):
         env.scene.write_data_to_sim()
         env.scene.sim.step()
         env.scene.update()
-        seen.append(sensor.net_forces_w.clone())
+        seen.append(sensor.data.net_forces_w.clone())
     for age in range(3):
-        assert torch.equal(sensor.net_forces_w_history[:, age], seen[-1 - age])
+        assert torch.equal(sensor.data.net_forces_w_history[:, age], seen[-1 - age])
     assert not torch.equal(seen[-1], seen[-2])
 
 
@@ -75,19 +77,19 @@ def test_history_and_times_are_clean_after_a_reset(env):
     _settle(env)
     env.reset(env_ids=torch.tensor([1, 3]))
     sensor = env.scene["contact"]
-    assert (sensor.net_forces_w_history[[1, 3]] == 0).all()
-    assert (sensor.current_contact_time[[1, 3]] == 0).all()
-    assert (sensor.current_air_time[[1, 3]] == 0).all()
-    assert (sensor.net_forces_w_history[[0, 2]] != 0).any()
+    assert (sensor.data.net_forces_w_history[[1, 3]] == 0).all()
+    assert (sensor.data.current_contact_time[[1, 3]] == 0).all()
+    assert (sensor.data.current_air_time[[1, 3]] == 0).all()
+    assert (sensor.data.net_forces_w_history[[0, 2]] != 0).any()
     assert (sensor.max_force_norm()[[1, 3]] == 0).all()
 
 
 def test_the_largest_norm_looks_over_the_history(env):
     sensor = env.scene["contact"]
-    sensor.net_forces_w_history[:] = 0.0
+    sensor.data.net_forces_w_history[:] = 0.0
     sensor._norms = None
-    sensor.net_forces_w_history[0, 2, 0] = torch.tensor([3.0, 0.0, 4.0])
-    sensor.net_forces_w_history[0, 1, 0] = torch.tensor([0.0, 0.0, 2.0])
+    sensor.data.net_forces_w_history[0, 2, 0] = torch.tensor([3.0, 0.0, 4.0])
+    sensor.data.net_forces_w_history[0, 1, 0] = torch.tensor([0.0, 0.0, 2.0])
     assert sensor.max_force_norm()[:, 0].tolist() == [5.0, 0.0, 0.0, 0.0]
 
 
@@ -101,15 +103,15 @@ def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
     landed = None
     for k in range(1, 41):
         env.step(STILL)
-        touching = sensor.net_forces_w[0, 0].norm() > 1.0
+        touching = sensor.data.net_forces_w[0, 0].norm() > 1.0
         if not touching and landed is None:
-            assert float(sensor.current_air_time[0, 0]) == pytest.approx(k * dt, abs=1e-6)
+            assert float(sensor.data.current_air_time[0, 0]) == pytest.approx(k * dt, abs=1e-6)
             assert not sensor.compute_first_contact(dt).any()
         elif landed is None:
             landed = k
             assert sensor.compute_first_contact(dt)[:, 0].all()
-            assert float(sensor.last_air_time[0, 0]) == pytest.approx(k * dt, abs=1e-6)
-            assert float(sensor.current_air_time[0, 0]) == 0.0
+            assert float(sensor.data.last_air_time[0, 0]) == pytest.approx(k * dt, abs=1e-6)
+            assert float(sensor.data.current_air_time[0, 0]) == 0.0
         elif k == landed + 1 and touching:
             assert not sensor.compute_first_contact(dt)[:, 0].any()
             assert sensor.compute_first_contact(2 * dt)[:, 0].all()
@@ -120,13 +122,13 @@ def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
 def test_a_body_that_leaves_the_ground_is_timed(env):
     _settle(env, 30)
     robot, sensor = env.scene.robot, env.scene["contact"]
-    spent = float(sensor.current_contact_time[0, 0])
+    spent = float(sensor.data.current_contact_time[0, 0])
     robot.write_root_com_velocity(torch.arange(4), torch.tensor([[0.0, 0, 3.0]]).expand(4, 3), torch.zeros(4, 3))
     env.scene.refresh()
     for _ in range(2):
         env.step(STILL)
-    assert float(sensor.last_contact_time[0, 0]) >= spent
-    assert float(sensor.current_contact_time[0, 0]) == 0.0
+    assert float(sensor.data.last_contact_time[0, 0]) >= spent
+    assert float(sensor.data.current_contact_time[0, 0]) == 0.0
     assert sensor.compute_first_air(0.2)[:, 0].all()
 
 
@@ -136,6 +138,8 @@ def test_times_without_tracking_are_an_error(make_env):
     env.reset()
     with pytest.raises(WheellegError, match="track_air_time"):
         env.scene["contact"].compute_first_contact(0.02)
+    with pytest.raises(WheellegError, match="track_air_time"):
+        _ = env.scene["contact"].data.current_air_time
 
 
 def test_more_contacts_than_are_summed_are_logged_when_the_episode_ends(make_env):
@@ -163,9 +167,9 @@ def test_a_state_restored_gives_the_same_forces_and_times(env):
     _settle(env, 20)
     sensor = env.scene["contact"]
     saved = sensor.state_dict()
-    norm, time = sensor.max_force_norm().clone(), sensor.current_contact_time.clone()
+    norm, time = sensor.max_force_norm().clone(), sensor.data.current_contact_time.clone()
     _settle(env, 3)
     sensor.reset(torch.arange(4))
     sensor.load_state_dict(saved)
     assert torch.equal(sensor.max_force_norm(), norm)
-    assert torch.equal(sensor.current_contact_time, time)
+    assert torch.equal(sensor.data.current_contact_time, time)

@@ -13,6 +13,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.mdp.commands import UniformVelocityCommand
 from wheelleg_exp.recording.layout import EnvPaths
+from wheelleg_exp.sim.sensors import ContactSensor
 
 VELOCITY_NAMES = ("v_x", "v_y", "w_z")
 _GRAVITY = ("g_x", "g_y", "g_z")
@@ -61,7 +62,7 @@ def velocity_command(env: ManagerBasedRLEnv) -> str | None:
 
 def has_forces(sensor: Any) -> bool:
     """Return whether a sensor of the scene measures contact forces."""
-    return hasattr(sensor, "net_forces_w")
+    return isinstance(sensor, ContactSensor)
 
 
 def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
@@ -151,7 +152,7 @@ def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
         if not has_forces(sensor):
             continue
         names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
-        read = flat(lambda sensor=sensor: sensor.net_forces_w, env_id)  # type: ignore[misc]
+        read = flat(lambda sensor=sensor: sensor.data.net_forces_w, env_id)  # type: ignore[misc]
         found.append(one(f"contacts/{name}", paths.data("contacts", name, "forces"), names, read))
         peak = row(lambda sensor=sensor: sensor.max_force_norm(), env_id)  # type: ignore[misc]
         found.append(one(f"peak/{name}", paths.data("contacts", name, "peak"), sensor.body_names, peak))

@@ -29,9 +29,11 @@ class SensorBase(Kept):
     Attributes:
         name: the sensor's name in the scene, known from ``add_to`` on.
         body_names: the bodies that it senses.
+        data: what was measured, under Isaac Lab's names where it has a like sensor.
     """
 
     name: str
+    data: Any
     body_names: list[str]
 
     def __init__(self, update_period: NonNegative = 0.0) -> None:

@@ -9,9 +9,9 @@ import mujoco
 import torch
 
 from wheelleg_exp.constraints import Count, Names, Natural, NonNegative
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.sensors.base import SensorBase
+from wheelleg_exp.sim.sensors.contact_data import ContactSensorData
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -33,7 +33,12 @@ class ContactSensor(SensorBase):
         force_threshold: force above which a body is in contact, N.
         max_contacts: most contacts of one body that are summed.
         update_period: time between two measurements, s; 0 measures after every physics step.
+
+    Attributes:
+        data: what was measured, from ``connect`` on.
     """
+
+    data: ContactSensorData
 
     def __init__(
         self,
@@ -70,66 +75,39 @@ class ContactSensor(SensorBase):
         n, bodies, device = sim.num_envs, len(self.body_names), sim.device
         start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
         width = bodies * self._slots * _WIDTH
-        self._data = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
-        self._pressures, self._normals = self._data[..., 1].unsqueeze(2), self._data[..., 4:7]
-        self.net_forces_w_history = torch.zeros(n, self._history_length, bodies, 3, device=device)
+        self._readings = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
+        self._pressures, self._normals = self._readings[..., 1].unsqueeze(2), self._readings[..., 4:7]
+        self.data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
         self._norms: torch.Tensor | None = None
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
-        times = ("current_air_time", "last_air_time", "current_contact_time", "last_contact_time")
-        self._times = {name: torch.zeros(n, bodies, device=device) for name in times}
-
-    @property
-    def net_forces_w(self) -> torch.Tensor:
-        """Net normal force of the last physics step, N, (N, B, 3)."""
-        return self.net_forces_w_history[:, 0]
-
-    @property
-    def current_air_time(self) -> torch.Tensor:
-        """Time since the body left the ground, s, 0 in contact, (N, B)."""
-        return self._times["current_air_time"]
-
-    @property
-    def last_air_time(self) -> torch.Tensor:
-        """Duration of the last flight, s, (N, B)."""
-        return self._times["last_air_time"]
-
-    @property
-    def current_contact_time(self) -> torch.Tensor:
-        """Time since the body touched down, s, 0 in the air, (N, B)."""
-        return self._times["current_contact_time"]
-
-    @property
-    def last_contact_time(self) -> torch.Tensor:
-        """Duration of the last contact, s, (N, B)."""
-        return self._times["last_contact_time"]
 
     def max_force_norm(self) -> torch.Tensor:
         """Largest norm over the history, N, (N, B)."""
         if self._norms is None:
-            self._norms = torch.linalg.vector_norm(self.net_forces_w_history, dim=-1).amax(dim=1)
+            self._norms = torch.linalg.vector_norm(self.data.net_forces_w_history, dim=-1).amax(dim=1)
         return self._norms
 
     def compute_first_contact(self, dt: float) -> torch.Tensor:
         """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
-        self._require_times()
-        time = self.current_contact_time
+        self.data.require_times()
+        time = self.data.current_contact_time
         return (time > 0.0) & (time < dt + 1e-8)
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
         """Return which bodies (N, B) left the ground within the last ``dt`` seconds."""
-        self._require_times()
-        time = self.current_air_time
+        self.data.require_times()
+        time = self.data.current_air_time
         return (time > 0.0) & (time < dt + 1e-8)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         """Sample the forces of the physics step that has just run."""
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
-        torch.maximum(self._found, self._data[:, :, 0, 0], out=self._found)
+        torch.maximum(self._found, self._readings[:, :, 0, 0], out=self._found)
         force = torch.matmul(self._pressures, self._normals).transpose(1, 2).neg_().float()
-        history = torch.cat((force, self.net_forces_w_history[:, :-1]), dim=1)
+        history = torch.cat((force, self.data.net_forces_w_history[:, :-1]), dim=1)
         if due is not None:
-            history = torch.where(due.view(-1, 1, 1, 1), history, self.net_forces_w_history)
-        self.net_forces_w_history = history
+            history = torch.where(due.view(-1, 1, 1, 1), history, self.data.net_forces_w_history)
+        self.data.net_forces_w_history = history
         self._norms = None
         if self.track_air_time:
             self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
@@ -137,11 +115,9 @@ class ContactSensor(SensorBase):
     def reset(self, ids: torch.Tensor) -> None:
         """Forget forces and times of ``ids``."""
         super().reset(ids)
-        self.net_forces_w_history = self.net_forces_w_history.index_fill(0, ids, 0.0)
+        self.data.reset(ids)
         self._found[ids] = 0.0
         self._norms = None
-        for value in self._times.values():
-            value[ids] = 0.0
 
     def overflowed(self, ids: torch.Tensor) -> torch.Tensor:
         """Return which of ``ids`` had more contacts on one body than ``max_contacts`` since their reset, (n,) bool."""
@@ -155,32 +131,24 @@ class ContactSensor(SensorBase):
         """Return the force history and the times."""
         return {
             **super().state_dict(),
-            "history": self.net_forces_w_history.clone(),
+            "history": self.data.net_forces_w_history.clone(),
             "found": self._found.clone(),
-            **{k: v.clone() for k, v in self._times.items()},
+            **{name: value.clone() for name, value in self.data.times.items()},
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
-        self.net_forces_w_history = saved["history"].clone()
+        self.data.net_forces_w_history = saved["history"].clone()
         self._found.copy_(saved["found"])
-        for name, value in self._times.items():
+        for name, value in self.data.times.items():
             value.copy_(saved[name])
         self._norms = None
 
-    def _require_times(self) -> None:
-        if not self.track_air_time:
-            raise ConfigError(
-                "contact and flight are not timed",
-                key=f"{self.key}.track_air_time",
-                expected="true, for a term that asks for first contacts",
-            )
-
     def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        contact = torch.linalg.vector_norm(self.net_forces_w, dim=-1) > self.force_threshold
+        contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
         for mode, active in (("contact", contact), ("air", ~contact)):
-            current, last = self._times[f"current_{mode}_time"], self._times[f"last_{mode}_time"]
+            current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
             self._advance(current, last, active, elapsed, due)
 
     def _advance(

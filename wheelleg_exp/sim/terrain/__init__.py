@@ -6,7 +6,7 @@
 | `Plane` | an infinite plane |
 """
 
-from wheelleg_exp.sim.terrain.base import GROUND, TerrainBase, grid_origins, is_ground
+from wheelleg_exp.sim.terrain.base import GROUND, GROUND_GROUP, TerrainBase, grid_origins, is_ground
 from wheelleg_exp.sim.terrain.plane import Plane
 
-__all__ = ["GROUND", "Plane", "TerrainBase", "grid_origins", "is_ground"]
+__all__ = ["GROUND", "GROUND_GROUP", "Plane", "TerrainBase", "grid_origins", "is_ground"]

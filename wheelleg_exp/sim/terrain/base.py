@@ -12,6 +12,7 @@ from wheelleg_exp.constraints import NonNegative, Share
 from wheelleg_exp.state import Kept
 
 GROUND = "ground"
+GROUND_GROUP = 0  # MuJoCo's geom group that holds the ground and nothing else
 
 
 class TerrainBase(Kept):

@@ -1,0 +1,72 @@
+"""What a contact sensor has measured, under Isaac Lab's names."""
+
+from __future__ import annotations
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.state import Kept
+
+TIMES = ("current_air_time", "last_air_time", "current_contact_time", "last_contact_time")
+
+
+def _time(name: str, doc: str) -> property:
+    """Make a property that is there when the sensor times contact and flight."""
+
+    def get(self: ContactSensorData) -> torch.Tensor:
+        self.require_times()
+        return self.times[name]
+
+    return property(get, doc=doc)
+
+
+class ContactSensorData(Kept):
+    """What a contact sensor has measured of N environments and B bodies; ``_w`` is world axes.
+
+    What the sensor is not told to track raises ConfigError when it is asked for.
+
+    Args:
+        key: the sensor's config key.
+        num_envs: number of environments, N.
+        bodies: number of sensed bodies, B.
+        history_length: physics steps kept, T.
+        track_air_time: whether contact and flight are timed.
+        device: where the tensors are.
+
+    Attributes:
+        net_forces_w_history: net normal force, N, (N, T, B, 3), newest first.
+        times: the four times by name, s, (N, B); zeros when they are not tracked.
+    """
+
+    def __init__(
+        self, key: str, num_envs: int, bodies: int, history_length: int, track_air_time: bool, device: torch.device
+    ) -> None:
+        self._key = key
+        self.net_forces_w_history = torch.zeros(num_envs, history_length, bodies, 3, device=device)
+        self._track_air_time = track_air_time
+        self.times = {name: torch.zeros(num_envs, bodies, device=device) for name in TIMES}
+
+    @property
+    def net_forces_w(self) -> torch.Tensor:
+        """Net normal force of the last physics step, N, (N, B, 3)."""
+        return self.net_forces_w_history[:, 0]
+
+    current_air_time = _time("current_air_time", "Time since the body left the ground, s, 0 in contact, (N, B).")
+    last_air_time = _time("last_air_time", "Duration of the last flight, s, (N, B).")
+    current_contact_time = _time("current_contact_time", "Time since the body touched down, s, 0 in the air, (N, B).")
+    last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
+
+    def require_times(self) -> None:
+        """Raise ConfigError when contact and flight are not timed."""
+        if not self._track_air_time:
+            raise ConfigError(
+                "contact and flight are not timed",
+                key=f"{self._key}.track_air_time",
+                expected="true, for a term that asks for times or first contacts",
+            )
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Forget forces and times of ``ids``."""
+        self.net_forces_w_history = self.net_forces_w_history.index_fill(0, ids, 0.0)
+        for value in self.times.values():
+            value[ids] = 0.0
