@@ -109,10 +109,12 @@ class Case:
 
 
 def kind_of(target: str, path: str) -> str:
-    """Return a target by its own name, whatever alias names it, without the library's prefix."""
+    """Return a target by its own name, whatever alias names it, without the library's prefix and inner modules."""
     found = resolve_target(target, path)
-    own = f"{inspect.unwrap(found).__module__}.{getattr(found, '__qualname__', '')}"
-    return own.removeprefix(_LIBRARY)
+    module, name = inspect.unwrap(found).__module__, getattr(found, "__qualname__", "")
+    if module.startswith(_LIBRARY):
+        module = module.removeprefix(_LIBRARY).partition(".")[0]
+    return f"{module}.{name}"
 
 
 def largest(pair: Any) -> float:

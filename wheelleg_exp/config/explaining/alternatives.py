@@ -12,6 +12,7 @@ from typing import Any
 
 from wheelleg_exp.config import keys as known
 from wheelleg_exp.config.checking.check_agent import RESOLVERS, known_words
+from wheelleg_exp.config.explaining.catalog import is_own
 from wheelleg_exp.config.tree import Keys, section_at
 from wheelleg_exp.terms.binding import EVENT_MODES, TARGET
 from wheelleg_exp.terms.values import limit_words, options_in, type_words
@@ -110,7 +111,7 @@ def siblings(target: str) -> list[str]:
     return [
         f"{module_name}.{name}"
         for name, found in vars(module).items()
-        if not name.startswith("_") and callable(found) and getattr(found, "__module__", None) == module.__name__
+        if not name.startswith("_") and callable(found) and is_own(module, found)
     ]
 
 

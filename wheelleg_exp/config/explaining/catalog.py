@@ -64,10 +64,19 @@ def library() -> list[LibraryTerm]:
 
 def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
     for name, found in vars(module).items():
-        own = getattr(found, "__module__", None) == module.__name__
-        if own and not name.startswith("_") and name == getattr(found, "__name__", None) and is_term(section, found):
+        if (
+            is_own(module, found)
+            and not name.startswith("_")
+            and name == getattr(found, "__name__", None)
+            and is_term(section, found)
+        ):
             target = f"{module.__name__}.{name}"
             yield LibraryTerm(section, target, signature_of(found), headline(found), limits_of(found))
+
+
+def is_own(module: ModuleType, found: Any) -> bool:
+    """Return whether something is defined in a module, or in a module of that package, and not only imported."""
+    return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")
 
 
 def is_term(section: str, found: Any) -> bool:
