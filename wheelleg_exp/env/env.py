@@ -76,11 +76,11 @@ class ManagerBasedRLEnv(Kept):
         self.autoreset: AutoresetMode = "same_step"
         self.observers: list[Callable[[], None]] = []
 
-        self.scene_manager = SceneManager(cfg, mjcf, self.num_envs)
+        self.scene_manager = SceneManager(cfg, mjcf, self.num_envs, self.streams.get)
         self.scene = self.scene_manager.scene
         self.event_manager = EventManager(cfg.get("events"), self)
         self.event_manager.apply("prestartup")
-        self.scene.play(self.streams.get)
+        self.scene.play()
         self.event_manager.play()
         self.command_manager = CommandManager(cfg.get("commands"), self)
         self.action_manager = ActionManager(cfg.get("actions"), self)

@@ -21,7 +21,7 @@ class SceneEntityCfg:
     """A member of the scene, with joints and bodies by expression.
 
     Args:
-        name: the member's name, ``robot`` or a sensor's.
+        name: the member's name, ``robot``, ``terrain`` or a sensor's.
         joint_names: joint expressions; null is all.
         body_names: body expressions; null is all.
         preserve_order: order by expression (True) or by the asset (False).

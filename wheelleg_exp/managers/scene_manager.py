@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.manager_base import table
+from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.managers.term import build
 from wheelleg_exp.sim.actuators import ActuatorBase
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
@@ -24,19 +27,26 @@ class SceneManager:
         cfg: the composed ``env`` section.
         mjcf: the robot's MJCF file.
         num_envs: number of environments.
+        stream: returns the random stream of a config path; None for a scene that is only looked at.
 
     Raises:
         ConfigError: a section lacks a key or holds an unknown or a wrong one, or a node is wrong.
     """
 
-    def __init__(self, cfg: Mapping[str, Any], mjcf: Path, num_envs: int) -> None:
+    def __init__(
+        self,
+        cfg: Mapping[str, Any],
+        mjcf: Path,
+        num_envs: int,
+        stream: Callable[[str], torch.Generator] | None = None,
+    ) -> None:
         sim = read_section(SimOptions, cfg["sim"], "env.sim")
         scene = read_section(SceneOptions, cfg["scene"], "env.scene")
         robot = read_section(RobotOptions, cfg["robot"], "env.robot")
         actuators = _built(robot.actuators, "env.robot.actuators", ActuatorBase)
         sensors = _built(scene.sensors, "env.scene.sensors", SensorBase)
         terrain = _built({"terrain": scene.terrain}, "env.scene", TerrainBase)["terrain"]
-        self.scene = Scene(mjcf, num_envs, sim, scene, terrain, robot, actuators, sensors)
+        self.scene = Scene(mjcf, num_envs, sim, scene, terrain, robot, actuators, sensors, stream or Streams(0).get)
 
     def __str__(self) -> str:
         robot = self.scene.robot

@@ -24,6 +24,7 @@ from wheelleg_exp.sim.terrain import GROUND_GROUP, TerrainBase, is_ground
 from wheelleg_exp.state import Kept
 
 _ENGINES = {"mujoco": BatchEngine}
+TERRAIN_KEY = "env.scene.terrain"
 _ROBOT_PRIORITY = 1
 _ROBOT_GROUP = 1  # of geoms that came without one; drawn like the ground's
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
@@ -32,7 +33,7 @@ _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and
 class Scene(Kept):
     """Ground, robot and sensors of N environments.
 
-    Members are found by name, as in Isaac Lab: ``scene["robot"]``, ``scene["contact_forces"]``. Until ``play``
+    Members are found by name, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, a sensor's. Until ``play``
     the model is a spec that may still be edited.
 
     Args:
@@ -44,6 +45,7 @@ class Scene(Kept):
         robot: the robot's options.
         actuators: the robot's actuator groups by name.
         sensors: sensors by name.
+        stream: returns the random stream of a config path.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Scene(Kept):
         robot: RobotOptions,
         actuators: Mapping[str, ActuatorBase],
         sensors: Mapping[str, SensorBase],
+        stream: Callable[[str], torch.Generator],
     ) -> None:
         self.num_envs = num_envs
         self.options = scene
@@ -67,6 +70,8 @@ class Scene(Kept):
             turn_root_frame(spec, root_name, robot.root_frame)
         _set_options(spec, sim)
         _set_self_collisions(spec, robot.self_collisions)
+        terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
+        self.env_origins = terrain.env_origins
         terrain.add_to(spec)
         _leave_group_to_ground(spec)
         self._effective_friction(spec, robot.friction_source)
@@ -76,29 +81,23 @@ class Scene(Kept):
             sensor.add_to(spec, name, self.robot)
         self.spec = spec
         self._sim_options = sim
-        self.env_origins = terrain.origins(num_envs, scene.env_spacing, self.device)
+        self._stream = stream
 
-    def play(self, stream: Callable[[str], torch.Generator]) -> None:
-        """Compile the spec, start the simulations and stand the robot at its default state.
-
-        Args:
-            stream: returns the random stream of a config path.
-        """
+    def play(self) -> None:
+        """Compile the spec, start the simulations and stand the robot at its default state."""
         self.model = self.spec.compile()
         self.sim = make_engine(self._sim_options, self.model, self.num_envs)
         self._unstable: torch.Tensor | None = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        self.robot.connect(self.sim, stream)
+        self.robot.connect(self.sim, self._stream)
         for sensor in self.sensors.values():
-            sensor.connect(self.sim, partial(stream, sensor.key))
+            sensor.connect(self.sim, partial(self._stream, sensor.key))
         self._place_at_defaults()
 
     def __getitem__(self, name: str) -> Any:
-        if name == "robot":
-            return self.robot
-        return self.sensors[name]
+        return {"robot": self.robot, "terrain": self.terrain, **self.sensors}[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(("robot", *self.sensors))
+        return iter(("robot", "terrain", *self.sensors))
 
     def contact_sensor(self, name: str) -> ContactSensor:
         """Return a contact sensor by name; ConfigError when the member is none."""

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.terrain import Plane, TerrainBase
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 STEP = {
@@ -38,3 +39,83 @@ def test_what_is_no_ground_is_refused(make_env):
         make_env(scene={"terrain": {"_target_": "managers.spies.Altimeter"}})
     with pytest.raises(ConfigError, match=r"env\.scene\.terrain.*static_friction"):
         make_env(scene={"terrain": {**STEP, "static_friction": -1.0}})
+
+
+class Tiles(TerrainBase):
+    """Four rows of three tiles, whose origins say where they are: x is the row, y the column."""
+
+    def __init__(self, highest: int | None = None) -> None:
+        super().__init__(0.5, 0.5, 0.0)
+        self.max_init_terrain_level = highest
+        rows, cols = torch.meshgrid(torch.arange(4.0), torch.arange(3.0), indexing="ij")
+        self.terrain_origins = torch.stack((rows, cols, 10 * rows), dim=-1)
+
+
+def placed(ground: TerrainBase, num_envs: int, seed: int = 0) -> TerrainBase:
+    generator = torch.Generator().manual_seed(seed)
+    ground.place(num_envs, 2.0, torch.device("cpu"), lambda: generator)
+    return ground
+
+
+def test_on_a_plane_all_stay_where_they_are():
+    ground = placed(Plane(0.5, 0.5, 0.0), 4)
+    before = ground.env_origins.clone()
+    ground.update_env_origins(torch.arange(4), torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool))
+    assert torch.equal(ground.env_origins, before)
+    assert ground.terrain_origins is None
+    assert ground.terrain_levels.tolist() == ground.terrain_types.tolist() == [0] * 4
+    assert ground.height_at(torch.rand(2, 5, 2)).tolist() == [[0.0] * 5] * 2
+    assert ground.state_dict() == {}
+
+
+def test_columns_are_shared_out_in_order_and_rows_are_drawn_up_to_the_highest():
+    ground = placed(Tiles(highest=2), 600)
+    assert ground.terrain_types.tolist() == [0] * 200 + [1] * 200 + [2] * 200
+    assert torch.bincount(ground.terrain_levels, minlength=4).tolist()[3] == 0
+    assert (torch.bincount(ground.terrain_levels)[:3] > 150).all()
+    assert torch.equal(ground.env_origins[:, 0], ground.terrain_levels.float())
+    assert torch.equal(ground.env_origins[:, 1], ground.terrain_types.float())
+    assert placed(Tiles(), 600).terrain_levels.max() == placed(Tiles(highest=9), 600).terrain_levels.max() == 3
+
+
+@pytest.mark.parametrize("num_envs", [1, 2, 3, 7, 10, 64])
+def test_columns_are_isaac_labs(num_envs):
+    expected = torch.div(torch.arange(num_envs), num_envs / 3, rounding_mode="floor").long()
+    assert torch.equal(placed(Tiles(), num_envs).terrain_types, expected)
+
+
+def test_levels_go_up_and_down_and_from_the_last_anywhere():
+    ground = placed(Tiles(), 400)
+    ground.terrain_levels[:] = torch.tensor([0, 1, 2, 3]).repeat(100)
+    origins = ground.env_origins
+    none, every = torch.zeros(400, dtype=torch.bool), torch.ones(400, dtype=torch.bool)
+    ground.update_env_origins(torch.arange(400), none, every)
+    assert ground.terrain_levels[:4].tolist() == [0, 0, 1, 2]
+    ground.update_env_origins(torch.arange(400), every, none)
+    assert ground.terrain_levels[:4].tolist() == [1, 1, 2, 3]
+    ground.update_env_origins(torch.arange(3, 400, 4), every[:100], none[:100])
+    assert sorted(set(ground.terrain_levels[3::4].tolist())) == [0, 1, 2, 3]
+    assert ground.terrain_levels[:3].tolist() == [1, 1, 2]
+    assert origins is ground.env_origins
+    expected = torch.stack((ground.terrain_levels, ground.terrain_types, 10 * ground.terrain_levels), dim=1)
+    assert torch.equal(ground.env_origins, expected.float())
+
+
+def test_levels_are_state():
+    ground, other = placed(Tiles(), 50, seed=1), placed(Tiles(), 50, seed=2)
+    assert not torch.equal(ground.terrain_levels, other.terrain_levels)
+    other.load_state_dict(ground.state_dict())
+    assert torch.equal(ground.terrain_levels, other.terrain_levels)
+    assert torch.equal(ground.env_origins, other.env_origins)
+
+
+def test_the_scene_holds_the_ground_and_its_places(make_env):
+    scene = make_env("block", scene={"terrain": STEP}).scene
+    assert scene["terrain"] is scene.terrain
+    assert scene.env_origins is scene.terrain.env_origins
+
+
+def test_a_ground_of_a_users_own_knows_its_height(make_env):
+    ground = make_env("block", scene={"terrain": STEP}).scene.terrain
+    heights = ground.height_at(torch.tensor([[[5.0, 0.0], [5.9, -0.9]], [[3.9, 0.0], [-2.0, 0.0]]]))
+    torch.testing.assert_close(heights, torch.tensor([[0.4, 0.4], [0.0, 0.0]]))

@@ -41,7 +41,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
     robot, sensors = config["env"]["robot"], config["env"]["scene"].get("sensors")
     joints, errors = _joint_order(robot.get("joint_order"), names.joints)
     errors += _initial_state(robot.get("init_state"), joints) + _actuators(robot.get("actuators"), joints)
-    bodies: dict[str, list[str] | None] = {ROBOT: names.bodies}
+    bodies: dict[str, list[str] | None] = {ROBOT: names.bodies, "terrain": []}
     for name, node in sensors.items() if isinstance(sensors, Mapping) else ():
         if node is None:
             continue

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import torch
 
 from wheelleg_exp.constraints import NonNegative, Share
+from wheelleg_exp.sim.terrain.probe import Probe
 from wheelleg_exp.state import Kept
 
 GROUND = "ground"
@@ -24,12 +26,30 @@ class TerrainBase(Kept):
         static_friction: the ground's coefficient at rest.
         dynamic_friction: the ground's coefficient in motion.
         restitution: the ground's coefficient of restitution.
+
+    Attributes:
+        env_origins: where the environments begin, m, (N, 3).
+        terrain_origins: where those on each tile begin, m, (rows, cols, 3); None on a ground without tiles.
+        terrain_levels: the row of each environment's tile, the harder the higher, (N,) long; 0 without tiles.
+        terrain_types: the column of each environment's tile, (N,) long; 0 without tiles.
+        max_terrain_level: number of rows.
+        size: edges of a tile along x and y, m; infinite without tiles.
+        flat_patches: places that are flat enough, by name, m, (rows, cols, P, 3).
     """
+
+    env_origins: torch.Tensor
+    terrain_origins: torch.Tensor | None = None
+    terrain_levels: torch.Tensor
+    terrain_types: torch.Tensor
+    max_terrain_level: int = 1
+    max_init_terrain_level: int | None = None
+    size: tuple[float, float] = (math.inf, math.inf)
 
     def __init__(self, static_friction: NonNegative, dynamic_friction: NonNegative, restitution: Share) -> None:
         self.static_friction = static_friction
         self.dynamic_friction = dynamic_friction
         self.restitution = restitution
+        self.flat_patches: dict[str, torch.Tensor] = {}
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add the ground's geoms, whose names begin with ``ground``, to the scene's spec."""
@@ -43,12 +63,66 @@ class TerrainBase(Kept):
         """Return where the environments begin, m, (N, 3): a square grid, unless the ground has its own places."""
         return grid_origins(num_envs, spacing, device)
 
+    def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
+        """Find where the environments begin; called once, before ``add_to``.
+
+        On tiles an environment's column is ``floor(i / (N / cols))`` and its row is drawn from the rows up to
+        ``max_init_terrain_level``, as in Isaac Lab.
+
+        Args:
+            num_envs: number of environments, N.
+            spacing: between neighbours on a grid, m.
+            device: where the tensors are.
+            stream: returns the ground's random stream; a ground that draws nothing does not ask for it.
+        """
+        self._probe, self._stream = Probe(self.add_to), stream
+        self.terrain_levels = torch.zeros(num_envs, dtype=torch.long, device=device)
+        self.terrain_types = torch.zeros(num_envs, dtype=torch.long, device=device)
+        if self.terrain_origins is None:
+            self.env_origins = self.origins(num_envs, spacing, device)
+            return
+        rows, cols, _ = self.terrain_origins.shape
+        self.max_terrain_level = rows
+        highest = rows - 1 if self.max_init_terrain_level is None else min(self.max_init_terrain_level, rows - 1)
+        self.terrain_levels = torch.randint(highest + 1, (num_envs,), generator=stream(), device=device)
+        self.terrain_types = torch.arange(num_envs, device=device) * cols // num_envs
+        self.env_origins = self.terrain_origins[self.terrain_levels, self.terrain_types]
+
+    def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
+        """Move environments to a harder or an easier tile of their column; nothing happens without tiles.
+
+        Who has passed the last row is sent to a random one, and nobody falls below the first, as in Isaac Lab.
+
+        Args:
+            env_ids: the environments, (n,).
+            move_up: who goes a row up, (n,) bool.
+            move_down: who goes a row down, (n,) bool.
+        """
+        if self.terrain_origins is None:
+            return
+        rows = self.max_terrain_level
+        levels = self.terrain_levels[env_ids] + move_up.long() - move_down.long()
+        anywhere = torch.randint(rows, levels.shape, generator=self._stream(), device=levels.device)
+        levels = torch.where(levels >= rows, anywhere, levels.clamp(min=0))
+        self.terrain_levels[env_ids] = levels
+        self.env_origins[env_ids] = self.terrain_origins[levels, self.terrain_types[env_ids]]
+
+    def height_at(self, xy: torch.Tensor) -> torch.Tensor:
+        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 where there is none.
+
+        A ground that knows no formula is asked by rays from above.
+        """
+        return self._probe.height_at(xy)
+
     def state_dict(self) -> dict[str, Any]:
         """Return what a curriculum has changed; nothing for a ground that stays as it is."""
-        return {}
+        return {} if self.terrain_origins is None else {"terrain_levels": self.terrain_levels.clone()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
+        if self.terrain_origins is not None:
+            self.terrain_levels.copy_(saved["terrain_levels"])
+            self.env_origins.copy_(self.terrain_origins[self.terrain_levels, self.terrain_types])
 
 
 def is_ground(name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mujoco
+import torch
 
 from wheelleg_exp.sim.terrain.base import GROUND, TerrainBase
 
@@ -19,3 +20,7 @@ class Plane(TerrainBase):
             friction=[self.dynamic_friction, 0.005, 0.0001],
             rgba=[0.35, 0.38, 0.42, 1],
         )
+
+    def height_at(self, xy: torch.Tensor) -> torch.Tensor:
+        """Return zeros (...) for points (..., 2)."""
+        return torch.zeros_like(xy[..., 0])
