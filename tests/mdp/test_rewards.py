@@ -79,8 +79,8 @@ JOINTS = {
     "data_joint_acc": T([[10.0, 0.0, -2.0], [0.0, 0.0, 0.0]]),
     "data_applied_torque": T([[1.0, -2.0, 0.0], [0.0, 0.5, 0.0]]),
     "data_computed_torque": T([[1.0, -5.0, 0.0], [0.0, 0.5, 1.0]]),
-    "data_soft_joint_pos_limits": T([[-0.25, 0.25], [-0.75, 1.0], [-math.inf, math.inf]]),
-    "data_soft_joint_vel_limits": T([1.0, 1.0, math.inf]),
+    "data_soft_joint_pos_limits": T(2 * [[[-0.25, 0.25], [-0.75, 1.0], [-math.inf, math.inf]]]),
+    "data_soft_joint_vel_limits": T(2 * [[1.0, 1.0, math.inf]]),
 }
 
 

@@ -54,8 +54,8 @@ def test_height():
 JOINTS = {
     "data_joint_pos": T([[0.5, 0.0], [0.2, -2.0], [0.0, 0.0]]),
     "data_joint_vel": T([[3.0, 0.0], [0.0, -1.5], [1.0, 0.0]]),
-    "data_soft_joint_pos_limits": T([[-0.3, 0.3], [-math.inf, math.inf]]),
-    "data_soft_joint_vel_limits": T([2.0, 1.0]),
+    "data_soft_joint_pos_limits": T(3 * [[[-0.3, 0.3], [-math.inf, math.inf]]]),
+    "data_soft_joint_vel_limits": T(3 * [[2.0, 1.0]]),
 }
 
 

@@ -65,20 +65,20 @@ def test_an_order_that_is_none_is_an_error(make_env, order, message):
 
 def test_limits_of_unlimited_joints_are_infinite(make_env):
     data = make_env().scene.robot.data
-    assert data.joint_pos_limits.tolist() == [[-1, 1.5], [-1, 1.5], [-math.inf, math.inf], [-math.inf, math.inf]]
+    assert data.joint_pos_limits.tolist() == 4 * [[[-1, 1.5], [-1, 1.5], *2 * [[-math.inf, math.inf]]]]
     assert data.soft_joint_pos_limits.tolist() == data.joint_pos_limits.tolist()
 
 
 def test_soft_limits_shrink_about_the_middle(make_env):
     data = make_env(robot={"soft_joint_pos_limit_factor": 0.8}).scene.robot.data
     # middle .25, half width 1.25 * .8 = 1
-    assert data.soft_joint_pos_limits[0].tolist() == pytest.approx([-0.75, 1.25])
-    assert data.soft_joint_pos_limits[2].tolist() == [-math.inf, math.inf]
-    assert data.joint_pos_limits[0].tolist() == [-1.0, 1.5]
+    assert data.soft_joint_pos_limits[0, 0].tolist() == pytest.approx([-0.75, 1.25])
+    assert data.soft_joint_pos_limits[1, 2].tolist() == [-math.inf, math.inf]
+    assert data.joint_pos_limits[2, 0].tolist() == [-1.0, 1.5]
 
 
 def test_velocity_limits_are_known_before_the_first_step(make_env):
-    assert make_env().scene.robot.data.soft_joint_vel_limits.tolist() == [30, 30, 20, 20]
+    assert make_env().scene.robot.data.soft_joint_vel_limits.tolist() == 4 * [[30, 30, 20, 20]]
 
 
 def _init(**joint_pos):
@@ -104,8 +104,8 @@ def test_a_default_position_at_the_limit_is_accepted(make_env, tmp_path, value):
 
 def test_a_file_in_degrees_gives_radians_for_hinges_and_metres_for_sliders(make_env):
     limits = make_env("arm").scene.robot.data.joint_pos_limits
-    assert limits[0].tolist() == pytest.approx([-math.pi / 2, math.pi / 4])
-    assert limits[1].tolist() == pytest.approx([-0.1, 0.2])
+    assert limits[0, 0].tolist() == pytest.approx([-math.pi / 2, math.pi / 4])
+    assert limits[0, 1].tolist() == pytest.approx([-0.1, 0.2])
 
 
 def test_a_fixed_base_has_its_root_where_the_model_says(make_env):
@@ -160,7 +160,7 @@ def test_whole_numbers_are_numbers(make_env):
         group.update({k: round(v) for k, v in group.items() if isinstance(v, float) and v >= 1})
     actuators["hips"].update(stiffness=20, damping=1, effort_limit=4, velocity_limit=30)
     env = make_env(robot={"actuators": actuators})
-    assert env.scene.robot.data.soft_joint_vel_limits.tolist() == [30, 30, 20, 20]
+    assert env.scene.robot.data.soft_joint_vel_limits.tolist() == 4 * [[30, 30, 20, 20]]
 
 
 def test_a_joint_driven_twice_is_an_error(make_env):

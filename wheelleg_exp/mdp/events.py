@@ -332,8 +332,8 @@ def _reset_joints(
     low, high = velocity_range
     drawn_vel = low + (high - low) * u[1]
     pos, vel = (pos * drawn_pos, vel * drawn_vel) if scale else (pos + drawn_pos, vel + drawn_vel)
-    lowest, highest = data.soft_joint_pos_limits[joints].unbind(dim=1)
-    fastest = data.soft_joint_vel_limits[joints]
+    lowest, highest = data.soft_joint_pos_limits[ids][:, joints].unbind(dim=2)
+    fastest = data.soft_joint_vel_limits[ids][:, joints]
     robot.write_joint_state(ids, pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints)
 
 

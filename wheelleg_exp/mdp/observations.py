@@ -79,7 +79,7 @@ class joint_pos_limit_normalized(TermBase):
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
         self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
-        if not self._data.soft_joint_pos_limits[asset_cfg.joint_ids].isfinite().all():
+        if not self._data.soft_joint_pos_limits[:, asset_cfg.joint_ids].isfinite().all():
             raise ConfigError(
                 "a joint without limits cannot be normalised",
                 key="asset_cfg.joint_names",
@@ -89,7 +89,7 @@ class joint_pos_limit_normalized(TermBase):
     def __call__(self, env: Env) -> torch.Tensor:
         """Normalise."""
         del env
-        low, high = self._data.soft_joint_pos_limits[self._ids].unbind(dim=1)
+        low, high = self._data.soft_joint_pos_limits[:, self._ids].unbind(dim=2)
         return 2.0 * (self._data.joint_pos[:, self._ids] - (low + high) / 2) / (high - low)
 
 

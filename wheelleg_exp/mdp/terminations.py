@@ -43,7 +43,7 @@ def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
     """Some joint is outside its soft limits."""
     data = env.scene[asset_cfg.name].data
     q = data.joint_pos[:, asset_cfg.joint_ids]
-    low, high = data.soft_joint_pos_limits[asset_cfg.joint_ids].unbind(dim=1)
+    low, high = data.soft_joint_pos_limits[:, asset_cfg.joint_ids].unbind(dim=2)
     return ((q < low) | (q > high)).any(dim=1)
 
 
@@ -57,7 +57,7 @@ def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
     """Some joint is faster than its actuator's velocity limit."""
     data = env.scene[asset_cfg.name].data
     speed = data.joint_vel[:, asset_cfg.joint_ids].abs()
-    return (speed > data.soft_joint_vel_limits[asset_cfg.joint_ids]).any(dim=1)
+    return (speed > data.soft_joint_vel_limits[:, asset_cfg.joint_ids]).any(dim=1)
 
 
 def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -69,7 +69,7 @@ def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> t
     """Some joint's torque was clipped by its effort limit."""
     data = env.scene[asset_cfg.name].data
     computed = data.computed_torque[:, asset_cfg.joint_ids].abs()
-    return (computed > data.joint_effort_limits[asset_cfg.joint_ids]).any(dim=1)
+    return (computed > data.joint_effort_limits[:, asset_cfg.joint_ids]).any(dim=1)
 
 
 def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:

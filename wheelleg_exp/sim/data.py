@@ -73,10 +73,10 @@ class RobotData(Kept):
         self.com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
         self.default_joint_pos = layout.default_joint_pos.expand(n, joints).clone()
         self.default_joint_vel = layout.default_joint_vel.expand(n, joints).clone()
-        self.joint_pos_limits = layout.joint_pos_limits
-        self.soft_joint_pos_limits = layout.soft_joint_pos_limits
-        self.soft_joint_vel_limits = layout.velocity_limits
-        self.joint_effort_limits = layout.effort_limits
+        self.joint_pos_limits = layout.joint_pos_limits.expand(n, joints, 2).clone()
+        self.soft_joint_pos_limits = layout.soft_joint_pos_limits.expand(n, joints, 2).clone()
+        self.soft_joint_vel_limits = layout.velocity_limits.expand(n, joints).clone()
+        self.joint_effort_limits = layout.effort_limits.expand(n, joints).clone()
         gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
         self._gravity_dir = torch.nn.functional.normalize(gravity, dim=0)
         self._torque_valid = torch.zeros(n, 1, device=device)
@@ -147,6 +147,11 @@ class RobotData(Kept):
     def joint_effort_target(self) -> torch.Tensor:
         """Feed-forward efforts, N·m, (N, J)."""
         return self._targets.effort
+
+    @property
+    def joint_vel_limits(self) -> torch.Tensor:
+        """The actuators' velocity limits, rad/s, (N, J): the engine itself limits no speed."""
+        return self.soft_joint_vel_limits
 
     @_derived
     def _positions(self) -> torch.Tensor:

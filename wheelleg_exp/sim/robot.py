@@ -142,7 +142,7 @@ class Robot(Kept):
 
     def set_joint_velocity_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:
         """Set velocity targets (N, k), rad/s, clipped to the actuators' velocity limits."""
-        limit = self.data.soft_joint_vel_limits[joint_ids]
+        limit = self.data.soft_joint_vel_limits[:, joint_ids]
         self.targets.vel[:, joint_ids] = torch.clamp(target, -limit, limit)
 
     def set_joint_effort_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:

@@ -157,7 +157,7 @@ class Scene(Kept):
         would have clamped. ``<sensor>_...``: what each sensor says of itself.
         """
         data = self.robot.data
-        fast = (data.joint_vel[ids].abs() > data.soft_joint_vel_limits).any(dim=1)
+        fast = (data.joint_vel[ids].abs() > data.soft_joint_vel_limits[ids]).any(dim=1)
         log = {"Diagnostics/joint_over_speed": fast.float().mean()}
         for name, sensor in self.sensors.items():
             log |= {f"Diagnostics/{name}_{word}": value for word, value in sensor.diagnostics(ids).items()}

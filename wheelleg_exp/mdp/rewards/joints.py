@@ -59,14 +59,14 @@ def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
     """Sum of the distances of the joints beyond their soft limits, rad."""
     data = env.scene[asset_cfg.name].data
     q = data.joint_pos[:, asset_cfg.joint_ids]
-    low, high = data.soft_joint_pos_limits[asset_cfg.joint_ids].unbind(dim=1)
+    low, high = data.soft_joint_pos_limits[:, asset_cfg.joint_ids].unbind(dim=2)
     return ((low - q).clamp(min=0.0) + (q - high).clamp(min=0.0)).sum(dim=1)
 
 
 def joint_vel_limits(env: Env, soft_ratio: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of clip(|qd| - limit * ratio, 0, 1), rad/s."""
     data = env.scene[asset_cfg.name].data
-    limit = data.soft_joint_vel_limits[asset_cfg.joint_ids] * soft_ratio
+    limit = data.soft_joint_vel_limits[:, asset_cfg.joint_ids] * soft_ratio
     return (data.joint_vel[:, asset_cfg.joint_ids].abs() - limit).clamp(0.0, 1.0).sum(dim=1)
 
 

@@ -96,11 +96,11 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
     yield paths.data("joints"), [rr.AnyValues(names=list(robot.joint_names))]
     drives = _drives(env)
     for i, joint in enumerate(robot.joint_names):
-        low, high = data.joint_pos_limits[i].tolist()
+        low, high = data.joint_pos_limits[env_id, i].tolist()
         stiffness, damping = drives.get(joint, (math.nan, math.nan))
         limits = rr.AnyValues(
-            effort_limit=float(data.joint_effort_limits[i]),
-            velocity_limit=float(data.soft_joint_vel_limits[i]),
+            effort_limit=float(data.joint_effort_limits[env_id, i]),
+            velocity_limit=float(data.soft_joint_vel_limits[env_id, i]),
             position_low=low,
             position_high=high,
             default_position=float(data.default_joint_pos[env_id, i]),
