@@ -46,6 +46,8 @@ def test_within_a_table_a_label_says_one_thing(table):
         ("Episode_Termination/base_contact", "last episode ended by base_contact", "share"),
         ("Episode_Metrics/drive/error_vel_xy_per_step", "mean planar velocity error (drive)", "m/s"),
         ("Episode_Metrics/arm/reach_per_step", "mean reach (arm)", ""),
+        ("Metrics_per_step/drive/error_vel_xy", "planar velocity error (drive)", "m/s"),
+        ("Rewards_per_step/alive", "alive, reward per second", "1/s"),
         ("Metrics/drive/error_vel_xy", "error_vel_xy, added up over an episode (drive)", ""),
         ("Curriculum/terrain/level", "curriculum terrain/level", ""),
         ("Diagnostics/feet_overflow", "more contacts than feet sums", "share"),

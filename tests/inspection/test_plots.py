@@ -158,14 +158,17 @@ def test_learning_curves_are_the_recorded_scalars(trained: Recording, title, key
 
 
 def test_the_error_of_a_step_is_drawn_and_not_the_one_that_grows_with_the_episode() -> None:
-    x, step, grown = np.arange(5), np.full(5, 0.2), np.linspace(0.03, 0.4, 5)
-    keys = ("Episode_Metrics/drive/error_vel_xy_per_step", "Metrics/drive/error_vel_xy")
-    scalars = {key: (x, values) for key, values in zip(keys, (step, grown), strict=True)}
+    x, step, ended, grown = np.arange(5), np.full(5, 0.3), np.full(5, 0.2), np.linspace(0.03, 0.4, 5)
+    drive = "drive/error_vel_xy"
+    keys = (f"Metrics_per_step/{drive}", f"Episode_Metrics/{drive}_per_step", f"Metrics/{drive}")
+    scalars = {key: (x, values) for key, values in zip(keys, (step, ended, grown), strict=True)}
     (axes,) = tile(plots_training.learning(scalars)).get_axes()
-    assert axes.get_title("left") == "Mean planar velocity error (drive)"
+    assert axes.get_title("left") == "Planar velocity error (drive)"
     assert axes.get_ylabel() == "m/s"
     np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), step)
-    (older,) = tile(plots_training.learning({keys[1]: scalars[keys[1]]})).get_axes()
+    (old,) = tile(plots_training.learning({key: scalars[key] for key in keys[1:]})).get_axes()
+    assert old.get_title("left") == "Mean planar velocity error (drive)"
+    (older,) = tile(plots_training.learning({keys[2]: scalars[keys[2]]})).get_axes()
     assert older.get_title("left") == "Error_vel_xy, added up over an episode (drive)"
     assert older.get_ylabel() == ""
 

@@ -25,6 +25,7 @@ DERIVED = frozenset(
         "._views['actuator_force']",
         "._sim._current",
         ".robot.data._cache",
+        ".step_errors",  # of the step alone
         ".robot.data.motion_at_start",  # read within a control step alone
         "._has_worked",  # what messages tell: whether a term has run before, and what it returned
         ".form",

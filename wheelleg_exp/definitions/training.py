@@ -11,13 +11,16 @@ LAST = "the last 100 ended episodes"
 EPISODE_REWARD = "sum of an episode / longest episode's seconds"
 _ALL = "all environments"
 _ENDED = "the iteration's ended episodes"
+_STEPS = "all control steps of all environments in the iteration"
 _NAME = re.compile(r"<(\w+)>")
 
 ABOUT = (
     "One value an iteration, of the exploring policy; steps are control steps. What is logged when environments are "
     "reset (`Episode_*`, `Metrics`, `Curriculum`, `Diagnostics`) is the mean over the iteration's resets, each of "
     "which is a mean over the environments that it resets, whatever their number; an iteration without a reset has "
-    "none. Errors of commands are sampled once a control step, after its resets."
+    "none. Such means are biased: who falls early ends more episodes, and shorter ones. `*_per_step/…` has no such "
+    "bias: each environment counts alike in each control step of the iteration, whether its episode ends or not. "
+    "Errors of commands are sampled once a control step, after its resets."
 )
 # By key; a part in <> is any name, and the first pattern that fits counts.
 SCALARS = {
@@ -63,6 +66,24 @@ SCALARS = {
         "Isaac Lab's metric: the error added up over an episode's control steps, times the control step, divided by "
         "the longest time between two commands. It grows with the episode; `Episode_Metrics` has the error itself.",
         _ENDED,
+    ),
+    "Metrics_per_step/<command>/error_vel_xy": Definition(
+        "planar velocity error (<command>)",
+        "m/s",
+        f"Size of velocity minus command in the base's axes, mean over {_STEPS}.",
+        _STEPS,
+    ),
+    "Metrics_per_step/<command>/error_vel_yaw": Definition(
+        "yaw rate error (<command>)", "rad/s", f"Size of yaw rate minus command, mean over {_STEPS}.", _STEPS
+    ),
+    "Metrics_per_step/<command>/<metric>": Definition(
+        "<metric> (<command>)", "", f"A command's own error, mean over {_STEPS}.", _STEPS
+    ),
+    "Rewards_per_step/<term>": Definition(
+        "<term>, reward per second", "1/s", f"The weighted term per second, mean over {_STEPS}.", _STEPS
+    ),
+    "Terminations_per_step/<term>": Definition(
+        "steps that <term> ended", SHARE, f"Of {_STEPS}: those in which this termination ended an episode.", _STEPS
     ),
     "Curriculum/<term>": Definition("curriculum <term>", "", "What the term returned last."),
     "Diagnostics/joint_over_speed": Definition(
@@ -120,7 +141,10 @@ MANIFEST = {
 }
 
 # What a training ended as, by the beginnings of keys.
-ENDED_AS = ("Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/", "Episode_Metrics/")
+ENDED_AS = (
+    *("Train/mean_reward", "Train/mean_episode_length", "Episode_Termination/"),
+    *("Metrics_per_step/", "Episode_Metrics/"),
+)
 
 
 def title(key: str) -> str:

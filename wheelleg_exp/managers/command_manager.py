@@ -61,8 +61,8 @@ class CommandTerm(TermBase):
     def post_process(self) -> None:
         """Derive the command from what was drawn, every step."""
 
-    def compute(self, dt: float) -> None:
-        """Sample the metrics, resample where the time is up, post-process."""
+    def compute(self, dt: float) -> torch.Tensor:
+        """Sample the metrics, resample where the time is up, post-process; return this step's errors (M, N)."""
         errors = self.errors()
         if getattr(errors, "shape", None) != self.error_sums.shape:
             raise ConfigError(
@@ -79,6 +79,7 @@ class CommandTerm(TermBase):
         if len(expired):
             self._resample(expired)
         self.post_process()
+        return errors
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the metrics' means over ``env_ids``, zero them, and draw anew."""
@@ -102,13 +103,18 @@ class CommandTerm(TermBase):
 
 
 class CommandManager(ManagerBase):
-    """Holds the command terms by name."""
+    """Holds the command terms by name.
+
+    Attributes:
+        step_errors: this step's error of each metric, (M, N) by term; of the step alone, and no state.
+    """
 
     kind = "commands"
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
         self._command_terms: dict[str, CommandTerm] = {}
+        self.step_errors: dict[str, torch.Tensor] = {}
         for name, term in self._terms.items():
             if not isinstance(term.func, CommandTerm):
                 raise ConfigError(f"'{term.target}' is no command term", key=term.path, expected="a command term")
@@ -135,7 +141,7 @@ class CommandManager(ManagerBase):
         """Advance every term by one control step."""
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():
-                term.compute(dt)
+                self.step_errors[name] = term.compute(dt)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands and return the metrics of the episodes that ended."""

@@ -35,6 +35,11 @@ class TerminationManager(ManagerBase):
         """Which environments ended their episode in this step, (N,) bool."""
         return self.terminated | self.time_outs
 
+    @property
+    def fired(self) -> torch.Tensor:
+        """Where each term fired in this step, (terms, N) bool."""
+        return self._fired
+
     def get_fired(self, name: str) -> torch.Tensor:
         """Return where a term fired in this step, (N,) bool."""
         self.get_term(name)

@@ -34,7 +34,7 @@ _HEADLINES = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std
 _GROUPS = {
     "Episode_Reward": f"Reward by term: {EPISODE_REWARD}",
     "Episode_Termination": "Last episode ended by, share of all environments",
-    "Episode_Metrics": "Mean tracking errors",
+    "Metrics_per_step": "Mean tracking errors",
     "Loss": "Losses",
 }
 

@@ -7,6 +7,6 @@
 | `options` | what may stand under `agent` |
 | `checkpoint`, `digests` | the whole state in a file, and short digests of it |
 | `policy`, `export` | a policy alone, and for deployment |
-| `episode_log` | what a rollout tells, failures counted |
+| `episode_log`, `step_means` | what a rollout tells: of episodes, failures counted; of every step |
 | `global_draws`, `one_thread` | guards of what repeats |
 """

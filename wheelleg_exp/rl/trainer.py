@@ -28,6 +28,7 @@ from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
 from wheelleg_exp.rl.one_thread import one_thread
 from wheelleg_exp.rl.options import require_agent
+from wheelleg_exp.rl.step_means import StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.state import cloned
 from wheelleg_exp.user_code import ending_as, in_words, place
@@ -75,6 +76,7 @@ class Trainer:
         torch.manual_seed(stream_seed(seed, "agent"))
         self.algorithm = build_algorithm(env, agent)
         self.log = EpisodeLog(env.num_envs)
+        self._means = StepMeans(env.env)
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.
@@ -93,7 +95,7 @@ class Trainer:
                 losses = self.algorithm.update()
             self._require_sane(losses)
             learned = time.perf_counter()
-            scalars = self.log.collect()
+            scalars = self.log.collect() | self._means.collect()
             scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
             scalars["Loss/learning_rate"] = float(self.algorithm.learning_rate)
             scalars["Policy/mean_std"] = self.algorithm.get_policy().output_std.mean().item()
@@ -118,6 +120,7 @@ class Trainer:
             failed.take(extras)
             failed.require_few(f"by control step {self.env.env.common_step_counter}")
             self.log.step(rewards, dones, extras)
+            self._means.take()
             observations, rewards, dones = (x.to(self.device) for x in (observations, rewards, dones))
             self.algorithm.process_env_step(observations, rewards, dones, extras)
         with one_thread():

@@ -29,14 +29,15 @@ CURVES = (
     "Loss/learning_rate",
     "Perf/total_fps",
 )
-_PER_STEP, _ADDED_UP = "Episode_Metrics/", "Metrics/"
+# The errors of commands: the first kind that a training has is drawn.
+_ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
 
 
 def learning(scalars: Scalars) -> list[Panel]:
     """Return the learning curves: return, episode length, tracking errors, losses, deviation of the actions."""
     panels = [_curve(key, scalars[key]) for key in CURVES if key in scalars]
-    errors = [key for key in scalars if key.startswith(_PER_STEP)]
-    errors = errors or [key for key in scalars if key.startswith(_ADDED_UP)]  # all that an older training has
+    kinds = ([key for key in scalars if key.startswith(head)] for head in _ERRORS)
+    errors: list[str] = next(filter(None, kinds), [])
     return [*panels[:2], *(_curve(key, scalars[key]) for key in errors), *panels[2:]]
 
 

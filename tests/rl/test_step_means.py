@@ -1,0 +1,86 @@
+"""Means over all control steps: closed forms in which episodes that end early would give another number."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from wheelleg_exp.rl.step_means import StepMeans
+
+
+def manager(**fields):
+    return SimpleNamespace(**fields)
+
+
+@pytest.fixture
+def env():
+    """Two environments; a reward that is 1 in the first 4 steps of an episode and 0 later, and its mirror."""
+    term = SimpleNamespace(metric_names=["error"])
+    return SimpleNamespace(
+        reward_manager=manager(active_terms=["early", "late"], step_reward=torch.zeros(2, 2)),
+        termination_manager=manager(active_terms=["fell"], fired=torch.zeros(1, 2, dtype=torch.bool)),
+        command_manager=manager(step_errors={}, get_command_term=lambda name: term),
+    )
+
+
+def run(env, means, lengths, steps):
+    """Let environment ``i`` end its episodes after ``lengths[i]`` steps, for ``steps`` steps."""
+    for step in range(steps):
+        age = torch.tensor([step % length for length in lengths])
+        env.reward_manager.step_reward[0] = (age < 4).float()
+        env.reward_manager.step_reward[1] = (age >= 4).float()
+        env.termination_manager.fired[0] = age == torch.tensor(lengths) - 1
+        env.command_manager.step_errors["drive"] = 0.1 * age.float().unsqueeze(0)
+        means.take()
+
+
+def test_each_environment_counts_alike_in_each_step(env):
+    """One falls every 4 steps, one lives for 16: of the 4 + 1 episodes of 16 steps, 4 are short.
+
+    The mean over the episodes that ended would be (4 x 1 + 4 / 16) / 5 = 0.85 for the first term's value per step,
+    and 0.15 for the mean error of the short ones against 0.75 of the long one.
+    """
+    means = StepMeans(env)
+    run(env, means, [4, 16], 16)
+    scalars = means.collect()
+    assert scalars["Rewards_per_step/early"] == pytest.approx((16 + 4) / 32)
+    assert scalars["Rewards_per_step/late"] == pytest.approx(12 / 32)
+    assert scalars["Terminations_per_step/fell"] == pytest.approx((4 + 1) / 32)
+    assert scalars["Metrics_per_step/drive/error"] == pytest.approx((0.15 + 0.75) / 2)
+
+
+def test_steps_without_an_end_count_as_well(env):
+    means = StepMeans(env)
+    run(env, means, [100, 100], 8)
+    assert means.collect()["Rewards_per_step/early"] == pytest.approx(0.5)
+
+
+def test_nothing_is_kept_between_iterations(env):
+    means = StepMeans(env)
+    run(env, means, [4, 4], 4)
+    assert means.collect()["Rewards_per_step/early"] == 1.0
+    run(env, means, [1, 1], 3)
+    assert means.collect()["Terminations_per_step/fell"] == 1.0
+    assert means.collect() == {}
+
+
+@pytest.mark.train
+def test_a_training_tells_the_means_of_what_its_environment_gave(make_trainer):
+    """The sum over the terms times the control step is the mean reward that the environment returned."""
+    trainer, rewards = make_trainer(), []
+    env = trainer.env.env
+    compute = env.reward_manager.compute
+
+    def spy(*args):
+        reward = compute(*args)
+        rewards.append(reward.double().clone())
+        return reward
+
+    env.reward_manager.compute = spy
+    (done,) = trainer.learn(until=1)
+    per_second = sum(value for key, value in done.scalars.items() if key.startswith("Rewards_per_step/"))
+    assert len(rewards) == 24
+    assert per_second * env.step_dt == pytest.approx(float(torch.stack(rewards).mean()), rel=1e-5)
+    assert done.scalars["Metrics_per_step/base_velocity/error_vel_xy"] > 0.0
