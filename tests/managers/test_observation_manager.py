@@ -287,3 +287,35 @@ def test_the_cached_observation_is_the_one_returned_last(make_env):
     env.reset()
     out, *_ = env.step(STILL)
     assert torch.equal(env.observation_manager.obs_buf["policy"], out["policy"])
+
+
+# ---- two groups ----
+
+
+def _two(make_env, policy, critic, **fields):
+    nodes = {"policy": {"terms": {"x": _value(policy)}}, "critic": {"terms": {"y": _value(critic, **fields)}}}
+    return make_env(observations=nodes)
+
+
+def _calls(env, **numbers):
+    called = []
+    for key, number in numbers.items():
+        spies.VALUES[key] = lambda _, key=key, number=number: called.append(key) or number
+    observed = env.observation_manager.compute()
+    return "".join(called), float(observed["policy"][0]), float(observed["critic"][0])
+
+
+def test_a_function_of_two_groups_is_called_once_a_step(make_env):
+    assert _calls(_two(make_env, "x", "x"), x=2.0) == ("x", 2.0, 2.0)
+    assert _calls(_two(make_env, "x", "y"), x=2.0, y=5.0) == ("xy", 2.0, 5.0)
+
+
+def test_each_group_does_its_own_with_what_was_computed_once(make_env):
+    env = _two(make_env, "x", "x", modifiers=[{"_target_": M + "Bias", "value": 1.0}], scale=10.0)
+    assert _calls(env, x=2.0) == ("x", 2.0, 30.0)
+
+
+def test_a_parameter_that_is_changed_later_is_one_groups_own(make_env):
+    env = _two(make_env, "x", "x")
+    env.observation_manager.terms("critic")["y"].term.params["key"] = "z"
+    assert _calls(env, x=2.0, z=5.0) == ("xz", 2.0, 5.0)

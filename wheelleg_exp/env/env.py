@@ -90,7 +90,7 @@ class ManagerBasedRLEnv(Kept):
         self.curriculum_manager = CurriculumManager(cfg.get("curriculum"), self)
         self.event_manager.apply("startup")
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
-        self._none = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
         self._term_state = TermState(self, self.managers, cfg)
 
     @property
@@ -135,18 +135,22 @@ class ManagerBasedRLEnv(Kept):
         self.episode_length_buf += 1
         self.common_step_counter += 1
 
-        self.extras.pop("non_finite", None)
         done = self.termination_manager.compute(waiting)
         self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
-        unstable = ids_where(self.scene.unstable() if waiting is None else self.scene.unstable() & ~waiting)
-        if len(unstable) or self.reward_manager.non_finite:
-            done = self._end_failed(unstable)
+        failed = self.scene.unstable() | self.reward_manager.failed
+        if waiting is not None:
+            failed &= ~waiting
+        ended = ids_where(done | failed)  # all before is whole tensors of fixed shape
+        self.extras.pop("non_finite", None)
+        if len(ended):
+            self._end_failed(ids_where(failed))
         for observe in self.observers:
             observe()
 
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
-        ended = ids_where(done if self.autoreset == "same_step" else self._none if waiting is None else waiting)
+        if self.autoreset != "same_step":
+            ended = self._no_ids if waiting is None else ids_where(waiting)
         if len(ended):
             if self.keep_final_obs:
                 self.extras["final_obs"] = self.observation_manager.peek()
@@ -185,7 +189,9 @@ class ManagerBasedRLEnv(Kept):
         if len(ids):
             self._reset_idx(ids)
         self.scene.refresh()
-        only = None if env_ids is None else torch.zeros_like(self._none).index_fill(0, ids, True)
+        only = None
+        if env_ids is not None:
+            only = torch.zeros_like(self.termination_manager.dones).index_fill_(0, ids, True)
         observations = self.observation_manager.compute(only)
         require_finite_observations(self, only)
         return observations, self.extras
@@ -215,15 +221,16 @@ class ManagerBasedRLEnv(Kept):
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
         self.scene.refresh()
 
-    def _end_failed(self, unstable: torch.Tensor) -> torch.Tensor:
+    def _end_failed(self, env_ids: torch.Tensor) -> None:
         """End the episodes in which a number was not finite; tell whose it was, and keep the state, in ``extras``.
 
         Args:
-            unstable: the environments whose physics has failed, (n,).
+            env_ids: environments whose physics or rewards have failed, (n,).
         """
-        found = failures(self, unstable)
-        self.extras["non_finite"] = found
-        return self.termination_manager.force(torch.tensor(list(found["keys"]), device=self.device))
+        if len(env_ids):
+            self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
+            self.extras["non_finite"] = failures(self, env_ids[self.scene.unstable()[env_ids]])
+            self.termination_manager.force(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that the coming steps depend on.

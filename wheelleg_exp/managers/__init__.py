@@ -8,7 +8,7 @@
 | `entity` | members of the scene, and named ranges, as terms take them |
 | `returned`, `finite`, `failures` | what terms return and raise, told by the key of the term |
 | `streams` | random draws, a stream for each term |
-| `buffers` | history of samples |
+| `buffers`, `observation_term` | history of samples, and what becomes of one |
 """
 
 from wheelleg_exp.managers.action_manager import ActionManager, ActionTerm

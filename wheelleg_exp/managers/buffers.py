@@ -1,15 +1,19 @@
-"""History of the last samples, oldest first."""
+"""Histories of the last samples, oldest first.
+
+A history makes a new tensor of each sample instead of writing into the old one, so that what was handed out before
+never changes. The first sample of an episode fills every slot, as in Isaac Lab.
+"""
 
 from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
 
 import torch
 
 
 class HistoryBuffer:
     """The last H samples of each environment.
-
-    The first sample of an episode fills every slot, as in Isaac Lab. ``append`` makes a new tensor instead of
-    writing into the old one, so that what was handed out before never changes.
 
     Args:
         num_envs: number of environments, N.
@@ -46,3 +50,81 @@ class HistoryBuffer:
     def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
         self.samples = saved["samples"].clone()
+
+
+class RowHistory:
+    """The last samples of several terms as one row an environment: term by term, each oldest first.
+
+    Args:
+        num_envs: number of environments, N.
+        widths: width of one sample of each term.
+        lengths: samples kept of each term; 0 and 1 both keep the newest alone.
+        device: where the samples are.
+    """
+
+    def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:
+        slots = [max(1, length) for length in lengths]
+        sizes = [width * count for width, count in zip(widths, slots, strict=True)]
+        ends = list(itertools.accumulate(sizes))
+        self._spans = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        self._kept = [slice(s.start + width, s.stop) for s, width in zip(self._spans, widths, strict=True)]
+        self._widths = list(widths)
+        firsts = itertools.accumulate(widths)
+        columns = [list(range(end - width, end)) * n for end, width, n in zip(firsts, widths, slots, strict=True)]
+        self._fill = torch.tensor([c for term in columns for c in term], device=device)
+        self.remembers = max(lengths) > 0
+        self.values = torch.zeros(num_envs, sum(sizes), device=device)
+
+    def append(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
+        """Take up a sample (N, width) of each term and return the row (N, sum of H * width), the caller's to keep.
+
+        Args:
+            samples: the new samples.
+            first: environments for which they are the first of an episode, or None.
+        """
+        self.values = self.appended(samples, first)
+        return self.values.clone() if self.remembers else self.values
+
+    def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
+        """Return what ``append`` would, without storing it."""
+        pieces = []
+        for kept, sample in zip(self._kept, samples, strict=True):
+            if kept.start < kept.stop:
+                pieces.append(self.values[:, kept])
+            pieces.append(sample)
+        after = torch.cat(pieces, dim=1)
+        if first is not None and self.remembers:
+            newest = torch.cat(list(samples), dim=1).index_select(0, first)
+            after.index_copy_(0, first, newest.index_select(1, self._fill))
+        return after
+
+    def part(self, index: int) -> RowHistoryPart:
+        """Return the history of one term."""
+        return RowHistoryPart(self, self._spans[index], self._widths[index])
+
+
+class RowHistoryPart:
+    """One term's history in a row, whose state is that of a history of its own.
+
+    Args:
+        row: the row.
+        span: its columns.
+        width: width of one sample.
+    """
+
+    def __init__(self, row: RowHistory, span: slice, width: int) -> None:
+        self._row, self._span, self._width = row, span, width
+
+    @property
+    def samples(self) -> torch.Tensor:
+        """The last samples, oldest first, (N, H, width)."""
+        return self._row.values[:, self._span].unflatten(1, (-1, self._width))
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the samples."""
+        return {"samples": self.samples.contiguous().clone()}
+
+    def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._row.values = self._row.values.clone()  # one term after the other; what was handed out stays
+        self._row.values[:, self._span] = saved["samples"].flatten(1)

@@ -65,6 +65,11 @@ class SceneEntityCfg:
             )
             self.body_ids = torch.tensor(found[0], device=scene.device)
 
+    def selects_as(self, other: SceneEntityCfg) -> bool:
+        """Return whether another entity names the same joints and bodies in the same order."""
+        names = ("name", "joint_names", "body_names", "preserve_order")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
+
 
 def _listed(names: str | Sequence[str]) -> list[str]:
     return [names] if isinstance(names, str) else list(names)

@@ -13,7 +13,7 @@ import torch
 
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.ids import ids_where, is_finite
 
 KEPT = 16  # environments whose state is kept, of those that fail together
 PHYSICS = "env.sim"
@@ -23,8 +23,7 @@ POLICY = "agent.actor"
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
     """Return whether a number that some sums are over may not be finite: large ones may add up to infinity as well."""
-    total = functools.reduce(torch.add, sums)
-    return len(ids_where(~total.isfinite().reshape(1))) > 0
+    return not is_finite(functools.reduce(torch.add, sums))
 
 
 def failed_rows(values: torch.Tensor) -> torch.Tensor:

@@ -2,179 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.buffers import HistoryBuffer
+from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistory
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.failures import failure, require_form
 from wheelleg_exp.managers.manager_base import table
-from wheelleg_exp.managers.returned import row_form
+from wheelleg_exp.managers.observation_term import ObservationTerm, Values
 from wheelleg_exp.managers.term import Term, bind_terms
-from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
-from wheelleg_exp.state import Kept, cloned, made, merged, stateful
+from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.sections import read_section
 
 Group = torch.Tensor | dict[str, torch.Tensor]
-
-
-class ObservationTerm(Kept):
-    """One term of a group: ``func -> modifiers -> noise -> clip -> scale -> history``.
-
-    Args:
-        term: the bound term.
-        env: the environment.
-        corrupt: whether the group lets noise act.
-        history_length: samples kept; 0 is none.
-        flatten: whether the history is flattened, oldest first.
-    """
-
-    def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:
-        self.term = term
-        self._env = env
-        modifiers = term.fields.get("modifiers") or []
-        if not isinstance(modifiers, list):
-            raise ConfigError("is no list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
-        self._modifiers: list[Any] = list(modifiers)
-        self._noise: Any = term.fields.get("noise") if corrupt else None
-        self._generator = env.streams.get(f"{term.path}.noise")
-        clip = term.fields.get("clip")
-        self._clip = None if clip is None else (float(clip[0]), float(clip[1]))
-        self._require_callables()
-        self._flatten = flatten
-        term.form = row_form(env.num_envs, env.device)
-        sample = term(env)
-        self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[1])
-        for number, modifier in enumerate(self._modifiers):
-            modifier.start(sample)
-            made(modifier, f"{term.path}.modifiers[{number}]")
-        self._noise_state = stateful(self._noise, f"{term.path}.noise")
-        what = f"histories of {history_length} steps of {env.num_envs} environments"
-        require_memory(4 * sample.numel() * history_length, term.path, what)
-        self.history = (
-            HistoryBuffer(env.num_envs, history_length, sample.shape[1:], env.device) if history_length > 0 else None
-        )
-        self.history_length = history_length
-        self.width = int(sample.shape[1])
-        self._part_forms = {
-            name: dataclasses.replace(term.form, width=self.width)
-            for name in ("noise", *(f"modifiers[{number}]" for number in range(len(self._modifiers))))
-        }
-        self.shape = (
-            (self.width,)
-            if not self.history
-            else ((self.width * history_length,) if flatten else (history_length, self.width))
-        )
-
-    def compute(self, first: torch.Tensor | None) -> torch.Tensor:
-        """Draw noise, advance modifiers and history, and return the term's observation.
-
-        Args:
-            first: environments at the first observation of an episode, or None.
-        """
-        value = self._sample(draw=True)
-        if self.history is None:
-            return value.clone()
-        samples = self.history.append(value, first)
-        return samples.flatten(1) if self._flatten else samples.clone()
-
-    def peek(self, first: torch.Tensor | None) -> torch.Tensor:
-        """Return what ``compute`` would, without noise and without changing any state."""
-        owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
-        kept = [owner.state_dict() for owner in owners]
-        stream = None if self.term.generator is None else self.term.generator.get_state()
-        value = self._sample(draw=False).clone()
-        for owner, state in zip(owners, kept, strict=True):
-            owner.load_state_dict(state)
-        if self.term.generator is not None and stream is not None:
-            self.term.generator.set_state(stream)
-        if self.history is None:
-            return value
-        samples = self.history.appended(value, first)
-        return samples.flatten(1) if self._flatten else samples
-
-    def parts(self) -> dict[str, Any]:
-        """Return the modifiers and the noise by their keys."""
-        found = {f"modifiers[{number}]": modifier for number, modifier in enumerate(self._modifiers)}
-        return found | ({} if self._noise is None else {"noise": self._noise})
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the term object, modifiers and noise of ``env_ids``; histories refill with the next sample."""
-        if self.term.stateful is not None:
-            self.term.stateful.reset(env_ids)
-        for modifier in self._modifiers:
-            modifier.reset(env_ids)
-        if hasattr(self._noise, "reset"):
-            self._noise.reset(env_ids, self._generator)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state of everything that survives a step."""
-        state: dict[str, Any] = {
-            "modifiers": [modifier.state_dict() for modifier in self._modifiers],
-            "term": self.term.state_dict(),
-            "noise": self._noise_state.state_dict(),
-        }
-        if self.history is not None:
-            state["history"] = self.history.state_dict()
-        return state
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
-            modifier.load_state_dict(state)
-        self.term.load_state_dict(saved["term"])
-        self._noise_state.load_state_dict(saved["noise"])
-        if self.history is not None:
-            self.history.load_state_dict(saved["history"])
-
-    def _sample(self, *, draw: bool) -> torch.Tensor:
-        value = self.term(self._env)
-        for number, modifier in enumerate(self._modifiers):
-            value = self._part(f"modifiers[{number}]", modifier, value)
-        if draw and self._noise is not None:
-            value = self._part("noise", self._noise, value, self._generator)
-        if self._clip is not None:
-            value = value.clip(self._clip[0], self._clip[1])
-        return value if self._scale is None else value * self._scale
-
-    def _part(self, name: str, part: Any, *args: Any) -> torch.Tensor:
-        """Call a modifier or the noise; what is wrong with it is told under its own key."""
-        path, target = f"{self.term.path}.{name}", f"{type(part).__module__}.{type(part).__qualname__}"
-        try:
-            value = part(*args)
-        except BaseException as error:
-            raise failure(error, path, target, part, has_worked=self._part_forms[name].is_known) from error
-        require_form(self._part_forms[name], value, f"'{target}'", path, part)
-        return value
-
-    def _require_callables(self) -> None:
-        for name, parts, method in (("modifiers", self._modifiers, "start"), ("noise", [self._noise], "__call__")):
-            for part in parts:
-                if part is not None and not hasattr(part, method):
-                    kind = type(part)
-                    what = repr(part) if kind.__module__ == "builtins" else f"'{kind.__module__}.{kind.__qualname__}'"
-                    raise ConfigError(
-                        f"{what} has no {method}()",
-                        key=f"{self.term.path}.{name}",
-                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a class of yours that is like one",
-                    )
-
-    def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
-        if scale is None or isinstance(scale, (int, float)):
-            return scale
-        if len(scale) != width:
-            raise ConfigError(
-                f"has {len(scale)} numbers for a term of width {width}",
-                key=f"{self.term.path}.scale",
-                expected=f"one number or {width}",
-            )
-        return torch.tensor(scale, dtype=torch.float32, device=self._env.device)
 
 
 class ObservationManager(Kept):
@@ -188,6 +32,7 @@ class ObservationManager(Kept):
     def __init__(self, nodes: Mapping[str, Any], env: Env) -> None:
         self._groups: dict[str, dict[str, ObservationTerm]] = {}
         self._concatenate: dict[str, bool] = {}
+        self._rows: dict[str, RowHistory] = {}
         for group, node in nodes.items():
             if node is not None:
                 self._add_group(group, node, env)
@@ -252,10 +97,8 @@ class ObservationManager(Kept):
         """
         kept = None if only is None else self.state_dict()
         first = self._first_ids()
-        self.obs_buf = {
-            group: self._joined(group, {name: term.compute(first) for name, term in terms.items()})
-            for group, terms in self._groups.items()
-        }
+        values: Values = {}
+        self.obs_buf = {group: self._computed(group, first, values) for group in self._groups}
         if self._any_first:
             self._is_first.fill_(False)
             self._any_first = False
@@ -266,10 +109,18 @@ class ObservationManager(Kept):
     def peek(self) -> dict[str, Group]:
         """Return what ``compute`` would, without noise and without changing any state."""
         first = self._first_ids()
-        return {
-            group: self._joined(group, {name: term.peek(first) for name, term in terms.items()})
-            for group, terms in self._groups.items()
-        }
+        found: dict[str, Group] = {}
+        for group, terms in self._groups.items():
+            shown = {name: term.peek() for name, term in terms.items()}
+            row = self._rows.get(group)
+            if row is not None:
+                found[group] = row.appended(list(shown.values()), first)
+                continue
+            for name, term in terms.items():
+                if isinstance(term.history, HistoryBuffer):
+                    shown[name] = term.shown(term.history.appended(shown[name], first))
+            found[group] = self._joined(group, shown)
+        return found
 
     def _first_ids(self) -> torch.Tensor | None:
         return ids_where(self._is_first) if self._any_first else None
@@ -318,6 +169,38 @@ class ObservationManager(Kept):
                 key=f"{path}.terms",
                 expected="one history_length and flatten_history_dim for all, or concatenate_terms: false",
             )
+        self._add_histories(group, env)
+        others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
+        for one in self._groups[group].values():
+            one.share(others)
+
+    def _add_histories(self, group: str, env: Env) -> None:
+        """Make the histories: one row for all terms where the group is one, else a buffer for each term."""
+        terms = list(self._groups[group].values())
+        if self._concatenate[group] and all(len(term.shape) == 1 for term in terms):
+            widths, lengths = [term.width for term in terms], [term.history_length for term in terms]
+            row = self._rows[group] = RowHistory(env.num_envs, widths, lengths, env.device)
+            for index, term in enumerate(terms):
+                term.history = row.part(index) if term.history_length else None
+            return
+        for term in terms:
+            if term.history_length:
+                shape = torch.Size((term.width,))
+                term.history = HistoryBuffer(env.num_envs, term.history_length, shape, env.device)
+
+    def _computed(self, group: str, first: torch.Tensor | None, values: Values) -> Group:
+        """Advance one group by a sample, and return its observation."""
+        terms = self._groups[group]
+        row = self._rows.get(group)
+        if row is not None:
+            return row.append([term.sample(values) for term in terms.values()], first)
+        shown = {}
+        for name, term in terms.items():
+            shown[name] = term.sample(values)
+            if isinstance(term.history, HistoryBuffer):
+                shown[name] = term.shown(term.history.append(shown[name], first))
+            shown[name] = shown[name].clone()
+        return self._joined(group, shown)
 
     def _joined(self, group: str, values: dict[str, torch.Tensor]) -> Group:
         return torch.cat(list(values.values()), dim=-1) if self._concatenate[group] else values

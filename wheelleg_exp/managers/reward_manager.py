@@ -10,7 +10,6 @@ import torch
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
 from wheelleg_exp.managers.returned import TensorForm
-from wheelleg_exp.sim.ids import ids_where
 
 
 class RewardManager(ManagerBase):
@@ -24,8 +23,10 @@ class RewardManager(ManagerBase):
         for term in self._terms.values():
             term.form = TensorForm(self._num_envs, env.device)
         self._episode_sums = torch.zeros_like(self.step_reward)
+        self.failed = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
         self.non_finite: dict[int, list[str]] = {}
         self._raw_values = self.step_reward
+        self._take_weights(self._present_weights())
 
     @property
     def raw_values(self) -> torch.Tensor:
@@ -35,37 +36,46 @@ class RewardManager(ManagerBase):
     def compute(self, dt: float, but: torch.Tensor | None = None) -> torch.Tensor:
         """Return this step's reward (N,); ``step_reward`` keeps each term's weighted value per second.
 
-        A value that is not finite is never summed: its environment's step counts for nothing, and
-        ``non_finite`` names the terms.
+        A value that is not finite is never summed: its environment's step counts for nothing, as ``failed`` says.
 
         Args:
             dt: what the step lasts, s.
             but: environments (N,) bool whose step counts for nothing.
         """
-        for row, term in zip(self.step_reward, self._terms.values(), strict=True):
-            weight = term.fields["weight"]
-            if weight == 0.0:
-                row.zero_()
-            else:
-                torch.mul(term(self._env), weight, out=row)
+        weights = self._present_weights()
+        if weights != self._weights:  # a curriculum may have changed one
+            self._take_weights(weights)
+        if self._called:
+            values = torch.stack([term(self._env).to(self._factors.dtype) for term in self._called])
+            self.step_reward.index_copy_(0, self._rows, values.mul_(self._factors))
         if but is not None:
             self.step_reward.masked_fill_(but, 0.0)
         reward = self.step_reward.sum(dim=0).mul_(dt)
         self.non_finite.clear()
-        bad = ids_where(~reward.isfinite())
-        if len(bad):
-            self._exclude(reward, bad)
-        self._episode_sums.add_(self.step_reward, alpha=dt)
-        return reward
+        torch.logical_not(reward.isfinite(), out=self.failed)
+        self._episode_sums.add_(self.step_reward.masked_fill(self.failed, 0.0), alpha=dt)
+        return reward.masked_fill_(self.failed, 0.0)
 
-    def _exclude(self, reward: torch.Tensor, ids: torch.Tensor) -> None:
-        """Take the environments whose reward is not finite out of this step, and name the terms."""
-        for env_id in ids.tolist():
+    def _present_weights(self) -> list[float]:
+        return [term.fields["weight"] for term in self._terms.values()]
+
+    def _take_weights(self, weights: list[float]) -> None:
+        """Make what a step needs for these weights."""
+        self._weights = weights
+        rows = [row for row, weight in enumerate(weights) if weight != 0.0]
+        terms = list(self._terms.values())
+        self._called = [terms[row] for row in rows]
+        self._rows = torch.tensor(rows, device=self._env.device)
+        self._factors = self.step_reward.new_tensor([weights[row] for row in rows]).unsqueeze(1)
+        self.step_reward.zero_()
+
+    def exclude(self, env_ids: torch.Tensor) -> None:
+        """Name in ``non_finite`` the terms whose values failed in ``env_ids``, and take these out of the step."""
+        self._raw_values = self.step_reward.clone()
+        for env_id in env_ids.tolist():
             bad = (~self.step_reward[:, env_id].isfinite()).tolist()
             self.non_finite[env_id] = [name for name, flag in zip(self._terms, bad, strict=True) if flag]
-        self._raw_values = self.step_reward.clone()
-        self.step_reward[:, ids] = 0.0
-        reward[ids] = 0.0
+        self.step_reward[:, env_ids] = 0.0
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Episode_Reward/<term>``: mean of the episode sums over the longest episode's seconds."""
@@ -86,6 +96,7 @@ class RewardManager(ManagerBase):
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
+        self._take_weights(self._present_weights())
         self._episode_sums.copy_(saved["episode_sums"])
         self.step_reward.copy_(saved["step_reward"])
         self.non_finite = {env_id: list(terms) for env_id, terms in saved["non_finite"].items()}

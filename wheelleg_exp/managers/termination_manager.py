@@ -12,6 +12,7 @@ from wheelleg_exp.definitions.definition import NOT_FINITE, ending
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
 from wheelleg_exp.managers.returned import TensorForm
+from wheelleg_exp.sim.ids import ids_where
 
 
 class TerminationManager(ManagerBase):
@@ -21,8 +22,9 @@ class TerminationManager(ManagerBase):
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
-        is_time_out = [bool(term.fields.get("time_out", False)) for term in self._terms.values()]
-        self._time_out_rows = torch.tensor(is_time_out, dtype=torch.bool, device=env.device).unsqueeze(1)
+        flags = [bool(term.fields.get("time_out", False)) for term in self._terms.values()]
+        is_time_out = torch.tensor(flags, dtype=torch.bool, device=env.device)
+        self._time_out_rows, self._failure_rows = ids_where(is_time_out), ids_where(~is_time_out)
         self._fired = torch.zeros(len(self._terms), self._num_envs, dtype=torch.bool, device=env.device)
         for term in self._terms.values():
             term.form = TensorForm(self._num_envs, env.device, torch.bool, what="true or false")
@@ -59,12 +61,12 @@ class TerminationManager(ManagerBase):
         Args:
             but: environments (N,) bool that nothing ends.
         """
-        for row, term in zip(self._fired, self._terms.values(), strict=True):
-            row.copy_(term(self._env))
+        if self._terms:
+            torch.stack([term(self._env) for term in self._terms.values()], out=self._fired)
         if but is not None:
             self._fired &= ~but
-        self.time_outs.copy_((self._fired & self._time_out_rows).any(dim=0))
-        self.terminated.copy_((self._fired & ~self._time_out_rows).any(dim=0))
+        for rows, outcome in ((self._time_out_rows, self.time_outs), (self._failure_rows, self.terminated)):
+            torch.any(self._fired.index_select(0, rows), dim=0, out=outcome)
         done = self.dones
         torch.where(done, self._fired, self._last_episode, out=self._last_episode)
         return done

@@ -1,6 +1,8 @@
-"""Which environments: the one question that a step asks the host."""
+"""What a step asks the host: which environments, and whether a number is one."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 
@@ -12,3 +14,8 @@ def ids_where(mask: torch.Tensor) -> torch.Tensor:
     whole tensors.
     """
     return mask.nonzero().squeeze(1)
+
+
+def is_finite(total: torch.Tensor) -> bool:
+    """Return whether a number (a tensor of one) is finite."""
+    return math.isfinite(float(total))

@@ -12,7 +12,7 @@ from wheelleg_exp.config.composing.compose import Composed
 
 if TYPE_CHECKING:
     from wheelleg_exp.env import ManagerBasedRLEnv
-    from wheelleg_exp.managers.observation_manager import ObservationTerm
+    from wheelleg_exp.managers.observation_term import ObservationTerm
 
 
 @dataclass(frozen=True)

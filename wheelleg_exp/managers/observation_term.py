@@ -1,0 +1,205 @@
+"""One term of an observation group, from its function to the sample that its history takes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistoryPart
+from wheelleg_exp.managers.entity import SceneEntityCfg
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.managers.failures import failure, require_form
+from wheelleg_exp.managers.returned import row_form
+from wheelleg_exp.managers.term import Term
+from wheelleg_exp.memory import require_memory
+from wheelleg_exp.state import Kept, made, stateful
+
+Values = dict["ObservationTerm", torch.Tensor]
+
+
+class ObservationTerm(Kept):
+    """One term of a group: ``func -> modifiers -> noise -> clip -> scale -> history``.
+
+    Args:
+        term: the bound term.
+        env: the environment.
+        corrupt: whether the group lets noise act.
+        history_length: samples kept; 0 is none.
+        flatten: whether the history is flattened, oldest first.
+    """
+
+    def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:
+        self.term = term
+        self._env = env
+        modifiers = term.fields.get("modifiers") or []
+        if not isinstance(modifiers, list):
+            raise ConfigError("is no list", key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
+        self._modifiers: list[Any] = list(modifiers)
+        self._noise: Any = term.fields.get("noise") if corrupt else None
+        self._generator = env.streams.get(f"{term.path}.noise")
+        clip = term.fields.get("clip")
+        self._clip = None if clip is None else (float(clip[0]), float(clip[1]))
+        self._require_callables()
+        self._flatten = flatten
+        term.form = row_form(env.num_envs, env.device)
+        sample = term(env)
+        self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[1])
+        for number, modifier in enumerate(self._modifiers):
+            modifier.start(sample)
+            made(modifier, f"{term.path}.modifiers[{number}]")
+        self._noise_state = stateful(self._noise, f"{term.path}.noise")
+        what = f"histories of {history_length} steps of {env.num_envs} environments"
+        require_memory(4 * sample.numel() * history_length, term.path, what)
+        self.history: HistoryBuffer | RowHistoryPart | None = None
+        self.same_as: ObservationTerm | None = None
+        self.history_length = history_length
+        self.width = int(sample.shape[1])
+        self._part_forms = {
+            name: dataclasses.replace(term.form, width=self.width)
+            for name in ("noise", *(f"modifiers[{number}]" for number in range(len(self._modifiers))))
+        }
+        self.shape = (
+            (self.width,)
+            if not history_length
+            else ((self.width * history_length,) if flatten else (history_length, self.width))
+        )
+
+    def share(self, others: Iterable[ObservationTerm]) -> None:
+        """Take what a term of another group computes, if one calls the same function with the same parameters.
+
+        A term object or a random draw is a term's own.
+        """
+        term = self.term
+        if term.stateful is not None or term.generator is not None:
+            return
+        for other in others:
+            if other.same_as is None and term.func is other.term.func and _same(term.params, other.term.params):
+                self.same_as = other
+                term.params.update(other.term.params)
+                return
+
+    def sample(self, values: Values) -> torch.Tensor:
+        """Return the step's sample (N, width) before history; draws noise and advances modifiers.
+
+        Args:
+            values: what terms have computed in this step.
+        """
+        return self._processed(self._computed(values), draw=True)
+
+    def peek(self) -> torch.Tensor:
+        """Return the sample without noise and without changing any state."""
+        owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
+        kept = [owner.state_dict() for owner in owners]
+        stream = None if self.term.generator is None else self.term.generator.get_state()
+        value = self._processed(self.term(self._env), draw=False).clone()
+        for owner, state in zip(owners, kept, strict=True):
+            owner.load_state_dict(state)
+        if self.term.generator is not None and stream is not None:
+            self.term.generator.set_state(stream)
+        return value
+
+    def shown(self, history: torch.Tensor) -> torch.Tensor:
+        """Return a history (N, H, width) of the term's own as the observation shows it."""
+        return history.flatten(1) if self._flatten else history
+
+    def parts(self) -> dict[str, Any]:
+        """Return the modifiers and the noise by their keys."""
+        found = {f"modifiers[{number}]": modifier for number, modifier in enumerate(self._modifiers)}
+        return found | ({} if self._noise is None else {"noise": self._noise})
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Reset the term object, modifiers and noise of ``env_ids``; histories refill with the next sample."""
+        if self.term.stateful is not None:
+            self.term.stateful.reset(env_ids)
+        for modifier in self._modifiers:
+            modifier.reset(env_ids)
+        if hasattr(self._noise, "reset"):
+            self._noise.reset(env_ids, self._generator)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of everything that survives a step."""
+        state: dict[str, Any] = {
+            "modifiers": [modifier.state_dict() for modifier in self._modifiers],
+            "term": self.term.state_dict(),
+            "noise": self._noise_state.state_dict(),
+        }
+        if self.history is not None:
+            state["history"] = self.history.state_dict()
+        return state
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
+            modifier.load_state_dict(state)
+        self.term.load_state_dict(saved["term"])
+        self._noise_state.load_state_dict(saved["noise"])
+        if self.history is not None:
+            self.history.load_state_dict(saved["history"])
+
+    def _computed(self, values: Values) -> torch.Tensor:
+        """Return what the term's function gives in this step, to whichever group has asked first."""
+        owner, other = self, self.same_as
+        if other is not None and all(v is other.term.params.get(k) for k, v in self.term.params.items()):
+            owner = other  # a curriculum may have changed the parameters of one of them since
+        if owner not in values:
+            values[owner] = owner.term(self._env)
+        return values[owner]
+
+    def _processed(self, value: torch.Tensor, *, draw: bool) -> torch.Tensor:
+        if self._modifiers or self._noise is not None:
+            value = value.clone()  # those of a user may write into it
+        for number, modifier in enumerate(self._modifiers):
+            value = self._part(f"modifiers[{number}]", modifier, value)
+        if draw and self._noise is not None:
+            value = self._part("noise", self._noise, value, self._generator)
+        if self._clip is not None:
+            value = value.clip(self._clip[0], self._clip[1])
+        return value if self._scale is None else value * self._scale
+
+    def _part(self, name: str, part: Any, *args: Any) -> torch.Tensor:
+        """Call a modifier or the noise; what is wrong with it is told under its own key."""
+        path, target = f"{self.term.path}.{name}", f"{type(part).__module__}.{type(part).__qualname__}"
+        try:
+            value = part(*args)
+        except BaseException as error:
+            raise failure(error, path, target, part, has_worked=self._part_forms[name].is_known) from error
+        require_form(self._part_forms[name], value, f"'{target}'", path, part)
+        return value
+
+    def _require_callables(self) -> None:
+        for name, parts, method in (("modifiers", self._modifiers, "start"), ("noise", [self._noise], "__call__")):
+            for part in parts:
+                if part is not None and not hasattr(part, method):
+                    kind = type(part)
+                    what = repr(part) if kind.__module__ == "builtins" else f"'{kind.__module__}.{kind.__qualname__}'"
+                    raise ConfigError(
+                        f"{what} has no {method}()",
+                        key=f"{self.term.path}.{name}",
+                        expected=f"a _target_ of wheelleg_exp.mdp.{name}, or a class of yours that is like one",
+                    )
+
+    def _scale_tensor(self, scale: Any, width: int) -> torch.Tensor | float | None:
+        if scale is None or isinstance(scale, (int, float)):
+            return scale
+        if len(scale) != width:
+            raise ConfigError(
+                f"has {len(scale)} numbers for a term of width {width}",
+                key=f"{self.term.path}.scale",
+                expected=f"one number or {width}",
+            )
+        return torch.tensor(scale, dtype=torch.float32, device=self._env.device)
+
+
+def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
+    """Return whether two terms have the same parameters; those that could be changed in place count as different."""
+    return mine.keys() == theirs.keys() and all(_equal(value, theirs[name]) for name, value in mine.items())
+
+
+def _equal(mine: Any, theirs: Any) -> bool:
+    if isinstance(mine, SceneEntityCfg) and isinstance(theirs, SceneEntityCfg):
+        return mine.selects_as(theirs)
+    return type(mine) is type(theirs) and isinstance(mine, (str, bool, int, float, type(None))) and mine == theirs
