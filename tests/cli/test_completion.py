@@ -39,7 +39,7 @@ OFFERED = {
     "wheelleg compose --primary ": ["play", "train"],
     "wheelleg compose --package env.sim.s": ["env.sim.solver"],
     "wheelleg train tas": ["task=", "task."],
-    "wheelleg train robot=": ["robot=article", "robot=explicit", "robot=physical"],
+    "wheelleg train robot=": ["robot=article", "robot=explicit", "robot=late", "robot=motor", "robot=physical"],
     "wheelleg train robot=e": ["robot=explicit"],
     "wheelleg train rew": ["reward@env.rewards="],
     "wheelleg train +rew": ["+reward@env.rewards="],

@@ -135,7 +135,7 @@ def test_the_robot_section_is_held_against_the_robot(override, words, capsys):
 
 
 def test_every_robot_of_the_stock_configs_is_free_of_mistakes(capsys):
-    for robot in ("article", "explicit", "physical"):
+    for robot in ("article", "explicit", "late", "motor", "physical"):
         assert main(["check", f"robot={robot}"]) == 0, capsys.readouterr().err
 
 

@@ -110,6 +110,26 @@ def make(make_env):
     return build
 
 
+GAINS = {"stiffness": 20.0, "damping": 1.0}
+LIMITS = {"effort_limit": 4.0, "velocity_limit": 30.0}
+TABLE = [[-1.0, 1.0, 2.0], [1.0, 1.0, 4.0]]
+MODELS = {
+    "ImplicitActuator": {**GAINS, **LIMITS, "delay": [0, 3]},
+    "DCMotor": {**GAINS, **LIMITS, "saturation_effort": 5.0, "delay": [1, 1]},
+    "DelayedPDActuator": {**GAINS, **LIMITS, "min_delay": 0, "max_delay": 4},
+    "RemotizedPDActuator": {**GAINS, "joint_parameter_lookup": TABLE, "max_delay": 2},
+}
+
+
+def driven(model):
+    """Return the robot's section with a model behind the hips."""
+    robot = everything()["robot"]
+    target = model if "." in model else ACTUATORS + model
+    hips = {"_target_": target, "joint_names_expr": [".*_hip"], **MODELS.get(model, {**GAINS, **LIMITS})}
+    robot["actuators"]["hips"] = hips
+    return robot
+
+
 def act(env, steps, start=0):
     """Step with actions that depend on the step's number alone; return what each step gave."""
     given = []
@@ -159,14 +179,16 @@ def _equal(a, b):
 
 
 def _classes(module, *bases):
-    found = [c for _, c in inspect.getmembers(module, inspect.isclass) if c.__module__ == module.__name__]
+    inside = (module.__name__, f"{module.__name__}.")
+    members = inspect.getmembers(module, inspect.isclass)
+    found = [c for _, c in members if c.__module__ == inside[0] or c.__module__.startswith(inside[1])]
     return {c for c in found if issubclass(c, bases) and not c.__name__.startswith("_")} if bases else set(found)
 
 
 def test_the_walk_meets_every_class_that_may_have_state(make):
     env = make()
     env.reset()
-    found = Crawl(env).classes
+    found = Crawl(env).classes.union(*(Crawl(make(robot=driven(model))).classes for model in MODELS))
     library = {ContactSensor, *_classes(actuators, actuators.ActuatorBase), *_classes(noise)}
     library |= _classes(modifiers, modifiers.Modifier)
     for module in (actions, commands, curriculums, events, observations, rewards, terminations_module):
@@ -224,9 +246,9 @@ def test_a_terms_own_state_is_saved_without_its_help(make, kind):
     assert _equal(act(env, 10, 15), act(other, 10, 15))
 
 
-def test_an_actuators_own_memory_is_saved(make):
-    robot = everything()["robot"]
-    robot["actuators"]["hips"]["_target_"] = spies.HERE + "Delayed"
+@pytest.mark.parametrize("model", [spies.HERE + "Delayed", *MODELS])
+def test_an_actuators_memory_is_saved(make, model):
+    robot = driven(model)
 
     def build(seed=0):
         return make(seed=seed, robot=robot)

@@ -86,13 +86,13 @@ class Robot(Kept):
         self._sim = sim
         layout, n, device = self.layout, sim.num_envs, sim.device
         layout.bind(sim.model)
+        shape = (n, len(self.joint_names))
         for name, actuator in self.actuators.items():
             layout.add_drive(actuator.joint_ids, actuator.velocity_limit, actuator.effort_limit)
             key = f"{_ACTUATORS}.{name}"
-            actuator.connect(n, float(sim.model.opt.timestep), partial(stream, key))
+            actuator.start(shape, float(sim.model.opt.timestep), partial(stream, key))
             made(actuator, key)
         self.body_ids = layout.body_ids
-        shape = (n, len(self.joint_names))
         self.targets = JointTargets(
             layout.default_joint_pos.expand(shape).clone(),
             torch.zeros(shape, device=device),
@@ -113,7 +113,7 @@ class Robot(Kept):
     def _computed_torque(self, data: RobotData) -> torch.Tensor:
         torque = torch.zeros_like(self.targets.pos)
         for actuator in self.actuators.values():
-            torque[:, actuator.joint_ids] = actuator.computed_torque(self.targets, data)
+            torque[:, actuator.joint_ids] = actuator.torque_asked(self.targets, data)
         return torque
 
     def find_joints(
@@ -167,7 +167,7 @@ class Robot(Kept):
         start = 0
         for actuator in self.actuators.values():
             stop = start + len(actuator.joint_names)
-            self._ctrl[:, start:stop] = actuator.control(self.targets, data)
+            self._ctrl[:, start:stop] = actuator.act(self.targets, data)
             start = stop
         if self._wrench_bodies:
             self._write_wrenches(self._wrench_bodies)
@@ -186,7 +186,7 @@ class Robot(Kept):
             self._wrench[ids] = 0.0
         self.data.reset(ids)
         for actuator in self.actuators.values():
-            actuator.reset(ids)
+            actuator.begin(ids)
         self._mark_stale(ids)
 
     def write_root_pose(self, ids: torch.Tensor, pos: torch.Tensor, quat: torch.Tensor) -> None:

@@ -94,7 +94,7 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
     """Yield each joint's limits and drive, and the environment's origin."""
     robot, data = env.scene.robot, env.scene.robot.data
     yield paths.data("joints"), [rr.AnyValues(names=list(robot.joint_names))]
-    drives = _drives(env)
+    drives = _drives(env, env_id)
     for i, joint in enumerate(robot.joint_names):
         low, high = data.joint_pos_limits[env_id, i].tolist()
         stiffness, damping = drives.get(joint, (math.nan, math.nan))
@@ -111,10 +111,10 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
     yield paths.data("state"), [rr.AnyValues(origin=env.scene.env_origins[env_id].tolist())]
 
 
-def _drives(env: ManagerBasedRLEnv) -> dict[str, tuple[float, float]]:
-    """Return stiffness and damping of every driven joint as configured."""
+def _drives(env: ManagerBasedRLEnv, env_id: int) -> dict[str, tuple[float, float]]:
+    """Return stiffness and damping of every driven joint of an environment."""
     found: dict[str, tuple[float, float]] = {}
     for actuator in env.scene.robot.actuators.values():
-        rows = torch.stack((actuator.stiffness.flatten(), actuator.damping.flatten()), dim=1).tolist()
+        rows = torch.stack((actuator.stiffness[env_id], actuator.damping[env_id]), dim=1).tolist()
         found.update(zip(actuator.joint_names, ((k, d) for k, d in rows), strict=True))
     return found

@@ -235,7 +235,7 @@ def _held(env: ManagerBasedRLEnv) -> dict[str, bool]:
     free = {
         joint
         for actuator in robot.actuators.values()
-        for joint, stiffness in zip(actuator.joint_names, actuator.stiffness.tolist(), strict=True)
+        for joint, stiffness in zip(actuator.joint_names, actuator.stiffness[0].tolist(), strict=True)
         if stiffness == 0.0
     }
     return {joint: joint not in free for joint in robot.joint_names}

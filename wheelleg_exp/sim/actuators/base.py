@@ -1,14 +1,15 @@
-"""Actuator models: what turns joint targets into MuJoCo controls, before each physics step."""
+"""What every actuator model is: a group of joints, the numbers of each by environment, and the face that is called."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import mujoco
 import torch
 
-from wheelleg_exp.constraints import Above, MayBeInfinite, Names, NonNegative
+from wheelleg_exp.constraints import Above, MayBeInfinite, Names, Natural, NonNegative, Ordered
+from wheelleg_exp.sim.actuators.delay import TargetDelay
 from wheelleg_exp.sim.layout import JointTargets
 from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
 from wheelleg_exp.state import Stateful
@@ -21,13 +22,15 @@ NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")  # of every 
 ONE_GROUP = "each joint in one actuator group"
 Limit = Annotated[float, Above(0), MayBeInfinite()]
 LimitPerJoint = Limit | Mapping[str, Limit]
+Delay = Annotated[Sequence[Natural], Ordered()]
 Stream = Callable[[], torch.Generator]
 
 
 class ActuatorBase(Stateful):
     """A group of joints driven by one model. What a model remembers are its attributes (``state``).
 
-    Each number is a scalar or a mapping of joint expressions to values.
+    Each number is a scalar or a mapping of joint expressions to values. Once the simulations run, ``stiffness``,
+    ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors (N, joints of the group).
 
     Args:
         joint_names_expr: expressions of the joints in the group.
@@ -37,9 +40,11 @@ class ActuatorBase(Stateful):
         velocity_limit: largest joint speed, rad/s. MuJoCo cannot limit a joint's speed: velocity targets are
             clipped to it, and joints beyond it are reported.
         armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
+        delay: fewest and most physics steps by which the targets come late, one number an environment drawn at each
+            reset; null is none.
     """
 
-    settings = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
+    settings: ClassVar[tuple[str, ...]] = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
 
     def __init__(
         self,
@@ -49,6 +54,7 @@ class ActuatorBase(Stateful):
         effort_limit: LimitPerJoint,
         velocity_limit: LimitPerJoint,
         armature: PerJoint | None = None,
+        delay: Delay | None = None,
     ) -> None:
         self.joint_names_expr = [joint_names_expr] if isinstance(joint_names_expr, str) else list(joint_names_expr)
         self._config: dict[str, Any] = {
@@ -58,6 +64,8 @@ class ActuatorBase(Stateful):
             "velocity_limit": velocity_limit,
             "armature": armature,
         }
+        self._delay_bounds = delay
+        self.delay: TargetDelay | None = None
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
         """Find the group's joints among ``joint_names`` and spread each number over them, as tensors on ``device``.
@@ -93,6 +101,20 @@ class ActuatorBase(Stateful):
     def _shape(self, actuator: Any, index: int) -> None:
         raise NotImplementedError
 
+    def start(self, shape: tuple[int, int], dt: float, stream: Stream) -> None:
+        """Give every environment its own numbers and the model its memory; called once, before the first step.
+
+        Args:
+            shape: environments and joints of the robot, (N, J).
+            dt: physics step, s.
+            stream: returns the group's random stream.
+        """
+        for name in NEEDED:
+            setattr(self, name, getattr(self, name).expand(shape[0], -1).clone())
+        if self._delay_bounds is not None:
+            self.delay = TargetDelay(self._delay_bounds, self.joint_ids, shape, stream())
+        self.connect(shape[0], dt, stream)
+
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
         """Allocate what the model remembers; called once, before the first step.
 
@@ -102,8 +124,27 @@ class ActuatorBase(Stateful):
             stream: returns the group's random stream; a group that draws nothing does not ask for it.
         """
 
+    def begin(self, env_ids: torch.Tensor) -> None:
+        """Begin the episodes of ``env_ids``: forget, and draw how late their targets come."""
+        if self.delay is not None:
+            self.delay.reset(env_ids)
+        self.reset(env_ids)
+
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget what the model remembers of ``env_ids``."""
+
+    def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` on targets that are due.
+
+        Args:
+            targets: the targets of all joints.
+            data: the robot's state from which the step will start.
+        """
+        return self.control(targets if self.delay is None else self.delay.push(targets), data)
+
+    def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return ``computed_torque`` for the targets that were due in the last step."""
+        return self.computed_torque(targets if self.delay is None else self.delay.targets, data)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return the MuJoCo controls (N, joints of the group), before each physics step.
@@ -126,57 +167,3 @@ class ActuatorBase(Stateful):
             + self.damping * (targets.vel[:, ids] - joint_vel[:, ids])
             + targets.effort[:, ids]
         )
-
-
-class ImplicitActuator(ActuatorBase):
-    """PD drive inside the solver: implicit in velocity with ``implicitfast``, as PhysX's joint drive.
-
-    One ``general`` actuator a joint: gain 1, affine bias (0, -kp, -kd), ctrl = kp q* + kd qd* + tau_ff.
-    """
-
-    def _shape(self, actuator: Any, index: int) -> None:
-        limit = self._per_joint["effort_limit"][index]
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm[0] = 1.0
-        actuator.biasprm[1] = -self._per_joint["stiffness"][index]
-        actuator.biasprm[2] = -self._per_joint["damping"][index]
-        actuator.forcelimited = True
-        actuator.forcerange = (-limit, limit)
-
-    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return kp q* + kd qd* + tau_ff; the drive subtracts kp q + kd qd itself."""
-        del data
-        ids = self.joint_ids
-        control = self.stiffness * targets.pos[:, ids]
-        control += self.damping * targets.vel[:, ids]
-        return control.add_(targets.effort[:, ids])
-
-    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the drive's torque, which follows from the targets and the state before the step."""
-        return self._drive(targets, data.joint_pos_before, data.joint_vel_before)
-
-
-class IdealPDActuator(ActuatorBase):
-    """Explicit PD: the clipped torque of the state before each physics step, applied as an effort."""
-
-    def _shape(self, actuator: Any, index: int) -> None:
-        del index  # the torque is computed and clipped here, not in the engine
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
-        actuator.gainprm[0] = 1.0
-
-    def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the computed torque."""
-        super().connect(num_envs, dt, stream)
-        self._computed = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
-
-    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return clip(kp (q* - q) + kd (qd* - qd) + tau_ff, ±effort_limit)."""
-        self._computed = self._drive(targets, data.joint_pos, data.joint_vel)
-        return torch.clamp(self._computed, -self.effort_limit, self.effort_limit)
-
-    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
-        """Return the torque as it was computed before the step."""
-        del targets, data
-        return self._computed
