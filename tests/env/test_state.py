@@ -41,6 +41,7 @@ DERIVED = frozenset(
         ".robot.data._cache",  # quantities derived from the state, computed when they are asked for
         ".sensors['contact']._norms",
         ".robot.data.motion_at_start",  # read within a control step alone
+        ".command_manager.step_errors",  # of the step alone
     }
 )
 

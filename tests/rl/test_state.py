@@ -27,6 +27,7 @@ DERIVED = frozenset(
         ".robot.data._cache",
         ".step_errors",  # of the step alone
         ".robot.data.motion_at_start",  # read within a control step alone
+        ".command_manager.step_errors",  # of the step alone
         "._has_worked",  # what messages tell: whether a term has run before, and what it returned
         ".form",
         "._part_forms",

@@ -57,6 +57,11 @@ class BatchEngine(Engine):
         self._is_motion[start : start + model.nq + model.nv] = True
         self._motion = self.state[:, start : start + model.nq + model.nv]
 
+    @property
+    def motion(self) -> torch.Tensor:
+        """Positions, then velocities, a live view of the state rows, (N, nq + nv)."""
+        return self._motion
+
     def _column(self, name: str) -> int:
         """Return the column of the state row at which a state field begins."""
         return (self.view(name).data_ptr() - self.state.data_ptr()) // self.state.element_size()

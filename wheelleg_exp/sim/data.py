@@ -65,10 +65,12 @@ class RobotData(Kept):
         self._floating = layout.floating
         self._qpos, self._qvel = sim.view("qpos"), sim.view("qvel")
         self._qpos_ids, self._dof_ids = layout.qpos_ids, layout.dof_ids
-        self._qpos_before, self._qvel_before = torch.zeros_like(self._qpos), torch.zeros_like(self._qvel)
-        self.motion_at_start = torch.cat((self._qpos, self._qvel), dim=1)
+        self.motion_at_start = sim.motion.clone()
+        self._motion_before = torch.zeros_like(self.motion_at_start)
+        self._qpos_before, self._qvel_before = self._motion_before.split(self._qpos.shape[1:] + self._qvel.shape[1:], 1)
         self._body_ids = layout.body_ids
         self._actuated = layout.actuated_ids
+        self._of_actuator = torch.argsort(self._actuated) if len(self._actuated) == joints else None
         self._dt = float(sim.model.opt.timestep)
         self.com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
         self.default_joint_pos = layout.default_joint_pos.expand(n, joints).clone()
@@ -80,6 +82,7 @@ class RobotData(Kept):
         gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
         self._gravity_dir = torch.nn.functional.normalize(gravity, dim=0)
         self._torque_valid = torch.zeros(n, 1, device=device)
+        self._all_valid = False
         self._applied_torque = torch.zeros(n, joints, device=device)
         sim.view("actuator_force")  # bound before the first step, it is zero until then
 
@@ -89,8 +92,7 @@ class RobotData(Kept):
 
     def before_step(self) -> None:
         """Keep the motion state that the coming physics step starts from."""
-        self._qpos_before.copy_(self._qpos)
-        self._qvel_before.copy_(self._qvel)
+        self._motion_before.copy_(self._sim.motion)
 
     def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
         """Let the accelerations (n, k) of written joint velocities count from them."""
@@ -98,14 +100,21 @@ class RobotData(Kept):
 
     def mark_stepped(self) -> None:
         """Note that the last solve belongs to every environment's present episode."""
-        self._torque_valid.fill_(1.0)
-        self._applied_torque[:, self._actuated] = self._sim.view("actuator_force").float()
+        if not self._all_valid:
+            self._torque_valid.fill_(1.0)
+            self._all_valid = True
+        torque = self._sim.view("actuator_force")
+        if self._of_actuator is not None:
+            self._applied_torque = torque.index_select(1, self._of_actuator).float()
+        else:
+            self._applied_torque[:, self._actuated] = torque.float()
         self._cache.clear()
 
     def reset(self, ids: torch.Tensor) -> None:
         """Report zero torque and acceleration for ``ids`` until their next physics step."""
-        self._torque_valid[ids] = 0.0
-        self._applied_torque[ids] = 0.0
+        self._torque_valid.index_fill_(0, ids, 0.0)
+        self._all_valid = False
+        self._applied_torque = self._applied_torque.index_fill(0, ids, 0.0)
         self._cache.clear()
 
     def settings(self) -> dict[str, torch.Tensor]:
@@ -114,23 +123,22 @@ class RobotData(Kept):
 
     def begin_control_step(self) -> None:
         """Keep the motion state that the coming control step starts from, for what may fail in it."""
-        torch.cat((self._qpos, self._qvel), dim=1, out=self.motion_at_start)
+        self.motion_at_start.copy_(self._sim.motion)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return what is kept of the last physics step."""
         return {
-            "motion_before": torch.cat((self._qpos_before, self._qvel_before), dim=1),
+            "motion_before": self._motion_before.clone(),
             "torque_valid": self._torque_valid.clone(),
             "applied_torque": self._applied_torque.clone(),
         }
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
-        nq = self._qpos_before.shape[1]
-        self._qpos_before.copy_(saved["motion_before"][:, :nq])
-        self._qvel_before.copy_(saved["motion_before"][:, nq:])
+        self._motion_before.copy_(saved["motion_before"])
         self._torque_valid.copy_(saved["torque_valid"])
-        self._applied_torque.copy_(saved["applied_torque"])
+        self._all_valid = bool(self._torque_valid.all())
+        self._applied_torque = saved["applied_torque"].clone()
         self._cache.clear()
 
     @property

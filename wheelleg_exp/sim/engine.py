@@ -56,6 +56,11 @@ class Engine(Kept, ABC):
         last step, and must only be read, before ``forward`` is called: it leaves other simulations' values in them.
         """
 
+    @property
+    def motion(self) -> torch.Tensor:
+        """Positions, then velocities, as they are now, (N, nq + nv)."""
+        return torch.cat((self.view("qpos"), self.view("qvel")), dim=1)
+
     @abstractmethod
     def derived(self, name: str) -> torch.Tensor:
         """Return a live view (N, ...) of an output that depends on positions and velocities; it is kept current."""

@@ -104,8 +104,7 @@ class Robot(Kept):
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
         # Force and torque as the two columns of a matrix, (N, 3, 2).
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].unflatten(1, (2, 3)).mT
-        self._stale = torch.zeros(n, dtype=torch.bool, device=device)
-        self._written = False
+        self._stale: list[torch.Tensor] = []  # environments whose state was written; most often one and the same tensor
         self._made = self._settings()
         self._wrench_bodies: list[int] = []
         self._wrench = torch.zeros(n, len(self.body_names), 3, 2, device=device)
@@ -183,7 +182,7 @@ class Robot(Kept):
     def reset(self, ids: torch.Tensor) -> None:
         """Forget wrenches and reported torques of ``ids``; state and targets are left to events and actions."""
         if self._wrench_bodies:
-            self._wrench[ids] = 0.0
+            self._wrench.index_fill_(0, ids, 0.0)
         self.data.reset(ids)
         for actuator in self.actuators.values():
             actuator.begin(ids)
@@ -227,20 +226,25 @@ class Robot(Kept):
         self.data.invalidate()
 
     def _mark_stale(self, ids: torch.Tensor) -> None:
-        self._stale[ids] = True
-        self._written = True
+        if not any(ids is known for known in self._stale):
+            self._stale.append(ids)
 
     @property
     def is_stale(self) -> bool:
         """Whether state was written that derived quantities do not show yet."""
-        return self._written
+        return bool(self._stale)
 
     def take_stale(self) -> torch.Tensor:
         """Return the environments whose state was written since the last call, (n,)."""
-        ids = ids_where(self._stale)
-        self._stale.fill_(False)
-        self._written = False
+        ids = self._stale[0] if len(self._stale) == 1 else ids_where(self._stale_rows())
+        self._stale = []
         return ids
+
+    def _stale_rows(self) -> torch.Tensor:
+        rows = torch.zeros(self._sim.num_envs, dtype=torch.bool, device=self._sim.device)
+        for ids in self._stale:
+            rows.index_fill_(0, ids, True)
+        return rows
 
     def _require_floating(self) -> None:
         if not self.floating:
@@ -258,7 +262,7 @@ class Robot(Kept):
             **self.data.state_dict(),
             "wrench": self._wrench.clone(),
             "wrench_bodies": list(self._wrench_bodies),
-            "stale": self._stale.clone(),
+            "stale": self._stale_rows(),
         }
 
     def _settings(self) -> dict[str, torch.Tensor]:
@@ -278,8 +282,8 @@ class Robot(Kept):
         self.data.load_state_dict(saved)
         self._wrench.copy_(saved["wrench"])
         self._wrench_bodies = list(saved["wrench_bodies"])
-        self._stale.copy_(saved["stale"])
-        self._written = bool(self._stale.any())
+        ids = ids_where(saved["stale"])
+        self._stale = [ids] if len(ids) else []
 
     def _require_disjoint(self) -> None:
         keys = {group: f"env.robot.actuators.{group}.joint_names_expr" for group in self.actuators}

@@ -20,7 +20,7 @@ def _env(make_env, **settings):
 
 def test_it_is_a_member_of_the_scene_with_a_stream_of_its_own(make_env):
     env, sensor = _env(make_env)
-    assert list(env.scene) == ["robot", "height"]
+    assert list(env.scene) == ["robot", "terrain", "height"]
     assert sensor.key == "env.scene.sensors.height"
     assert sensor.key in env.streams.state_dict()["generators"]
 
