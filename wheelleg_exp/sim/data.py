@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import torch
 
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.derived import derived
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.layout import JointTargets, RobotLayout
 from wheelleg_exp.state import Kept
@@ -21,19 +22,6 @@ _SETTINGS = (
     "joint_effort_limits",
     "com_b",
 )
-
-
-def _derived(compute: Callable[[RobotData], torch.Tensor]) -> property:
-    """Make a property that is computed at most once between two changes of the state."""
-    name = compute.__name__
-
-    def get(self: RobotData) -> torch.Tensor:
-        value = self._cache.get(name)
-        if value is None:
-            value = self._cache[name] = compute(self)
-        return value
-
-    return property(get, doc=compute.__doc__)
 
 
 class RobotData(Kept):
@@ -60,7 +48,9 @@ class RobotData(Kept):
         self._sim = sim
         self._targets = targets
         self._compute_torque = computed_torque
+        self._layout = layout
         self._cache: dict[str, torch.Tensor] = {}
+        self._constants: dict[str, torch.Tensor] = {}
         self._root_id = int(layout.body_ids[0])
         self._floating = layout.floating
         self._qpos, self._qvel = sim.view("qpos"), sim.view("qvel")
@@ -121,6 +111,19 @@ class RobotData(Kept):
         """Return the tensors that come from the config and the model, and that an event may change."""
         return {name: getattr(self, name) for name in _SETTINGS}
 
+    def _model(self, name: str) -> torch.Tensor:
+        """Return a field of the model as each simulation has it now, (N, ...); only to read."""
+        if name in self._sim.expanded:
+            return self._sim.expanded[name]
+        if name not in self._constants:
+            self._constants[name] = self._sim.constant(name)
+        constant = self._constants[name]
+        return constant.expand(self._sim.num_envs, *constant.shape)
+
+    def _of_bodies(self, name: str) -> torch.Tensor:
+        """Return a field of the model for the robot's bodies, (N, B, ...)."""
+        return self._model(name)[:, self._body_ids].float()
+
     def begin_control_step(self) -> None:
         """Keep the motion state that the coming control step starts from, for what may fail in it."""
         self.motion_at_start.copy_(self._sim.motion)
@@ -161,97 +164,97 @@ class RobotData(Kept):
         """The actuators' velocity limits, rad/s, (N, J): the engine itself limits no speed."""
         return self.soft_joint_vel_limits
 
-    @_derived
+    @derived
     def _positions(self) -> torch.Tensor:
         """Return positions in MuJoCo's order, float32, (N, nq)."""
         return self._qpos.float()
 
-    @_derived
+    @derived
     def _velocities(self) -> torch.Tensor:
         """Return velocities in MuJoCo's order, float32, (N, nv)."""
         return self._qvel.float()
 
-    @_derived
+    @derived
     def root_pos_w(self) -> torch.Tensor:
         """Position of the root link, m, (N, 3)."""
         return self._positions[:, 0:3] if self._floating else self.body_pos_w[:, 0]
 
-    @_derived
+    @derived
     def root_quat_w(self) -> torch.Tensor:
         """Orientation of the root link (w, x, y, z), (N, 4)."""
         # MuJoCo keeps it a unit quaternion.
         return self._positions[:, 3:7] if self._floating else self.body_quat_w[:, 0]
 
-    @_derived
+    @derived
     def root_rot_w(self) -> torch.Tensor:
         """Rotation matrix of the root link, (N, 3, 3)."""
         return rotation.quat_to_matrix(self.root_quat_w)
 
-    @_derived
+    @derived
     def root_link_lin_vel_w(self) -> torch.Tensor:
         """Velocity of the root link's origin, m/s, (N, 3)."""
         if not self._floating:
             return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
         return self._velocities[:, 0:3]
 
-    @_derived
+    @derived
     def root_ang_vel_b(self) -> torch.Tensor:
         """Angular velocity of the root link in its own axes, rad/s, (N, 3)."""
         if not self._floating:
             return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
         return self._velocities[:, 3:6]
 
-    @_derived
+    @derived
     def root_ang_vel_w(self) -> torch.Tensor:
         """Angular velocity of the root link in world axes, rad/s, (N, 3)."""
         return rotation.rotate(self.root_rot_w, self.root_ang_vel_b)
 
-    @_derived
+    @derived
     def root_link_lin_vel_b(self) -> torch.Tensor:
         """Velocity of the root link's origin in link axes, m/s, (N, 3)."""
         return rotation.rotate_inverse(self.root_rot_w, self.root_link_lin_vel_w)
 
-    @_derived
+    @derived
     def root_lin_vel_b(self) -> torch.Tensor:
         """Velocity of the root body's centre of mass in link axes, m/s, (N, 3): v_link + omega x c."""
         return self.root_link_lin_vel_b + torch.linalg.cross(self.root_ang_vel_b, self.com_b)
 
-    @_derived
+    @derived
     def root_lin_vel_w(self) -> torch.Tensor:
         """Velocity of the root body's centre of mass in world axes, m/s, (N, 3)."""
         return rotation.rotate(self.root_rot_w, self.root_lin_vel_b)
 
-    @_derived
+    @derived
     def projected_gravity_b(self) -> torch.Tensor:
         """Unit gravity direction in link axes, (N, 3); upright is (0, 0, -1)."""
         return torch.matmul(self._gravity_dir, self.root_rot_w)
 
-    @_derived
+    @derived
     def heading_w(self) -> torch.Tensor:
         """Yaw of the root link's x axis, rad, (N,)."""
         return torch.atan2(self.root_rot_w[:, 1, 0], self.root_rot_w[:, 0, 0])
 
-    @_derived
+    @derived
     def joint_pos(self) -> torch.Tensor:
         """Joint positions, rad, (N, J)."""
         return self._positions.index_select(1, self._qpos_ids)
 
-    @_derived
+    @derived
     def joint_vel(self) -> torch.Tensor:
         """Joint velocities, rad/s, (N, J)."""
         return self._velocities.index_select(1, self._dof_ids)
 
-    @_derived
+    @derived
     def joint_acc(self) -> torch.Tensor:
         """Joint accelerations, rad/s^2, (N, J): finite difference over the last physics step."""
         return (self.joint_vel - self.joint_vel_before) / self._dt * self._torque_valid
 
-    @_derived
+    @derived
     def joint_pos_before(self) -> torch.Tensor:
         """Joint positions from which the last physics step started, rad, (N, J)."""
         return self._qpos_before.index_select(1, self._qpos_ids).float()
 
-    @_derived
+    @derived
     def joint_vel_before(self) -> torch.Tensor:
         """Joint velocities from which the last physics step started, rad/s, (N, J)."""
         return self._qvel_before.index_select(1, self._dof_ids).float()
@@ -261,32 +264,32 @@ class RobotData(Kept):
         """Clipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
         return self._applied_torque
 
-    @_derived
+    @derived
     def computed_torque(self) -> torch.Tensor:
         """Unclipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
         return self._compute_torque(self) * self._torque_valid
 
-    @_derived
+    @derived
     def body_pos_w(self) -> torch.Tensor:
         """Positions of the link frames, m, (N, B, 3)."""
         return self._sim.derived("xpos")[:, self._body_ids].float()
 
-    @_derived
+    @derived
     def body_quat_w(self) -> torch.Tensor:
         """Orientations of the link frames (w, x, y, z), (N, B, 4)."""
         return self._sim.derived("xquat")[:, self._body_ids].float()
 
-    @_derived
+    @derived
     def body_rot_w(self) -> torch.Tensor:
         """Rotation matrices of the links, (N, B, 3, 3)."""
         return self._sim.derived("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
 
-    @_derived
+    @derived
     def body_ang_vel_w(self) -> torch.Tensor:
         """Angular velocities of the links, rad/s, (N, B, 3)."""
         return self._sim.derived("cvel")[:, self._body_ids, 0:3].float()
 
-    @_derived
+    @derived
     def body_lin_vel_w(self) -> torch.Tensor:
         """Velocities of the links' centres of mass, m/s, (N, B, 3).
 

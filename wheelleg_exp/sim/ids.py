@@ -1,10 +1,14 @@
-"""What a step asks the host: which environments, and whether a number is one."""
+"""Indices as callers give them, and what a step asks the host: which environments, and whether a number is one."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
+
+Columns = torch.Tensor | Sequence[int] | slice | None
+EnvIds = torch.Tensor | Sequence[int] | slice | None
 
 
 def ids_where(mask: torch.Tensor) -> torch.Tensor:
@@ -19,3 +23,24 @@ def ids_where(mask: torch.Tensor) -> torch.Tensor:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor of one) is finite."""
     return math.isfinite(float(total))
+
+
+def chosen(ids: Columns, everything: torch.Tensor) -> torch.Tensor:
+    """Return indices that a caller gave, as a tensor (n,): None is all, slices and lists are as well taken.
+
+    Args:
+        ids: the indices.
+        everything: all there are, (N,).
+    """
+    if ids is None:
+        return everything
+    if isinstance(ids, torch.Tensor):
+        return ids
+    return everything[ids] if isinstance(ids, slice) else torch.tensor(list(ids), device=everything.device)
+
+
+def columns(ids: Columns, device: torch.device) -> torch.Tensor | slice:
+    """Return what indexes a dimension by itself: None is all."""
+    if ids is None:
+        return slice(None)
+    return ids if isinstance(ids, (torch.Tensor, slice)) else torch.tensor(list(ids), device=device)

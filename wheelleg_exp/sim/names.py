@@ -13,7 +13,7 @@ def match_names(
     expressions: str | Sequence[str],
     names: Sequence[str],
     *,
-    key: str,
+    key: str | None = None,
     what: str,
     preserve_order: bool = False,
 ) -> tuple[list[int], list[str]]:
@@ -22,7 +22,7 @@ def match_names(
     Args:
         expressions: one regular expression or several.
         names: the names to match, in the asset's order.
-        key: config key of the expressions, for the message.
+        key: config key of the expressions, for the message, where there is one.
         what: what the names are (``joint``, ``body``), for the message.
         preserve_order: order by expression (True) or by the asset (False).
 
@@ -116,7 +116,7 @@ def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: st
     return errors
 
 
-def _compiled(pattern: str, key: str) -> re.Pattern[str]:
+def _compiled(pattern: str, key: str | None) -> re.Pattern[str]:
     try:
         return re.compile(pattern)
     except re.error as error:

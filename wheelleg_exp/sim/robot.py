@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import mujoco
 import torch
 
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.actuators import ONE_GROUP, ActuatorBase
+from wheelleg_exp.sim.actuators import ONE_GROUP, ActuatorBase, ImplicitActuator
+from wheelleg_exp.sim.articulation_data import ArticulationData
 from wheelleg_exp.sim.data import RobotData
-from wheelleg_exp.sim.engine import WRENCHES, Engine
-from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.ids import EnvIds, ids_where
 from wheelleg_exp.sim.layout import JointTargets, RobotLayout
-from wheelleg_exp.sim.names import match_names, shared_errors
+from wheelleg_exp.sim.names import shared_errors
 from wheelleg_exp.sim.options import RobotOptions
-from wheelleg_exp.state import Kept, cloned, made, same
+from wheelleg_exp.sim.robot_faces import RobotFaces
+from wheelleg_exp.state import cloned, made, same
 
 _ACTUATORS = "env.robot.actuators"
 
 
-class Robot(Kept):
+class Robot(RobotFaces):
     """The robot of the scene: names, limits, actuators, and writing of state, targets and wrenches.
 
     Args:
@@ -50,16 +50,6 @@ class Robot(Kept):
         self._require_disjoint()
         for actuator in self.actuators.values():
             actuator.add_to(spec)
-
-    @property
-    def body_names(self) -> list[str]:
-        """Names of the bodies, breadth first."""
-        return self.layout.body_names
-
-    @property
-    def joint_names(self) -> list[str]:
-        """Names of the joints in the order that terms see."""
-        return self.layout.joint_names
 
     @property
     def floating(self) -> bool:
@@ -98,13 +88,14 @@ class Robot(Kept):
             torch.zeros(shape, device=device),
             torch.zeros(shape, device=device),
         )
-        self.data = RobotData(sim, layout, self.targets, self._computed_torque)
+        self.data = ArticulationData(sim, layout, self.targets, self._computed_torque, gains=self._gains)
         self._ctrl = sim.view("ctrl")
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
         # Force and torque as the two columns of a matrix, (N, 3, 2).
         self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].unflatten(1, (2, 3)).mT
         self._stale: list[torch.Tensor] = []  # environments whose state was written; most often one and the same tensor
+        self._all_ids = torch.arange(n, device=device)
         self._made = self._settings()
         self._wrench_bodies: list[int] = []
         self._wrench = torch.zeros(n, len(self.body_names), 3, 2, device=device)
@@ -115,17 +106,13 @@ class Robot(Kept):
             torque[:, actuator.joint_ids] = actuator.torque_asked(self.targets, data)
         return torque
 
-    def find_joints(
-        self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
-    ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the joints that match; ConfigError when an expression matches none."""
-        return match_names(expressions, self.joint_names, key=key, what="joint", preserve_order=preserve_order)
-
-    def find_bodies(
-        self, expressions: str | Sequence[str], *, key: str, preserve_order: bool = False
-    ) -> tuple[list[int], list[str]]:
-        """Return indices and names of the bodies that match; ConfigError when an expression matches none."""
-        return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
+    def _gains(self, name: str, in_solver: bool) -> torch.Tensor:
+        """Return a number of the actuators for each joint (N, J); with ``in_solver`` 0 for explicit actuators."""
+        found = torch.zeros_like(self.targets.pos)
+        for actuator in self.actuators.values():
+            if isinstance(actuator, ImplicitActuator) or not in_solver:
+                found[:, actuator.joint_ids] = getattr(actuator, name)
+        return found
 
     def shape_ids(self, body_ids: torch.Tensor | slice) -> torch.Tensor:
         """Return the model's ids of the colliding geoms of the bodies (indices into ``body_names``)."""
@@ -134,25 +121,6 @@ class Robot(Kept):
         bodies = set(self.body_ids[body_ids].tolist())
         chosen = [g for g, body in enumerate(model.geom_bodyid.tolist()) if body in bodies and solid[g]]
         return torch.tensor(chosen, dtype=torch.long, device=self._sim.device)
-
-    def set_joint_position_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:
-        """Set position targets (N, k), rad."""
-        self.targets.pos[:, joint_ids] = target
-
-    def set_joint_velocity_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:
-        """Set velocity targets (N, k), rad/s, clipped to the actuators' velocity limits."""
-        limit = self.data.soft_joint_vel_limits[:, joint_ids]
-        self.targets.vel[:, joint_ids] = torch.clamp(target, -limit, limit)
-
-    def set_joint_effort_target(self, target: torch.Tensor, joint_ids: torch.Tensor | slice) -> None:
-        """Set feed-forward efforts (N, k), N·m."""
-        self.targets.effort[:, joint_ids] = target
-
-    def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
-        """Set forces and torques (n, k, 6) at the CoM of the bodies, link axes, until the next reset of ``ids``."""
-        self._wrench[ids.unsqueeze(1), torch.tensor(body_ids, device=ids.device)] = wrench.view(len(ids), -1, 2, 3).mT
-        self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
-        self._sim.asked.add(WRENCHES)
 
     @property
     def permanent_wrench(self) -> torch.Tensor:
@@ -179,46 +147,15 @@ class Robot(Kept):
         world = self.data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
         self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)
 
-    def reset(self, ids: torch.Tensor) -> None:
-        """Forget wrenches and reported torques of ``ids``; state and targets are left to events and actions."""
+    def reset(self, env_ids: EnvIds = None) -> None:
+        """Forget wrenches and reported torques of ``env_ids``; state and targets are left to events and actions."""
+        ids = self._rows(env_ids)
         if self._wrench_bodies:
             self._wrench.index_fill_(0, ids, 0.0)
         self.data.reset(ids)
         for actuator in self.actuators.values():
             actuator.begin(ids)
         self._mark_stale(ids)
-
-    def write_root_pose(self, ids: torch.Tensor, pos: torch.Tensor, quat: torch.Tensor) -> None:
-        """Set the root link's pose (n, 3), (n, 4) in the world."""
-        self._require_floating()
-        dtype = self._sim.dtype
-        unit = torch.nn.functional.normalize(quat.to(dtype), dim=-1)
-        self._root_qpos[ids] = torch.cat((pos.to(dtype), unit), dim=1)
-        self.mark_written(ids)
-
-    def write_root_com_velocity(self, ids: torch.Tensor, lin_vel: torch.Tensor, ang_vel: torch.Tensor) -> None:
-        """Set the velocity (n, 3), (n, 3) of the root body's CoM in world axes, at the present orientation."""
-        self._require_floating()
-        dtype = self._sim.dtype
-        matrix = rotation.quat_to_matrix(self._root_qpos[ids, 3:7])
-        angular = rotation.rotate_inverse(matrix, ang_vel.to(dtype))
-        # v_link = v_com - omega x R c = v_com - R (omega_b x c)
-        lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b[ids].to(dtype)))
-        self._root_qvel[ids] = torch.cat((lin_vel.to(dtype) - lever, angular), dim=1)
-        self.mark_written(ids)
-
-    def write_joint_state(
-        self,
-        ids: torch.Tensor,
-        pos: torch.Tensor,
-        vel: torch.Tensor,
-        joint_ids: torch.Tensor | slice = slice(None),
-    ) -> None:
-        """Set joint positions and velocities (n, k); the joints' accelerations count from there."""
-        self._qpos[ids.unsqueeze(1), self.layout.qpos_ids[joint_ids]] = pos.to(self._sim.dtype)
-        self._qvel[ids.unsqueeze(1), self.layout.dof_ids[joint_ids]] = vel.to(self._sim.dtype)
-        self.data.set_velocity_before(ids, joint_ids, vel)
-        self.mark_written(ids)
 
     def mark_written(self, ids: torch.Tensor) -> None:
         """Note that state or model fields of ``ids`` were written: derived quantities are computed anew."""
@@ -246,13 +183,6 @@ class Robot(Kept):
             rows.index_fill_(0, ids, True)
         return rows
 
-    def _require_floating(self) -> None:
-        if not self.floating:
-            raise ConfigError(
-                "the robot's base is fixed, its root cannot be moved",
-                expected="terms that leave the root alone, or env.robot.base=floating",
-            )
-
     def state_dict(self) -> dict[str, Any]:
         """Return targets, wrenches and reported quantities that the simulation's state does not hold."""
         return {
@@ -266,15 +196,12 @@ class Robot(Kept):
         }
 
     def _settings(self) -> dict[str, torch.Tensor]:
-        return cloned({**self.data.settings(), **self._roots()})
-
-    def _roots(self) -> dict[str, torch.Tensor]:
-        return {"default_root_pos": self.default_root_pos, "default_root_quat": self.default_root_quat}
+        return cloned(self.data.settings())
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         self.targets.load_state_dict(saved)
-        present = {**self.data.settings(), **self._roots()}
+        present = self.data.settings()
         for name, value in {**self._made, **saved["settings"]}.items():
             present[name].copy_(value)
         for name, actuator in self.actuators.items():

@@ -202,11 +202,12 @@ class Scene(Kept):
                 geom.friction[0] = (geom.friction[0] + ground) / 2
 
     def _place_at_defaults(self) -> None:
-        robot, ids = self.robot, torch.arange(self.num_envs, device=self.device)
+        robot, data = self.robot, self.robot.data
         if robot.floating:
-            pos = robot.default_root_pos + self.env_origins
-            robot.write_root_pose(ids, pos, robot.default_root_quat.expand(self.num_envs, 4))
-        robot.write_joint_state(ids, robot.data.default_joint_pos, robot.data.default_joint_vel)
+            pose = data.default_root_state[:, :7].clone()
+            pose[:, :3] += self.env_origins
+            robot.write_root_pose_to_sim(pose)
+        robot.write_joint_state_to_sim(data.default_joint_pos, data.default_joint_vel)
         self.refresh()
 
 

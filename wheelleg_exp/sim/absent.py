@@ -1,0 +1,63 @@
+"""What Isaac Lab's assets have and MuJoCo has not: asked for, it is refused by name, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn, TypeVar
+
+from wheelleg_exp.errors import ConfigError
+
+_Class = TypeVar("_Class", bound=type)
+
+
+class NotInMuJoCo(ConfigError, AttributeError):
+    """A member of Isaac Lab's that there is no counterpart of; ``hasattr`` is false of it."""
+
+
+class Absent:
+    """A member that is not there.
+
+    Args:
+        why: what MuJoCo lacks, and what to use instead.
+    """
+
+    def __init__(self, why: str) -> None:
+        self.why = why
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        if instance is None:
+            return self
+        return self._refuse(type(instance).__name__)
+
+    def _refuse(self, owner: str) -> NoReturn:
+        raise NotInMuJoCo(f"'{self.name}' of Isaac Lab's is not there: {self.why}", where=owner)
+
+
+def lacking(reasons: Mapping[str, str]) -> Callable[[_Class], _Class]:
+    """Give a class members that are refused.
+
+    Args:
+        reasons: why each is absent, by name.
+    """
+
+    def give(owner: _Class) -> _Class:
+        for name, why in reasons.items():
+            member = Absent(why)
+            member.__set_name__(owner, name)
+            setattr(owner, name, member)
+        return owner
+
+    return give
+
+
+def absent_members(owner: type) -> dict[str, str]:
+    """Return why members of a class are absent, by name."""
+    return {
+        name: member.why
+        for kind in reversed(owner.__mro__)
+        for name, member in vars(kind).items()
+        if isinstance(member, Absent)
+    }
