@@ -14,7 +14,7 @@
 from wheelleg_exp.managers.action_manager import ActionManager, ActionTerm
 from wheelleg_exp.managers.command_manager import CommandManager, CommandTerm
 from wheelleg_exp.managers.curriculum_manager import CurriculumManager
-from wheelleg_exp.managers.entity import SceneEntityCfg, bounds
+from wheelleg_exp.managers.entity import SceneEntityCfg, bounds, member
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.event_manager import EventManager
 from wheelleg_exp.managers.observation_manager import ObservationManager
@@ -39,4 +39,5 @@ __all__ = [
     "TermBase",
     "TerminationManager",
     "bounds",
+    "member",
 ]

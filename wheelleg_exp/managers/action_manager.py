@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.delay import made_delay
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.failures import code_place, require_form
 from wheelleg_exp.managers.manager_base import ManagerBase, table
@@ -57,7 +58,10 @@ def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> li
 
 
 class ActionManager(ManagerBase):
-    """Splits the action vector over the terms, in declaration order."""
+    """Splits the action vector over the terms, in declaration order.
+
+    A term's field ``delay`` lets its processed actions act some physics steps later.
+    """
 
     kind = "actions"
 
@@ -74,6 +78,8 @@ class ActionManager(ManagerBase):
             raise error
         self.action = torch.zeros(self._num_envs, self.total_action_dim, device=env.device)
         self.prev_action = torch.zeros_like(self.action)
+        made = {n: made_delay(self._terms[n], f.processed_actions, env) for n, f in self._action_terms.items()}
+        self._delays = {name: delay for name, delay in made.items() if delay is not None}
 
     def _driving(self) -> list[tuple[Term, ActionTerm]]:
         pairs = [(self._terms[name], term) for name, term in self._action_terms.items()]
@@ -114,21 +120,35 @@ class ActionManager(ManagerBase):
         """Let every term set its targets, before each physics step."""
         for name, term in self._action_terms.items():
             with self._terms[name].blamed():
-                term.apply_actions()
+                if name in self._delays:
+                    self._apply_late(name, term)
+                else:
+                    term.apply_actions()
+
+    def _apply_late(self, name: str, term: ActionTerm) -> None:
+        """Let a term apply earlier processed actions in place of the present ones."""
+        present = term.processed_actions.clone()
+        term.processed_actions.copy_(self._delays[name].push(present))
+        term.apply_actions()
+        term.processed_actions.copy_(present)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Zero the actions of ``env_ids``."""
         self.action[env_ids] = 0.0
         self.prev_action[env_ids] = 0.0
         self._reset_terms(env_ids)
+        for delay in self._delays.values():
+            delay.reset(env_ids)
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the last two actions and the terms' states."""
+        """Return the last two actions and the states of terms and delays."""
+        delays = {name: delay.state_dict() for name, delay in self._delays.items()}
         return {
             **super().state_dict(),
             "action": self.action.clone(),
             "prev_action": self.prev_action.clone(),
+            **({"delays": delays} if delays else {}),
         }
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -136,6 +156,8 @@ class ActionManager(ManagerBase):
         super().load_state_dict(saved)
         self.action.copy_(saved["action"])
         self.prev_action.copy_(saved["prev_action"])
+        for name, delay in self._delays.items():
+            delay.load_state_dict(saved["delays"][name])
 
     def __str__(self) -> str:
         rows = [

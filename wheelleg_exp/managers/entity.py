@@ -44,14 +44,7 @@ class SceneEntityCfg:
         Raises:
             ConfigError: no such member, or an expression matches nothing.
         """
-        if self.name not in list(scene):
-            raise ConfigError(
-                f"the scene has no '{self.name}'",
-                key=f"{path}.name",
-                expected="one of " + ", ".join(scene),
-                nearest=nearest_name(self.name, scene),
-            )
-        entity = scene[self.name]
+        entity = member(scene, self.name, f"{path}.name")
         if self.joint_names is not None:
             if not hasattr(entity, "find_joints"):
                 raise ConfigError(f"'{self.name}' has no joints", key=f"{path}.joint_names", expected="body_names only")
@@ -69,6 +62,18 @@ class SceneEntityCfg:
         """Return whether another entity names the same joints and bodies in the same order."""
         names = ("name", "joint_names", "body_names", "preserve_order")
         return all(getattr(self, name) == getattr(other, name) for name in names)
+
+
+def member(scene: Scene, name: str, key: str) -> Any:
+    """Return a member of the scene by name; ConfigError at ``key`` when there is none."""
+    if name not in list(scene):
+        raise ConfigError(
+            f"the scene has no '{name}'",
+            key=key,
+            expected="one of " + ", ".join(scene),
+            nearest=nearest_name(name, scene),
+        )
+    return scene[name]
 
 
 def _listed(names: str | Sequence[str]) -> list[str]:

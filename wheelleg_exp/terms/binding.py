@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Annotated, Any
 
 from wheelleg_exp import packages
-from wheelleg_exp.constraints import Bounds, Natural, Node, NonNegativeInterval, NotEmpty
+from wheelleg_exp.constraints import Bounds, Natural, Node, NonNegativeInterval, NotEmpty, Ordered
 from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
 from wheelleg_exp.terms.allowed_targets import TARGET, require_allowed
 from wheelleg_exp.user_code import importing, in_words
@@ -22,7 +22,7 @@ _HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hyd
 # Names that a manager keeps for itself; no target may use one as a parameter.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
-    "actions": (),
+    "actions": ("delay",),
     "observations": ("modifiers", "noise", "clip", "scale", "history_length", "flatten_history_dim"),
     "events": ("mode", "interval_range_s", "is_global_time", "min_step_count_between_reset"),
     "rewards": ("weight",),
@@ -44,6 +44,7 @@ FIELD_TYPES: dict[str, Any] = {
     "noise": Node | None,
     "clip": Bounds | None,
     "scale": float | Annotated[Sequence[float], NotEmpty()] | None,
+    "delay": Annotated[Sequence[Natural], Ordered()] | None,
 }
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 # Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.

@@ -21,6 +21,7 @@ FIELDS: dict[str, tuple[str, Any]] = {
     "clip": ("bounds of the observation before scaling", None),
     "scale": ("factor on the observation, or one for each component", None),
     "history_length": ("control steps kept, 0: only the present; the group's own setting comes first", 0),
+    "delay": ("shortest and longest delay, physics steps, drawn at each reset; null for none", None),
     "flatten_history_dim": ("whether the history is one vector, oldest first", True),
 }
 

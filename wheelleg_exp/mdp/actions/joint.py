@@ -1,62 +1,58 @@
-"""Action terms on joints. Raw actions become targets by scale, then offset, then clip, as in Isaac Lab."""
+"""Actions that set a target of each joint. Raw actions become targets by scale, then offset, then clip."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import torch
 
 from wheelleg_exp.constraints import Bounds, Names
-from wheelleg_exp.managers import ActionTerm, Env
+from wheelleg_exp.managers import ActionTerm, Env, member
 from wheelleg_exp.sim.names import match_names, values_by_name
 
 
-class JointAction(ActionTerm):
-    """An affine action on joints: ``processed = clip(raw * scale + offset)``.
+class JointTerm(ActionTerm):
+    """An action on joints: what all of them have.
 
     Args:
         env: the environment.
         joint_names: expressions of the driven joints.
-        scale: factor on the raw action; a number, or one by joint expression.
-        offset: added after scaling; a number, or one by joint expression.
         clip: bounds of the processed action by joint expression, [low, high].
         preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+        width: components of the action; None is one a joint.
     """
 
-    settings = ("_ids", "_scale", "_offset", "_low", "_high")
+    settings: ClassVar[tuple[str, ...]] = ("_ids", "_low", "_high")
 
     def __init__(
         self,
         env: Env,
         joint_names: Names,
-        scale: float | Mapping[str, float] = 1.0,
-        offset: float | Mapping[str, float] = 0.0,
-        clip: Mapping[str, Bounds] | None = None,
-        preserve_order: bool = False,
+        clip: Mapping[str, Bounds] | None,
+        preserve_order: bool,
+        asset_name: str,
+        width: int | None = None,
     ) -> None:
-        self._robot = env.scene.robot
+        self._robot = member(env.scene, asset_name, "asset_name")
         names = [joint_names] if isinstance(joint_names, str) else list(joint_names)
         indices, self.joint_names = match_names(
             names, self._robot.joint_names, key="joint_names", what="joint", preserve_order=preserve_order
         )
-        self.action_dim = len(indices)
+        self.action_dim = len(indices) if width is None else width
         self._ids = torch.tensor(indices, device=env.device)
-        self._scale = self._spread(scale, 1.0, "scale")
-        self._offset = self._spread(offset, 0.0, "offset").expand(env.num_envs, -1).clone()
         self._low, self._high = self._bounds(clip)
         self.raw_actions = torch.zeros(env.num_envs, self.action_dim, device=env.device)
-        self.processed_actions = torch.zeros_like(self.raw_actions)
-
-    def process_actions(self, actions: torch.Tensor) -> None:
-        """Scale, offset and clip raw actions (N, action_dim)."""
-        self.raw_actions.copy_(actions)
-        torch.addcmul(self._offset, actions, self._scale, out=self.processed_actions)
-        if self._low is not None:
-            torch.clamp(self.processed_actions, self._low, self._high, out=self.processed_actions)
+        self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Zero the raw actions of ``env_ids``; processed actions are left, as in Isaac Lab."""
         self.raw_actions[env_ids] = 0.0
+
+    def _clip(self) -> None:
+        if self._low is not None:
+            torch.clamp(self.processed_actions, self._low, self._high, out=self.processed_actions)
 
     def _spread(self, values: float | Mapping[str, float], default: float, name: str) -> torch.Tensor:
         spread = values_by_name(values, self.joint_names, default, key=name, what="joint")
@@ -71,6 +67,42 @@ class JointAction(ActionTerm):
         return bounds[:, 0], bounds[:, 1]
 
 
+class JointAction(JointTerm):
+    """An affine action on joints: ``processed = clip(raw * scale + offset)``.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: factor on the raw action; a number, or one by joint expression.
+        offset: added after scaling; a number, or one by joint expression.
+        clip: bounds of the processed action by joint expression, [low, high].
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+    """
+
+    settings = (*JointTerm.settings, "_scale", "_offset")
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Bounds] | None = None,
+        preserve_order: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, joint_names, clip, preserve_order, asset_name)
+        self._scale = self._spread(scale, 1.0, "scale")
+        self._offset = self._spread(offset, 0.0, "offset").expand(env.num_envs, -1).clone()
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        """Scale, offset and clip raw actions (N, action_dim)."""
+        self.raw_actions.copy_(actions)
+        torch.addcmul(self._offset, actions, self._scale, out=self.processed_actions)
+        self._clip()
+
+
 class _DefaultOffsetAction(JointAction):
     """A joint action whose offset may be the joints' default."""
 
@@ -83,8 +115,9 @@ class _DefaultOffsetAction(JointAction):
         clip: Mapping[str, Bounds] | None = None,
         preserve_order: bool = False,
         use_default_offset: bool = True,
+        asset_name: str = "robot",
     ) -> None:
-        super().__init__(env, joint_names, scale, offset, clip, preserve_order)
+        super().__init__(env, joint_names, scale, offset, clip, preserve_order, asset_name)
         if use_default_offset:
             self._offset.copy_(self.default()[:, self._ids])
 
@@ -104,6 +137,7 @@ class JointPositionAction(_DefaultOffsetAction):
         clip: bounds of the target by joint expression, rad. It bounds the target, not the raw action.
         preserve_order: order of the expressions (True) or of the robot (False).
         use_default_offset: take the default joint positions as the offset.
+        asset_name: the member of the scene that has the joints.
     """
 
     drives = "position"
@@ -128,6 +162,7 @@ class RelativeJointPositionAction(JointAction):
         clip: bounds of the relative target by joint expression, rad.
         preserve_order: order of the expressions (True) or of the robot (False).
         use_zero_offset: take no offset.
+        asset_name: the member of the scene that has the joints.
     """
 
     drives = "position"
@@ -141,8 +176,10 @@ class RelativeJointPositionAction(JointAction):
         clip: Mapping[str, Bounds] | None = None,
         preserve_order: bool = False,
         use_zero_offset: bool = True,
+        asset_name: str = "robot",
     ) -> None:
-        super().__init__(env, joint_names, scale, 0.0 if use_zero_offset else offset, clip, preserve_order)
+        given = 0.0 if use_zero_offset else offset
+        super().__init__(env, joint_names, scale, given, clip, preserve_order, asset_name)
 
     def apply_actions(self) -> None:
         """Set the position targets from the present positions."""
@@ -162,6 +199,7 @@ class JointVelocityAction(_DefaultOffsetAction):
         clip: bounds of the target by joint expression, rad/s. It bounds the target, not the raw action.
         preserve_order: order of the expressions (True) or of the robot (False).
         use_default_offset: take the default joint velocities as the offset.
+        asset_name: the member of the scene that has the joints.
     """
 
     drives = "velocity"
@@ -176,7 +214,17 @@ class JointVelocityAction(_DefaultOffsetAction):
 
 
 class JointEffortAction(JointAction):
-    """Feed-forward efforts, N·m."""
+    """Feed-forward efforts, N·m.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: N·m per unit of action.
+        offset: N·m.
+        clip: bounds of the effort by joint expression, N·m.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+    """
 
     drives = "effort"
 
