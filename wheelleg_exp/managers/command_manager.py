@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -20,12 +20,17 @@ from wheelleg_exp.sim.ids import ids_where
 class CommandTerm(TermBase):
     """A command with a resampling timer and error metrics.
 
+    A metric is the sum of a step's errors times the control step over the longest time between two draws; with
+    ``logs_last_error`` it is the last error, as of commands that are places to be reached.
+
     Args:
         env: the environment.
         resampling_time_range: shortest and longest time between two draws, s.
         metric_names: names of the term's metrics.
         generator: the term's random stream.
     """
+
+    logs_last_error: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -71,8 +76,10 @@ class CommandTerm(TermBase):
                 + ", ".join(self.metric_names),
             )
         self.error_sums += errors
-        # As in Isaac Lab, divided by the longest time between two draws, not by the episode.
-        self.metrics += errors * (dt / self._time_range[1])
+        if self.logs_last_error:
+            self.metrics.copy_(errors)
+        else:  # as in Isaac Lab, divided by the longest time between two draws, not by the episode
+            self.metrics += errors * (dt / self._time_range[1])
         self.steps += 1
         self.time_left -= dt
         expired = ids_where(self.time_left <= 0.0)

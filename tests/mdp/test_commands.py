@@ -1,0 +1,302 @@
+"""Commands beside the uniform velocity: distributions, frames, metrics, what is saved."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.terrain import Plane
+
+C = "wheelleg_exp.mdp.commands."
+STILL = torch.zeros(4, 4)
+TIME = [0.1, 0.1]
+FRICTION = {"static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0}
+
+
+class Patches(Plane):
+    """A plane that says it has 2 rows of 3 tiles, each with 3 patches."""
+
+    def place(self, num_envs, spacing, device, stream):
+        super().place(num_envs, spacing, device, stream)
+        self.terrain_levels = torch.arange(num_envs) % 2
+        self.terrain_types = torch.arange(num_envs) % 3
+        rows, cols, number = torch.meshgrid(torch.arange(2), torch.arange(3), torch.arange(3), indexing="ij")
+        self.flat_patches["target"] = torch.stack((rows, cols, 10 * number), dim=-1).float()
+
+
+@pytest.fixture(autouse=True)
+def _test_terms(allow_test_terms):
+    """Let configs name what stands in this module."""
+
+
+def _env(make_env, kind, /, seed=0, num_envs=4, scene=None, **fields):
+    node = {"_target_": C + kind, **fields}
+    env = make_env(commands={"c": node}, seed=seed, num_envs=num_envs, **({"scene": scene} if scene else {}))
+    env.reset()
+    return env, env.command_manager.get_command_term("c")
+
+
+def _stand(env, position, yaw=0.0, pitch=0.0, roll=0.0):
+    """Put every robot at a place, turned by Rz(yaw) Ry(pitch) Rx(roll), worked out by MuJoCo's own Euler angles."""
+    quat = np.zeros(4)
+    mujoco.mju_euler2Quat(quat, np.array([yaw, pitch, roll]), "zyx")
+    n = env.num_envs
+    robot = env.scene.robot
+    place = torch.tensor(position, dtype=torch.float32).expand(n, 3)
+    robot.write_root_pose(torch.arange(n), place, torch.tensor(quat, dtype=torch.float32).expand(n, 4))
+    env.scene.refresh()
+
+
+# ---- normal velocities ----
+
+NORMAL = {"mean_vel": [0.5, 0.0, 1.0], "std_vel": [0.1, 0.2, 0.0], "zero_prob": [0.0, 0.0, 0.3]}
+
+
+def test_normal_velocities_have_both_signs_their_moments_and_zeros(make_env):
+    env, term = _env(make_env, "NormalVelocityCommand", num_envs=4000, resampling_time_range=TIME, ranges=NORMAL)
+    env.command_manager.compute(0.0)
+    v_x, v_y, w_z = term.command.unbind(dim=1)
+    for values, mean, std in ((v_x.abs(), 0.5, 0.1), (v_y, 0.0, 0.2)):
+        assert float(values.mean()) == pytest.approx(mean, abs=0.02)
+        assert float(values.std()) == pytest.approx(std, abs=0.01)
+    assert float((v_x > 0).float().mean()) == pytest.approx(0.5, abs=0.04)
+    shares = [float((w_z == value).float().mean()) for value in (-1.0, 0.0, 1.0)]
+    assert shares == pytest.approx([0.35, 0.3, 0.35], abs=0.04)
+    assert abs(float(torch.corrcoef(torch.stack((v_x, w_z)))[0, 1])) < 0.06
+
+
+def test_normal_velocities_stand_and_are_zero_only_from_the_first_compute_on(make_env):
+    ranges = NORMAL | {"zero_prob": [1.0, 0.0, 0.0]}
+    env, term = _env(make_env, "NormalVelocityCommand", resampling_time_range=[9.0, 9.0], ranges=ranges)
+    assert (term.command != 0).all()
+    for _ in range(2):
+        env.step(STILL)
+        assert (term.command != 0).tolist() == [[False, True, True]] * 4
+    env, term = _env(
+        make_env, "NormalVelocityCommand", resampling_time_range=TIME, ranges=NORMAL, rel_standing_envs=1.0
+    )
+    env.step(STILL)
+    assert (term.command == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"std_vel": [0.1, -0.1, 0.0]}, "ranges.std_vel"),
+        ({"zero_prob": [0.0, 1.1, 0.0]}, "ranges.zero_prob"),
+        ({"mean_vel": [0.0, 1.0]}, "ranges.mean_vel"),
+        ({"lin_vel_x": [0.0, 1.0]}, "ranges.lin_vel_x"),
+        ({"mean_vel": None}, "ranges.mean_vel"),
+    ],
+)
+def test_wrong_moments_name_their_key(make_env, change, key):
+    ranges = {name: value for name, value in (NORMAL | change).items() if value is not None}
+    with pytest.raises(ConfigError) as caught:
+        _env(make_env, "NormalVelocityCommand", resampling_time_range=TIME, ranges=ranges)
+    assert caught.value.key == f"env.commands.c.{key}"
+
+
+# ---- no command ----
+
+
+def test_a_null_command_draws_logs_and_asks_for_nothing(make_env):
+    env, term = _env(make_env, "NullCommand")
+    stream = env.streams.get("env.commands.c").get_state()
+    env.step(STILL)
+    env.reset()
+    assert term.command.shape == (4, 0)
+    assert not [name for name in env.extras["log"] if "Metrics" in name]
+    assert torch.equal(env.streams.get("env.commands.c").get_state(), stream)
+    assert "NullCommand" in env.describe()
+
+
+# ---- places ----
+
+PLACE = {"pos_x": [1.0, 1.0], "pos_y": [2.0, 2.0], "heading": [math.pi / 2, math.pi / 2]}
+
+
+def _place(make_env, **fields):
+    node = {"resampling_time_range": [9.0, 9.0], "simple_heading": False, "ranges": PLACE}
+    return _env(make_env, "UniformPose2dCommand", **(node | fields))
+
+
+def test_places_lie_around_the_origin_of_their_environment(make_env):
+    ranges = {"pos_x": [-0.5, 1.0], "pos_y": [0.0, 2.0], "heading": [-1.0, 3.0]}
+    env, term = _place(make_env, ranges=ranges, num_envs=2000)
+    drawn = torch.cat((term.pos_command_w - env.scene.env_origins, term.heading_command_w.unsqueeze(1)), dim=1)
+    for column, (low, high) in ((0, (-0.5, 1.0)), (1, (0.0, 2.0)), (3, (-1.0, 3.0))):
+        assert low <= float(drawn[:, column].min()) < low + 0.03
+        assert high - 0.03 < float(drawn[:, column].max()) <= high + 1e-5
+    assert drawn[:, 2].tolist() == pytest.approx([0.3] * 2000)  # the height of the default state
+
+
+def test_the_command_is_the_way_in_the_axes_of_the_bases_yaw(make_env):
+    """From (0, 0, .1) at yaw 30 degrees to (1, 2, .3): turned back by 30 degrees, whatever the pitch."""
+    env, term = _place(make_env, num_envs=1)
+    assert (term.command == 0).all()  # until the first compute
+    yaw = math.radians(30)
+    _stand(env, [0.0, 0.0, 0.1], yaw=yaw, pitch=0.0)
+    env.command_manager.compute(0.02)
+    expected = [math.cos(yaw) + 2 * math.sin(yaw), 2 * math.cos(yaw) - math.sin(yaw), 0.2, math.radians(60)]
+    assert term.command[0].tolist() == pytest.approx(expected, abs=1e-6)
+    _stand(env, [0.0, 0.0, 0.1], yaw=yaw, pitch=0.5)
+    env.command_manager.compute(0.02)
+    assert term.command[0].tolist() == pytest.approx(expected, abs=1e-6)
+    assert torch.equal(term.pos_command_b, term.command[:, :3])
+    assert torch.equal(term.heading_command_b, term.command[:, 3])
+
+
+@pytest.mark.parametrize(("yaw", "expected"), [(0.5, math.atan2(2, 1)), (-2.5, math.atan2(2, 1) - math.pi)])
+def test_a_simple_heading_is_along_the_way_forwards_or_backwards(make_env, yaw, expected):
+    env, term = _place(make_env, simple_heading=True, ranges={"pos_x": [1.0, 1.0], "pos_y": [2.0, 2.0]}, num_envs=1)
+    _stand(env, [0.0, 0.0, 0.3], yaw=yaw)
+    term.draw(torch.arange(1))
+    assert term.heading_command_w.tolist() == pytest.approx([expected], abs=1e-5)
+
+
+def test_the_metrics_of_a_place_are_the_last_errors(make_env):
+    env, _ = _place(make_env, num_envs=1)
+    for x, yaw in ((0.0, 0.0), (0.5, -3.0)):
+        _stand(env, [x, 2.0, 7.0], yaw=yaw)
+        env.command_manager.compute(0.02)
+    log = env.command_manager.reset(torch.arange(1))
+    assert float(log["Metrics/c/error_pos_2d"]) == pytest.approx(0.5, abs=1e-6)
+    assert float(log["Metrics/c/error_heading"]) == pytest.approx(2 * math.pi - 3 - math.pi / 2, abs=1e-5)
+    assert float(log["Episode_Metrics/c/error_pos_2d_per_step"]) == pytest.approx(0.75, abs=1e-6)
+
+
+def test_a_drawn_heading_needs_a_range(make_env):
+    with pytest.raises(ConfigError) as caught:
+        _place(make_env, ranges={"pos_x": [0.0, 1.0]})
+    assert caught.value.key == "env.commands.c.ranges.heading"
+
+
+def test_a_place_may_be_a_flat_patch_of_the_tile(make_env):
+    node = {"resampling_time_range": [9.0, 9.0], "simple_heading": True, "ranges": {}}
+    with pytest.raises(ConfigError, match="no flat patches 'target'"):
+        _env(make_env, "TerrainBasedPose2dCommand", **node)
+    scene = {"terrain": {"_target_": "mdp.test_commands.Patches"} | FRICTION}
+    env, term = _env(make_env, "TerrainBasedPose2dCommand", num_envs=600, scene=scene, **node)
+    terrain, place = env.scene.terrain, term.pos_command_w
+    assert torch.equal(place[:, 0].long(), terrain.terrain_levels)
+    assert torch.equal(place[:, 1].long(), terrain.terrain_types)
+    # A patch (row, column, 10 * number), and the default height of .3 m above it.
+    counts = [int((place[:, 2] - 0.3 - height).abs().lt(1e-5).sum()) for height in (0.0, 10.0, 20.0)]
+    assert sum(counts) == 600
+    assert all(150 < count < 250 for count in counts)
+
+
+# ---- poses of a body ----
+
+POSE = {"pos_x": [0.1, 0.1], "pos_y": [0.2, 0.2], "pos_z": [-0.1, -0.1], "roll": [0.3, 0.3], "yaw": [3.0, 3.0]}
+
+
+def _body(make_env, **fields):
+    node = {"body_name": "left_wheel", "resampling_time_range": [9.0, 9.0], "ranges": POSE}
+    return _env(make_env, "UniformPoseCommand", **(node | fields))
+
+
+def test_a_pose_is_drawn_in_the_frame_of_the_root(make_env):
+    _, term = _body(make_env)
+    cos, sin = [math.cos(1.5), math.cos(0.15)], [math.sin(1.5), math.sin(0.15)]
+    quat = [cos[0] * cos[1], cos[0] * sin[1], sin[0] * sin[1], sin[0] * cos[1]]  # qz(3) * qx(.3)
+    assert term.command[0].tolist() == pytest.approx([0.1, 0.2, -0.1, *quat], abs=1e-6)
+    ranges = POSE | {"yaw": [4.0, 4.0]}  # cos(2) < 0
+    for unique, sign in ((False, -1.0), (True, 1.0)):
+        assert float(_body(make_env, ranges=ranges, make_quat_unique=unique)[1].command[0, 3]) * sign > 0
+
+
+def test_the_metrics_of_a_pose_are_distance_and_angle_to_the_body(make_env):
+    """The left wheel lies at (0, .13, -.08) of the base when the hip is straight, unturned."""
+    ranges = {"pos_x": [0.3, 0.3], "pos_y": [0.13, 0.13], "pos_z": [0.32, 0.32], "pitch": [0.25, 0.25]}
+    env, term = _body(make_env, ranges=ranges, num_envs=1)
+    robot = env.scene.robot
+    robot.write_joint_state(torch.arange(1), torch.zeros(1, 4), torch.zeros(1, 4))
+    _stand(env, [1.0, -2.0, 0.5], yaw=1.0, pitch=-0.4, roll=0.2)
+    distance, angle = term.errors()[:, 0].tolist()
+    assert distance == pytest.approx(0.5, abs=1e-5)  # a triangle of .3 and .4
+    assert angle == pytest.approx(0.25, abs=1e-5)
+
+
+def test_a_pose_is_of_one_body(make_env):
+    with pytest.raises(ConfigError, match="left_wheel, right_wheel") as caught:
+        _body(make_env, body_name=".*_wheel")
+    assert caught.value.key == "env.commands.c.body_name"
+
+
+# ---- the base ----
+
+BASE = {"height": [0.2, 0.4], "pitch": [-0.2, 0.1]}
+
+
+def _base(make_env, **fields):
+    node = {"resampling_time_range": [0.1, 0.1], "ranges": BASE}
+    return _env(make_env, "UniformBasePoseCommand", **(node | fields))
+
+
+def test_heights_and_tilts_are_uniform_in_their_ranges(make_env):
+    _, term = _base(make_env, num_envs=3000)
+    assert (term.command[:, 1] == 0).all()
+    for column, (low, high) in ((0, BASE["height"]), (2, BASE["pitch"])):
+        values = term.command[:, column]
+        assert low <= float(values.min()) < low + 0.01
+        assert high - 0.01 < float(values.max()) <= high
+        assert float(values.mean()) == pytest.approx((low + high) / 2, abs=0.02)
+
+
+def test_height_is_above_the_ground_and_tilts_are_roll_and_pitch(make_env):
+    ground = {"terrain": {"_target_": "managers.spies.Step", "height": 0.5} | FRICTION}
+    env, term = _base(make_env, num_envs=1, scene=ground)
+    _stand(env, [5.0, 0.2, 0.9], yaw=2.0, pitch=0.3, roll=-0.4)  # on the step
+    assert term.measured()[0].tolist() == pytest.approx([0.4, -0.4, 0.3], abs=1e-5)
+    _stand(env, [2.0, 0.2, 0.9], pitch=-1.2, roll=3.0)
+    assert term.measured()[0].tolist() == pytest.approx([0.9, 3.0, -1.2], abs=1e-5)
+
+
+def test_the_metrics_of_the_base_are_means_over_the_time_between_draws(make_env):
+    ranges = {name: [value, value] for name, value in (("height", 0.3), ("roll", 0.1), ("pitch", -0.1))}
+    env, _ = _base(make_env, num_envs=1, ranges=ranges)
+    _stand(env, [0.0, 0.0, 0.25], pitch=0.1)
+    for _ in range(2):
+        env.command_manager.compute(0.02)
+    log = env.command_manager.reset(torch.arange(1))
+    for axis, error in (("height", 0.05), ("roll", 0.1), ("pitch", 0.2)):
+        assert float(log[f"Metrics/c/error_{axis}"]) == pytest.approx(error * 2 * 0.02 / 0.1, abs=1e-5)
+        assert float(log[f"Episode_Metrics/c/error_{axis}_per_step"]) == pytest.approx(error, abs=1e-5)
+
+
+def test_a_height_is_needed(make_env):
+    with pytest.raises(ConfigError) as caught:
+        _base(make_env, ranges={"pitch": [0.0, 0.1]})
+    assert caught.value.key == "env.commands.c.ranges.height"
+
+
+# ---- all ----
+
+ALL = {
+    "NormalVelocityCommand": {"ranges": NORMAL, "rel_standing_envs": 0.3},
+    "UniformPose2dCommand": {"ranges": PLACE | {"pos_x": [0.0, 1.0]}, "simple_heading": False},
+    "UniformPoseCommand": {"ranges": POSE | {"roll": [0.0, 1.0]}, "body_name": "left_wheel"},
+    "UniformBasePoseCommand": {"ranges": BASE},
+}
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_a_command_goes_on_where_it_was_saved(make_env, kind):
+    (first, term), (second, other) = (
+        _env(make_env, kind, seed=seed, resampling_time_range=[0.05, 0.2], **ALL[kind]) for seed in (0, 5)
+    )
+    for _ in range(3):
+        first.step(STILL)
+    second.load_state_dict(first.state_dict())
+    for _ in range(15):
+        first.step(STILL)
+        second.step(STILL)
+        assert torch.equal(term.command, other.command)
+    assert torch.equal(term.metrics, other.metrics)
+    assert int(term.command_counter.min()) > 1

@@ -1,0 +1,24 @@
+"""Command terms: what the robot is asked to do.
+
+| module | what it offers |
+|---|---|
+| `velocity` | velocities in the base's axes, uniform or normal |
+| `pose` | places to go to, and poses of a body |
+| `base_pose` | height and tilt of the base |
+| `null` | no command |
+"""
+
+from wheelleg_exp.mdp.commands.base_pose import UniformBasePoseCommand
+from wheelleg_exp.mdp.commands.null import NullCommand
+from wheelleg_exp.mdp.commands.pose import TerrainBasedPose2dCommand, UniformPose2dCommand, UniformPoseCommand
+from wheelleg_exp.mdp.commands.velocity import NormalVelocityCommand, UniformVelocityCommand
+
+__all__ = [
+    "NormalVelocityCommand",
+    "NullCommand",
+    "TerrainBasedPose2dCommand",
+    "UniformBasePoseCommand",
+    "UniformPose2dCommand",
+    "UniformPoseCommand",
+    "UniformVelocityCommand",
+]

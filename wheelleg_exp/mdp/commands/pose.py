@@ -1,0 +1,220 @@
+"""Places to go to, and poses that a body is to take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, get_args
+
+import torch
+
+from wheelleg_exp.constraints import Broken, Interval, PositiveInterval, relation
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import CommandTerm, Env, bounds, member
+from wheelleg_exp.sim import rotation
+
+_Place = Literal["pos_x", "pos_y", "heading"]
+_Pose = Literal["pos_x", "pos_y", "pos_z", "roll", "pitch", "yaw"]
+
+
+def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
+    if not given["simple_heading"] and given["ranges"].get("heading") is None:
+        yield Broken("ranges.heading", "is missing", "[low, high] in radians, or simple_heading: true")
+
+
+@relation(_heading_has_a_range)
+class UniformPose2dCommand(CommandTerm):
+    """A place around the environment's origin and a heading there, in the base's yaw axes: (x, y, z) in m, rad.
+
+    The place is at the height of the robot's default state. The command is turned into the base's axes from the first
+    ``compute`` after a draw on. Its metrics are the last errors: distance in the plane, m, and heading, rad.
+
+    Args:
+        env: the environment.
+        ranges: ``pos_x`` and ``pos_y`` from the environment's origin (m), and ``heading`` in the world (rad).
+        resampling_time_range: shortest and longest time between two draws, s.
+        simple_heading: look along the way to the place, forwards or backwards, whichever is nearer to the present
+            heading; else headings are drawn.
+        generator: the term's random stream.
+        asset_name: the member of the scene that is commanded.
+    """
+
+    logs_last_error = True
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[_Place, Interval | None],
+        resampling_time_range: PositiveInterval,
+        simple_heading: bool,
+        generator: torch.Generator,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, resampling_time_range, ("error_pos_2d", "error_heading"), generator)
+        self.robot = member(env.scene, asset_name, "asset_name")
+        named = {axis: pair for axis, pair in ranges.items() if pair is not None}
+        # A tuple: tensors among the attributes are state.
+        self._ranges = bounds(named, get_args(_Place), "ranges", env.device)
+        self._simple_heading = simple_heading
+        n, device = env.num_envs, env.device
+        self.pos_command_w = torch.zeros(n, 3, device=device)
+        self.heading_command_w = torch.zeros(n, device=device)
+        self._command = torch.zeros(n, 4, device=device)
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The present command (N, 4): the way to the place in the base's yaw axes, m, and the turn left, rad."""
+        return self._command
+
+    @property
+    def pos_command_b(self) -> torch.Tensor:
+        """The way to the place in the base's yaw axes, m, (N, 3)."""
+        return self._command[:, :3]
+
+    @property
+    def heading_command_b(self) -> torch.Tensor:
+        """The turn that is left, rad, (N,)."""
+        return self._command[:, 3]
+
+    def errors(self) -> torch.Tensor:
+        """Return the distance in the plane, m, and the size of the turn that is left, rad, (2, N)."""
+        data = self.robot.data
+        distance = torch.linalg.vector_norm(self.pos_command_w[:, :2] - data.root_pos_w[:, :2], dim=1)
+        return torch.stack((distance, rotation.wrap_to_pi(self.heading_command_w - data.heading_w).abs()))
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw places and headings."""
+        drawn = rotation.uniform(*self._ranges, len(env_ids), self._generator)
+        self.pos_command_w[env_ids] = self._places(env_ids, drawn[:, :2])
+        self.pos_command_w[env_ids, 2] += self.robot.default_root_pos[2]
+        self.heading_command_w[env_ids] = self._way(env_ids) if self._simple_heading else drawn[:, 2]
+
+    def post_process(self) -> None:
+        """Turn the place and the heading into the base's axes."""
+        data = self.robot.data
+        x, y, z = (self.pos_command_w - data.root_pos_w).unbind(dim=1)
+        cos, sin = data.heading_w.cos(), data.heading_w.sin()
+        turn = rotation.wrap_to_pi(self.heading_command_w - data.heading_w)
+        torch.stack((cos * x + sin * y, cos * y - sin * x, z, turn), dim=1, out=self._command)
+
+    def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
+        """Return places on the ground (n, 3) from drawn offsets (n, 2), m."""
+        places = self._env.scene.env_origins[env_ids]
+        places[:, :2] += drawn
+        return places
+
+    def _way(self, env_ids: torch.Tensor) -> torch.Tensor:
+        """Return the direction to the place, or against it, that is nearer to the heading, rad, (n,)."""
+        data = self.robot.data
+        way = self.pos_command_w[env_ids] - data.root_pos_w[env_ids]
+        forth = torch.atan2(way[:, 1], way[:, 0])
+        back = rotation.wrap_to_pi(forth + torch.pi)
+        turns = (rotation.wrap_to_pi(yaw - data.heading_w[env_ids]).abs() for yaw in (forth, back))
+        return torch.where(torch.lt(*turns), forth, back)
+
+
+class TerrainBasedPose2dCommand(UniformPose2dCommand):
+    """As ``UniformPose2dCommand``, to one of the flat patches ``target`` of the environment's tile.
+
+    Args:
+        env: the environment.
+        resampling_time_range: shortest and longest time between two draws, s.
+        simple_heading: look along the way to the place; else headings are drawn.
+        generator: the term's random stream.
+        ranges: ``heading`` in the world (rad).
+        asset_name: the member of the scene that is commanded.
+
+    Raises:
+        ConfigError: the ground has no patches ``target``.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        resampling_time_range: PositiveInterval,
+        simple_heading: bool,
+        generator: torch.Generator,
+        ranges: Mapping[Literal["heading"], Interval | None],
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, ranges, resampling_time_range, simple_heading, generator, asset_name)  # type: ignore[arg-type]
+        patches = env.scene.terrain.flat_patches
+        if "target" not in patches:
+            raise ConfigError(
+                "the ground has no flat patches 'target' to go to",
+                expected="flat patches 'target' in env.scene.terrain"
+                + (f", which has {', '.join(patches)}" if patches else ""),
+            )
+        self._patches = (patches["target"],)
+
+    def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
+        """Return a patch of each environment's tile, m, (n, 3)."""
+        del drawn
+        patches, terrain = self._patches[0], self._env.scene.terrain
+        device = patches.device
+        chosen = torch.randint(patches.shape[2], (len(env_ids),), generator=self._generator, device=device)
+        return patches[terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids], chosen]
+
+
+class UniformPoseCommand(CommandTerm):
+    """A pose of one body in the root link's frame: (x, y, z) in m and (w, x, y, z), uniform in ranges.
+
+    Its metrics are the last errors: distance, m, and angle, rad, between the body and its commanded pose.
+
+    Args:
+        env: the environment.
+        body_name: expression of the one body.
+        ranges: ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), R = Rz(yaw) Ry(pitch) Rx(roll).
+        resampling_time_range: shortest and longest time between two draws, s.
+        generator: the term's random stream.
+        make_quat_unique: choose the quaternion whose w is not negative.
+        asset_name: the member of the scene that has the body.
+    """
+
+    logs_last_error = True
+
+    def __init__(
+        self,
+        env: Env,
+        body_name: str,
+        ranges: Mapping[_Pose, Interval],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        make_quat_unique: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, resampling_time_range, ("position_error", "orientation_error"), generator)
+        self.robot = member(env.scene, asset_name, "asset_name")
+        found, names = self.robot.find_bodies(body_name, key="body_name")
+        if len(found) != 1:
+            raise ConfigError(f"matches {', '.join(names)}", key="body_name", expected="one body")
+        self._body = found[0]
+        # A tuple: tensors among the attributes are state.
+        self._ranges = bounds(ranges, get_args(_Pose), "ranges", env.device)
+        self._unique = make_quat_unique
+        self.pose_command_b = torch.zeros(env.num_envs, 7, device=env.device)
+        self.pose_command_b[:, 3] = 1.0
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The present command (N, 7): position, m, and orientation (w, x, y, z) in the root link's frame."""
+        return self.pose_command_b
+
+    def errors(self) -> torch.Tensor:
+        """Return the distance, m, and the angle, rad, to the commanded pose, (2, N)."""
+        data, command = self.robot.data, self.pose_command_b
+        place = data.root_pos_w + rotation.rotate(rotation.quat_to_matrix(data.root_quat_w), command[:, :3])
+        distance = torch.linalg.vector_norm(place - data.body_pos_w[:, self._body], dim=1)
+        wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
+        present = data.body_quat_w[:, self._body]
+        # Of the turn between them, cos(angle / 2) is the quaternions' dot product; the sine keeps small angles exact.
+        cos = (wanted * present).sum(dim=1).abs()
+        sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
+        return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw poses."""
+        drawn = rotation.uniform(*self._ranges, len(env_ids), self._generator)
+        quat = rotation.quat_from_euler_xyz(*drawn[:, 3:].unbind(dim=1))
+        if self._unique:
+            quat = torch.where(quat[:, :1] < 0.0, -quat, quat)
+        self.pose_command_b[env_ids] = torch.cat((drawn[:, :3], quat), dim=1)
