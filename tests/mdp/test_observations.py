@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
+import mujoco
 import pytest
 import torch
 
@@ -95,3 +96,93 @@ def test_an_unlimited_joint_has_no_place_between_limits(make_env):
     node = {"_target_": "wheelleg_exp.mdp.observations.joint_pos_limit_normalized"}
     with pytest.raises(WheellegError, match=r"left_axle|limit"):
         make_env(observations={"policy": {"terms": {"x": node}}})
+
+
+def test_heights_and_tilts_of_the_base():
+    root = [[0.0, 0.0, 0.5], [2.0, 3.0, 0.5]]
+    gravity = [[math.sin(0.3), 0.0, -math.cos(0.3)], [0.0, -math.sin(-2.0), -math.cos(-2.0)]]  # pitch .3, roll -2
+    env = fake_env(data_root_pos_w=T(root), data_projected_gravity_b=T(gravity))
+    env.scene.terrain = SimpleNamespace(height_at=lambda xy: 0.1 * xy[:, 0] + 0.01 * xy[:, 1])
+    close(observations.base_height(env), [[0.5], [0.27]])
+    close(observations.base_roll_pitch(env), [[0.0, 0.3], [-2.0, 0.0]])
+
+
+def test_a_gait_clock_goes_round_with_its_period():
+    """At steps 0, 3, 10 of .02 s and a period of .16 s: 0, 3/8 and 10/8 of a turn; the second leg is half a turn on."""
+    env = fake_env(episode_length_buf=T([0, 3, 10]), step_dt=0.02)
+    half = math.sqrt(0.5)
+    expected = [[0.0, 0.0, 1.0, -1.0], [half, -half, -half, half], [1.0, -1.0, 0.0, 0.0]]
+    close(observations.gait_phase(env, period=0.16, offsets=[0.0, 0.5]), expected)
+    close(observations.gait_phase(env, period=0.16), [[row[0], row[2]] for row in expected])
+
+
+def test_joint_accelerations_are_zero_after_a_reset(make_env):
+    env = make_env(observations={"policy": {"terms": {"x": {"_target_": "wheelleg_exp.mdp.observations.joint_acc"}}}})
+    observed, _ = env.reset()
+    assert (observed["policy"] == 0).all()
+    before = env.scene.robot.data.joint_vel.clone()
+    env.scene.robot.data.begin_control_step()
+    env.scene.write_data_to_sim()
+    env.scene.sim.step()
+    env.scene.update()
+    close(observations.joint_acc(env), ((env.scene.robot.data.joint_vel - before) / 0.01).tolist())
+
+
+def test_bodies_are_seen_as_mujoco_sees_them(make_env):
+    """Poses and gravity of two links in a turned robot, against MuJoCo's own forward kinematics."""
+    env = make_env(num_envs=3)
+    env.reset()
+    quat = torch.nn.functional.normalize(torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), dim=1)
+    place = env.scene.env_origins + T([0.5, -1.0, 2.0])
+    env.scene.robot.write_root_pose(torch.arange(3), place, quat)
+    env.scene.refresh()
+    names = env.scene.robot.body_names
+    bodies = entity(bodies=[names.index("right_wheel"), names.index("left_arm")])
+    pose = observations.body_pose_w(env, asset_cfg=bodies)
+    gravity = observations.body_projected_gravity_b(env, asset_cfg=bodies)
+    assert pose.shape == (3, 14)
+    data = mujoco.MjData(env.scene.model)
+    for row in range(3):
+        data.qpos[:] = env.scene.sim.view("qpos")[row].numpy()
+        data.qpos[:3] -= env.scene.env_origins[row].numpy()
+        mujoco.mj_kinematics(env.scene.model, data)
+        for number, name in enumerate(("right_wheel", "left_arm")):
+            seen = [*data.body(name).xpos, *data.body(name).xquat]
+            close(pose[row, 7 * number : 7 * number + 7], [float(x) for x in seen])
+            down = data.body(name).xmat.reshape(3, 3).T @ [0.0, 0.0, -1.0]
+            close(gravity[row, 3 * number : 3 * number + 3], down.tolist())
+
+
+def test_a_height_scan_is_from_the_sensor_to_the_ground_and_a_miss_is_cut_by_the_clip():
+    data = SimpleNamespace(pos_w=T([[5.0, 6.0, 1.0]]), ray_hits_w=T([[[0.0, 0.0, 0.25], [9.0, 9.0, math.inf]]]))
+    env = SimpleNamespace(scene={"scanner": SimpleNamespace(data=data)})
+    scan = observations.height_scan(env, sensor_cfg=entity("scanner"), offset=0.5)
+    close(scan, [[0.25, -math.inf]])
+    close(observations.height_scan(env, sensor_cfg=entity("scanner")).clip(-1.0, 1.0), [[0.25, -1.0]])
+
+
+@pytest.mark.parametrize(
+    ("term", "measured"),
+    [
+        (observations.imu_orientation, "quat_w"),
+        (observations.imu_projected_gravity, "projected_gravity_b"),
+        (observations.imu_ang_vel, "ang_vel_b"),
+        (observations.imu_lin_acc, "lin_acc_b"),
+    ],
+)
+def test_an_imu_shows_what_it_measured(term, measured):
+    names = ("quat_w", "projected_gravity_b", "ang_vel_b", "lin_acc_b")
+    data = SimpleNamespace(**{name: T([[float(name == measured)]]) for name in names})
+    env = SimpleNamespace(scene={"imu": SimpleNamespace(data=data)})
+    assert term(env).item() == 1.0
+
+
+def test_contacts_of_bodies_as_flags_forces_and_times():
+    env = fake_env(contact_norm=T([[0.2, 0.4, 3.0]]))
+    chosen = entity("contact", bodies=[2, 0])
+    close(observations.body_contacts(env, sensor_cfg=chosen, threshold=0.3), [[1.0, 0.0]])
+    env.scene["contact"].data = SimpleNamespace(
+        net_forces_w=T([[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]]), current_air_time=T([[0.1, 0.2, 0.3]])
+    )
+    close(observations.body_contact_forces(env, sensor_cfg=chosen), [[7.0, 8.0, 9.0, 1.0, 2.0, 3.0]])
+    close(observations.body_air_time(env, sensor_cfg=chosen), [[0.3, 0.1]])
