@@ -113,7 +113,7 @@ def _package(entry: Entry) -> Keys:
     header = package_header(entry.file)
     if header == "_global_" or not entry.group:
         return ()
-    return tuple((header or MOUNTS.get(entry.group, entry.group)).split("."))
+    return tuple((header or MOUNTS.get(entry.group.split("/")[0], entry.group)).split("."))
 
 
 def _value(value: Any) -> str:

@@ -127,6 +127,11 @@ def test_a_threshold_too_large_for_the_weight_is_found(section, target, limit):
     assert found("contact_threshold", contact(limit - 0.1)) == []
 
 
+def test_a_threshold_in_seconds_is_no_contact_threshold():
+    node = {"steps": term("rewards.feet_air_time", weight=1.0, threshold=99.0)}
+    assert found("contact_threshold", case(rewards=node)) == []
+
+
 def test_an_episode_without_a_time_out_is_found():
     (finding,) = found("episode_end", case(terminations={"time_out": term("terminations.time_out")}))
     assert finding.key == "env.terminations"

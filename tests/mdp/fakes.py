@@ -21,11 +21,20 @@ def entity(name: str = "robot", joints: list[int] | None = None, bodies: list[in
 
 
 def fake_env(**fields: Any) -> Any:
-    """Return an environment: ``data_<name>`` goes to the robot's data, the rest to the environment."""
+    """Return an environment: ``data_<name>`` goes to the robot's data, the rest to the environment.
+
+    ``contact_norm`` and ``first_contact`` are what the sensor ``contact`` says, ``contact`` its data by name;
+    ``commands`` are commands by name, and ``ground`` is the ground's height at points.
+    """
     data = {k[5:]: v for k, v in fields.items() if k.startswith("data_")}
     robot = SimpleNamespace(data=SimpleNamespace(**data))
     norm = fields.pop("contact_norm", None)
-    sensor = SimpleNamespace(max_force_norm=lambda: norm)
+    landed = fields.pop("first_contact", None)
+    sensor = SimpleNamespace(
+        max_force_norm=lambda: norm,
+        compute_first_contact=lambda dt: landed,
+        data=SimpleNamespace(**fields.pop("contact", {})),
+    )
     members = {"robot": robot, "contact": sensor}
 
     class Scene(dict):
@@ -33,6 +42,10 @@ def fake_env(**fields: Any) -> Any:
 
     scene = Scene(members)
     scene.robot = robot
+    ground = fields.pop("ground", lambda xy: torch.zeros_like(xy[..., 0]))
+    scene.terrain = SimpleNamespace(height_at=ground)
+    commands = fields.pop("commands", {})
+    fields.setdefault("command_manager", SimpleNamespace(get_command=commands.__getitem__))
     scene.env_origins = fields.pop("env_origins", None)
     rest = {k: v for k, v in fields.items() if not k.startswith("data_")}
     return SimpleNamespace(scene=scene, **rest)

@@ -65,11 +65,33 @@ def test_tilt_and_pitch_alone():
     env = fake_env(data_projected_gravity_b=T([[0.6, 0.0, -0.8], [0.3, 0.4, -0.86]]))
     close(rewards.flat_orientation_l2(env), [0.36, 0.25])
     close(rewards.pitch_orientation_l2(env), [0.36, 0.09])
+    close(rewards.upward(env), [1.8**2, 1.86**2])
 
 
 def test_height():
     env = fake_env(data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.1]]))
     close(rewards.base_height_l2(env, target_height=0.3), [0.04, 0.04])
+
+
+def test_height_over_what_rays_hit():
+    env = fake_env(data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.5], [9.0, 9.0, 0.5]]))
+    hits = T([[[0.0, 0.0, 0.1], [5.0, 5.0, 0.3]], [[0.0, 0.0, 0.2]] * 2, [[0.0, 0.0, 0.0], [0.0, 0.0, math.inf]]])
+    env.scene["rays"] = SimpleNamespace(data=SimpleNamespace(ray_hits_w=hits))
+    close(rewards.base_height_l2(env, target_height=0.2, sensor_cfg=entity("rays")), [0.01, 0.01, math.inf])
+
+
+def test_height_over_the_ground_below():
+    def ground(xy):
+        return 0.1 * xy[..., 0] + xy[..., 1]
+
+    env = fake_env(data_root_pos_w=T([[1.0, 2.0, 2.5], [0.0, 0.0, 0.1]]), ground=ground)
+    close(rewards.base_height_over_ground_l2(env, target_height=0.3), [0.01, 0.04])
+
+
+def test_norms_of_accelerations_add_up():
+    env = fake_env(data_body_lin_acc_w=T([[[3.0, 4.0, 0.0], [0.0, 0.0, -2.0]], [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]))
+    close(rewards.body_lin_acc_norm_sum(env), [7, 1])
+    close(rewards.body_lin_acc_norm_sum(env, entity(bodies=[0])), [5, 0])
 
 
 JOINTS = {
@@ -88,6 +110,7 @@ JOINTS = {
     ("function", "all_joints", "last_two"),
     [
         (rewards.joint_torques_l2, [5, 0.25], [4, 0.25]),
+        (rewards.joint_power, [5, 1.5], [4, 1.5]),
         (rewards.joint_vel_l1, [3.5, 3], [2.5, 3]),
         (rewards.joint_vel_l2, [5.25, 9], [4.25, 9]),
         (rewards.joint_acc_l2, [104, 0], [4, 0]),
@@ -109,6 +132,43 @@ def test_differences_between_left_and_right():
     env = fake_env(**JOINTS)
     close(rewards.joint_symmetry_l1(env, entity(joints=[0, 1]), entity(joints=[2, 0])), [3.0, 0.0])
     close(rewards.joint_symmetry_l1(env, entity(joints=[0]), entity(joints=[1]), mirrored=True), [0.5, 0.0])  # not 1.5
+
+
+def test_power_that_drives_put_in():
+    env = fake_env(**JOINTS | {"data_joint_vel": T([[1.0, 2.0, 0.5], [0.0, 3.0, 0.0]])})
+    close(rewards.joint_power(env), [5, 1.5])
+    close(rewards.joint_power(env, positive_only=True), [1, 1.5])
+
+
+def test_pose_counts_while_nothing_is_asked_for():
+    env = fake_env(**JOINTS, commands={"v": T([[0.06, 0.0, 9.0], [0.03, 0.05, 9.0]])})
+    close(rewards.stand_still_joint_deviation_l1(env, "v"), [0, 0.1])
+    close(rewards.stand_still_joint_deviation_l1(env, "v", command_threshold=0.07), [1, 0.1])
+
+
+def test_velocities_are_compared_with_the_last_step_of_the_episode():
+    env = fake_env(data_joint_vel=T([[1.0, 9.0], [2.0, 9.0]]), num_envs=2, device=torch.device("cpu"))
+    term = rewards.joint_vel_rate_l2(env, entity(joints=[0]))
+    close(term(env), [0, 0])
+    env.scene.robot.data.joint_vel = T([[3.0, 0.0], [1.0, 0.0]])
+    close(term(env), [4, 1])
+    term.reset(T([1]))
+    env.scene.robot.data.joint_vel = T([[3.5, 0.0], [7.0, 0.0]])
+    close(term(env), [0.25, 0])
+
+
+def test_second_differences_of_actions_begin_anew_with_an_episode():
+    """The manager keeps the last action, and forgets it at a reset."""
+    steps = [T([[1.0, 0.0], [2.0, 1.0]]), T([[1.0, 2.0], [0.0, 1.0]]), T([[4.0, 2.0], [1.0, 0.0]])]
+    manager = SimpleNamespace(action=steps[0], prev_action=torch.zeros(2, 2))
+    env = fake_env(action_manager=manager)
+    term = rewards.action_acceleration_l2(env)
+    close(term(env), [1, 5])
+    manager.action, manager.prev_action = steps[1], steps[0]
+    close(term(env), [1 + 4, 16 + 1])  # (1 - 2, 2), (0 - 4, 1 - 2)
+    term.reset(T([1]))
+    manager.action, manager.prev_action = steps[2], T([[1.0, 2.0], [0.0, 0.0]])
+    close(term(env), [9 + 4, 1])  # (4 - 2 + 1, 2 - 4 + 0), (1, 0)
 
 
 def test_raw_actions():
@@ -138,13 +198,37 @@ def test_contacts(function, threshold, all_bodies, first_two):
 
 
 def test_tracking():
-    command = T([[1.0, 1.5, 4.5], [0.0, -1.0, -0.5]])
-    env = fake_env(**VELOCITY, command_manager=SimpleNamespace(get_command=lambda name: {"v": command}[name]))
+    env = fake_env(**VELOCITY, commands={"v": T([[1.0, 1.5, 4.5], [0.0, -1.0, -0.5]])})
     close(rewards.track_lin_vel_xy_exp(env, std=0.5, command_name="v"), [math.exp(-0.25 / 0.25), 1.0])
     close(rewards.track_ang_vel_z_exp(env, std=2.0, command_name="v"), [math.exp(-0.25 / 4), 1.0])
 
 
+def test_tracking_in_level_axes():
+    """A robot that heads along y, and drives so."""
+    env = fake_env(
+        data_root_lin_vel_w=T([[-0.5, 2.0, 7.0]]),
+        data_root_ang_vel_w=T([[9.0, 9.0, 1.5]]),
+        data_heading_w=T([math.pi / 2]),
+        commands={"v": T([[2.0, 0.25, 1.0]])},
+    )
+    close(rewards.track_lin_vel_xy_yaw_frame_exp(env, std=0.5, command_name="v"), [math.exp(-(0.25**2) / 0.25)])
+    close(rewards.track_ang_vel_z_world_exp(env, std=2.0, command_name="v"), [math.exp(-0.25 / 4)])
+
+
+def test_tracking_height_and_pitch():
+    """Turned by 0.3 about y, the front goes down, and gravity has a part sin 0.3 along x."""
+    env = fake_env(
+        data_root_pos_w=T([[0.0, 0.0, 0.35], [0.0, 1.0, 1.3]]),
+        data_projected_gravity_b=T([[math.sin(0.3), 0.0, -math.cos(0.3)], [-1.0000001, 0.0, 0.0]]),
+        ground=lambda xy: xy[..., 1],
+        commands={"h": T([[0.25], [0.3]]), "p": T([[0.1], [-math.pi / 2]])},
+    )
+    close(rewards.track_base_height_exp(env, std=0.2, command_name="h"), [math.exp(-0.25), 1])
+    close(rewards.track_pitch_exp(env, std=0.4, command_name="p"), [math.exp(-0.25), 1])
+
+
 def test_isaac_labs_names_are_kept():
+    assert rewards.body_lin_acc_l2 is rewards.body_lin_acc_norm_sum
     assert rewards.desired_contacts is rewards.no_desired_contact
     assert rewards.no_desired_contact.__defaults__ == (1.0,)
 

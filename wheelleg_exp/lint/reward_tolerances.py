@@ -12,7 +12,13 @@ ANGLE = 0.1  # rad: 6 degrees
 SHARE = 0.1  # of a natural size: height, speed, effort, command
 ACTION = 0.5  # change of a raw action: half of one unit
 
-TRACKING = {"rewards.track_lin_vel_xy_exp": "lin", "rewards.track_ang_vel_z_exp": "ang"}
+TRACKING = {
+    "rewards.track_lin_vel_xy_exp": "lin",
+    "rewards.track_lin_vel_xy_yaw_frame_exp": "lin",
+    "rewards.track_ang_vel_z_exp": "ang",
+    "rewards.track_ang_vel_z_world_exp": "ang",
+}
+HEIGHTS = ("rewards.base_height_l2", "rewards.base_height_over_ground_l2")
 FAILURES = ("rewards.is_terminated", "rewards.is_terminated_term")
 CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.no_desired_contact")
 
@@ -158,16 +164,18 @@ def _one(_case: Case, _term: TermView) -> tuple[str, float]:
 
 
 _SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
-    "rewards.base_height_l2": _height,
+    **dict.fromkeys(HEIGHTS, _height),
     "rewards.lin_vel_z_l2": _vertical,
     "rewards.ang_vel_xy_l2": _rocking,
     "rewards.pitch_orientation_l2": _tilt,
     "rewards.flat_orientation_l2": _tilt,
     "rewards.joint_deviation_l1": _deviation,
+    "rewards.stand_still_joint_deviation_l1": _deviation,
     "rewards.joint_symmetry_l1": _symmetry,
     "rewards.joint_torques_l2": _torques,
     "rewards.action_rate_l2": _action_rate,
     "rewards.action_l2": _action_rate,
+    "rewards.action_acceleration_l2": _action_rate,
     **dict.fromkeys(CONTACTS, _one),
 }
 

@@ -7,12 +7,21 @@ from collections.abc import Iterator
 
 from wheelleg_exp.lint.case import Case, TermView, largest
 from wheelleg_exp.lint.findings import Finding, above, at_least, at_most, below, rule
+from wheelleg_exp.lint.reward_tolerances import HEIGHTS
 
 _DROP = 0.1  # of the standing height
 _GROUND = 1e-4  # m that a spawn may lie inside the ground: contacts are soft
 _HEIGHT = 0.05  # of the standing height, between the reward's target and the default pose
 _FALLS = 5.0  # time constants of the fall that an episode should last
 _UPRIGHT = math.pi
+_TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")  # whose threshold is in seconds
+_ON_WHEELS = (
+    "rewards.no_contact_count",
+    "rewards.no_desired_contact",
+    "rewards.feet_slide",
+    "rewards.wheel_slip",
+    "rewards.wheel_spin_in_air_l1",
+)
 
 
 @rule
@@ -47,7 +56,7 @@ def target_height(case: Case) -> Iterator[Finding]:
     the default pose.
     """
     standing = case.facts.standing_height
-    for term in case.terms("rewards", "rewards.base_height_l2"):
+    for term in case.terms("rewards", *HEIGHTS):
         target = float(term.node["target_height"])
         if abs(target - standing) > _HEIGHT * standing:
             key, right = f"{term.path}.target_height", at_least(standing, 3)
@@ -71,9 +80,10 @@ def contact_threshold(case: Case) -> Iterator[Finding]:
     for section in ("terminations", "rewards"):
         for term in case.terms(section):
             threshold = term.node.get("threshold")
-            if not isinstance(threshold, (int, float)) or not term.kind.startswith(("rewards.", "terminations.")):
+            stock = term.kind.startswith(("rewards.", "terminations.")) and term.kind not in _TIMES
+            if not isinstance(threshold, (int, float)) or not stock:
                 continue
-            wheels = term.kind in ("rewards.no_contact_count", "rewards.no_desired_contact")
+            wheels = term.kind in _ON_WHEELS
             limit = 0.5 * load if wheels else 0.1 * weight
             if threshold > limit:
                 key, most = f"{term.path}.threshold", at_most(limit)

@@ -6,6 +6,7 @@ import torch
 
 from wheelleg_exp.constraints import Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg
+from wheelleg_exp.mdp.ground import height_over_ground
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -24,3 +25,44 @@ def track_ang_vel_z_exp(env: Env, std: Positive, command_name: str, asset_cfg: S
     command = env.command_manager.get_command(command_name)[:, 2]
     error = (command - env.scene[asset_cfg.name].data.root_ang_vel_b[:, 2]).square()
     return torch.exp(-error / std**2)
+
+
+def track_lin_vel_xy_yaw_frame_exp(
+    env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in level axes that turn with it.
+
+    Unlike ``track_lin_vel_xy_exp`` it does not take a leaning robot's fall for speed.
+    """
+    data = env.scene[asset_cfg.name].data
+    command, velocity, yaw = env.command_manager.get_command(command_name), data.root_lin_vel_w, data.heading_w
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    forwards = cos * velocity[:, 0] + sin * velocity[:, 1]
+    sideways = cos * velocity[:, 1] - sin * velocity[:, 0]
+    error = (command[:, 0] - forwards).square() + (command[:, 1] - sideways).square()
+    return torch.exp(-error / std**2)
+
+
+def track_ang_vel_z_world_exp(
+    env: Env, command_name: str, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-(w_z command - w_z)^2 / std^2), angular velocity about the world's vertical."""
+    command = env.command_manager.get_command(command_name)[:, 2]
+    error = (command - env.scene[asset_cfg.name].data.root_ang_vel_w[:, 2]).square()
+    return torch.exp(-error / std**2)
+
+
+def track_base_height_exp(
+    env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-(command - h)^2 / std^2), h the root link's height above the ground straight below, m. Not in Isaac Lab."""
+    command = env.command_manager.get_command(command_name)[:, 0]
+    error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
+    return torch.exp(-error / std**2)
+
+
+def track_pitch_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-(command - pitch)^2 / std^2), pitch of the root, rad, positive with the front down. Not in Isaac Lab."""
+    command = env.command_manager.get_command(command_name)[:, 0]
+    pitch = torch.asin(env.scene[asset_cfg.name].data.projected_gravity_b[:, 0].clamp(-1.0, 1.0))
+    return torch.exp(-(command - pitch).square() / std**2)
