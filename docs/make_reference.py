@@ -35,6 +35,7 @@ MOUNTS = {  # where a term file of each group stands when a task mounts it
     "curriculum": "env.curriculum",
     "event": "env.events",
     "observation": "env.observations.policy.terms",
+    "recorder": "env.recorders",
     "reward": "env.rewards",
     "termination": "env.terminations",
 }

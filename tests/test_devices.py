@@ -24,7 +24,7 @@ DTYPES = frozenset(["double", "float64"])
 NOT_IN_A_STEP = frozenset(
     """__init__ __str__ resolve connect bind exclude _end_failed failures evidence failure _tell_writes
     load_state_dict state_dict restore save shape_ids set_external_force_and_torque
-    model_digest constant _plain _number set_permanent_body_wrench _read_limits _endings""".split()  # noqa: SIM905
+    model_digest constant _plain _number set_permanent_body_wrench _read_limits _endings _finish_episodes""".split()  # noqa: SIM905
 )
 HOST = {
     "env/host.py": "the door out",
@@ -32,6 +32,8 @@ HOST = {
     "sim/engine.py": "reads the compiled model",
     "sim/root_frame.py": "edits the robot before it is compiled",
     "sim/scene.py": "digests the compiled model",
+    "managers/recorded_rows.py": "what recorders note leaves the device",
+    "managers/recorder_manager.py": "the same",
     "managers/curriculum_manager.py": "takes what a user's term returned",
 }
 

@@ -95,7 +95,7 @@ def test_list_terms_holds_those_that_no_file_uses(capsys):
     assert (unused["file"], unused["target"]) == (None, "wheelleg_exp.mdp.rewards.base_height_l2")
     assert (unused["takes"], unused["help"][:14]) == ("target_height, asset_cfg=...", "(z - target)^2")
     sections = {group for group, _ in rows}
-    assert sections == {"action", "command", "observation", "event", "reward", "termination", "curriculum"}
+    assert sections == {"action", "command", "observation", "event", "reward", "termination", "curriculum", "recorder"}
 
 
 def test_list_terms_leaves_helpers_and_bases_out(capsys):

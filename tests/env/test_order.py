@@ -33,6 +33,7 @@ def env(make_env, monkeypatch):
         rewards={"r": {"_target_": S + "SpyReward", "weight": 1.0}},
         terminations={"t": {"_target_": S + "SpyTermination"}},
         curriculum={"k": {"_target_": S + "SpyCurriculum"}},
+        recorders={"e": {"_target_": S + "SpyRecorder"}},
     )
 
 
@@ -74,6 +75,7 @@ RESETS = [
     "event at_reset reset {ids}",
     "event startup reset {ids}",
     "termination reset {ids}",
+    "recorder reset {ids}",
 ]
 
 
@@ -90,6 +92,7 @@ def test_construction(env):
         "event at_reset made",
         "event startup made",
         "command made",
+        "recorder made",
         "action made",
         "observation made",
         "observation",  # once, for its size
@@ -105,14 +108,17 @@ def test_a_step_without_an_end(env):
     env.reset()
     _log_steps(env)
     env.observers.append(lambda: spies.LOG.append("observer"))
-    physics = ["action apply", "write", "physics", "update"]
+    physics = ["action apply", "write", "physics", "recorder post_physics", "update"]
     assert _calls(lambda: env.step(torch.zeros(3, 1))) == [
         "action process",
+        "recorder pre_step",
         *physics,
         *physics,
         "termination",
         "reward",
         "observer",
+        "observation",  # without noise or memory, for recorders
+        "recorder post_step",
         "command compute",
         "event interval [0, 1, 2]",
         "refresh",
@@ -132,8 +138,12 @@ def test_a_step_in_which_an_episode_ends(env):
         "termination",
         "reward",
         "observer",
+        "observation",
+        "recorder post_step",
+        "recorder pre_reset [1]",
         "curriculum [1] at length [2]",
         *_resets([1]),
+        "recorder post_reset [1]",
         "command compute",
         "event interval [0, 1, 2]",
         "refresh",
@@ -162,9 +172,11 @@ def test_without_automatic_resets_nothing_is_reset(env):
 def test_a_reset(env):
     """No command is computed: standing and heading do not act yet."""
     assert _calls(env.reset) == [
+        "recorder pre_reset [0, 1, 2]",
         "curriculum [0, 1, 2] at length [0, 0, 0]",
         *_resets([0, 1, 2]),
         "refresh",
+        "recorder post_reset [0, 1, 2]",
         "observation",
     ]
 
@@ -173,8 +185,10 @@ def test_a_reset_of_some(env):
     env.reset()
     env.step(torch.zeros(3, 1))
     assert _calls(lambda: env.reset(env_ids=torch.tensor([0, 2]))) == [
+        "recorder pre_reset [0, 2]",
         "curriculum [0, 2] at length [1, 1]",
         *_resets([0, 2]),
         "refresh",
+        "recorder post_reset [0, 2]",
         "observation",
     ]

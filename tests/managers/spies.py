@@ -14,7 +14,7 @@ import torch
 from omegaconf import OmegaConf
 
 from wheelleg_exp.constraints import NonNegative
-from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, TermBase
+from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, RecorderTerm, TermBase
 from wheelleg_exp.sim.actuators import IdealPDActuator, ImplicitActuator
 from wheelleg_exp.sim.layout import JointTargets
 from wheelleg_exp.sim.sensors import SensorBase
@@ -116,6 +116,30 @@ class SpyObservation(Spy):
     def __call__(self, env: Env) -> torch.Tensor:
         LOG.append("observation")
         return torch.zeros(env.num_envs, 1)
+
+
+class SpyRecorder(Spy, RecorderTerm):
+    kind = "recorder"
+
+    def record_pre_step(self) -> Any:
+        LOG.append("recorder pre_step")
+        return None, None
+
+    def record_post_physics_decimation_step(self) -> Any:
+        LOG.append("recorder post_physics")
+        return None, None
+
+    def record_post_step(self) -> Any:
+        LOG.append("recorder post_step")
+        return None, None
+
+    def record_pre_reset(self, env_ids: torch.Tensor) -> Any:
+        LOG.append(f"recorder pre_reset {env_ids.tolist()}")
+        return None, None
+
+    def record_post_reset(self, env_ids: torch.Tensor) -> Any:
+        LOG.append(f"recorder post_reset {env_ids.tolist()}")
+        return None, None
 
 
 class SpyTermination(Spy):

@@ -16,6 +16,7 @@ from wheelleg_exp.managers import (
     CurriculumManager,
     EventManager,
     ObservationManager,
+    RecorderManager,
     RewardManager,
     SceneManager,
     TerminationManager,
@@ -27,7 +28,7 @@ from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.state import Kept, cloned
-from wheelleg_exp.terms.sections import Env, read_value
+from wheelleg_exp.terms.sections import Dataset, Env, read_section, read_value
 
 _LEAST_PER_ENV = 10_000  # bytes: state, outputs and observations of one small robot
 
@@ -37,7 +38,7 @@ StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[
 
 
 class ManagerBasedRLEnv(Kept):
-    """N environments under eight managers, after Isaac Lab's ``ManagerBasedRLEnv``.
+    """N environments under nine managers, after Isaac Lab's ``ManagerBasedRLEnv``.
 
     Args:
         cfg: the composed ``env`` section, plain.
@@ -83,6 +84,8 @@ class ManagerBasedRLEnv(Kept):
         self.scene.play()
         self.event_manager.play()
         self.command_manager = CommandManager(cfg.get("commands"), self)
+        dataset = read_section(Dataset, cfg.get("dataset") or {}, "env.dataset")
+        self.recorder_manager = RecorderManager(cfg.get("recorders"), dataset, self)
         self.action_manager = ActionManager(cfg.get("actions"), self)
         self.observation_manager = ObservationManager(read_value(Env, cfg, "env", "observations"), self)
         self.termination_manager = TerminationManager(cfg.get("terminations"), self)
@@ -95,11 +98,12 @@ class ManagerBasedRLEnv(Kept):
 
     @property
     def managers(self) -> dict[str, Any]:
-        """The eight managers by the name of their section, in the order of construction."""
+        """The nine managers by the name of their section, in the order of construction."""
         return {
             "scene": self.scene_manager,
             "events": self.event_manager,
             "commands": self.command_manager,
+            "recorders": self.recorder_manager,
             "actions": self.action_manager,
             "observations": self.observation_manager,
             "terminations": self.termination_manager,
@@ -126,11 +130,13 @@ class ManagerBasedRLEnv(Kept):
         """
         waiting = self._waiting()
         self.action_manager.process_action(action)
+        self.recorder_manager.record_pre_step()
         self.scene.robot.data.begin_control_step()
         for _ in range(self.decimation):
             self.action_manager.apply_action()
             self.scene.write_data_to_sim()
             self.scene.sim.step()
+            self.recorder_manager.record_post_physics_decimation_step()
             self.scene.update()
         self.episode_length_buf += 1
         self.common_step_counter += 1
@@ -146,6 +152,7 @@ class ManagerBasedRLEnv(Kept):
             self._end_failed(ids_where(failed))
         for observe in self.observers:
             observe()
+        self.recorder_manager.record_post_step()
 
         self.extras["log_is_fresh"] = False
         self.extras.pop("final_obs", None)
@@ -154,7 +161,9 @@ class ManagerBasedRLEnv(Kept):
         if len(ended):
             if self.keep_final_obs:
                 self.extras["final_obs"] = self.observation_manager.peek()
+            self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
+            self.recorder_manager.record_post_reset(ended)
         self.command_manager.compute(self.step_dt)
         self.event_manager.apply_interval(self.step_dt)
         self.scene.refresh()
@@ -182,13 +191,15 @@ class ManagerBasedRLEnv(Kept):
             seed: starts every random stream anew.
             env_ids: environments, or None for all.
         """
+        ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
+        self.recorder_manager.record_pre_reset(ids)
         if seed is not None:
             self.seed = seed
             self.streams.reseed(seed)
-        ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         if len(ids):
             self._reset_idx(ids)
         self.scene.refresh()
+        self.recorder_manager.record_post_reset(ids)
         only = None
         if env_ids is not None:
             only = torch.zeros_like(self.termination_manager.dones).index_fill_(0, ids, True)
@@ -210,6 +221,7 @@ class ManagerBasedRLEnv(Kept):
             self.command_manager,
             self.event_manager,
             self.termination_manager,
+            self.recorder_manager,
         ):
             log.update(manager.reset(env_ids))
         self.extras["log"] = log
@@ -239,6 +251,7 @@ class ManagerBasedRLEnv(Kept):
             ConfigError: a term keeps state where it cannot be saved.
         """
         attributes = self._term_state.save()
+        managers = {name: manager.state_dict() for name, manager in self.managers.items() if name != "scene"}
         return {
             "seed": self.seed,
             "common_step_counter": self.common_step_counter,
@@ -247,7 +260,7 @@ class ManagerBasedRLEnv(Kept):
             "extras": cloned(self.extras),
             "streams": self.streams.state_dict(),
             "scene": self.scene.state_dict(),
-            "managers": {n: m.state_dict() for n, m in self.managers.items() if n != "scene"},
+            "managers": {name: state for name, state in managers.items() if state},  # recorders keep none of their own
             **({"attributes": attributes} if attributes else {}),
         }
 
@@ -263,7 +276,9 @@ class ManagerBasedRLEnv(Kept):
             self.managers[name].load_state_dict(state)
         self.streams.load_state_dict(saved["streams"])
         self._term_state.restore(saved.get("attributes", {}))
+        self.recorder_manager.forget()
 
     def describe(self) -> str:
         """Return a table for each manager: its terms, shapes, weights."""
-        return "\n\n".join(str(manager) for manager in self.managers.values())
+        shown = [m for name, m in self.managers.items() if name != "recorders" or m.active_terms]
+        return "\n\n".join(map(str, shown))

@@ -16,6 +16,7 @@ from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import while_running, write_json, write_yaml
+from wheelleg_exp.jobs.dataset import close_dataset
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.documents import config_document
 from wheelleg_exp.jobs.episode_recording import EpisodeRecording
@@ -101,6 +102,7 @@ def _run(
         content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
         if recording is not None:
             recording.figures(content)
+    close_dataset(directory.dataset, env)
     write_json(directory.path / "figures.json", content)
     return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures(), failures)
 

@@ -20,6 +20,7 @@ from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.files import sha256, while_running, write_json
+from wheelleg_exp.jobs.dataset import close_dataset
 from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.documents import command_document, config_document, json_document, run_documents
 from wheelleg_exp.jobs.episode_recording import EpisodeRecording
@@ -106,8 +107,9 @@ def play(
                 content |= meter.figures().as_dict()
                 if recording is not None:
                     recording.figures(content)
+            dataset = close_dataset(folder / "dataset", env)
             write_json(folder / "figures.json", content)
-            files = [folder / "figures.json", *([recording.path] if recording else [])]
+            files = [*dataset, folder / "figures.json", *([recording.path] if recording else [])]
             run.manifest().add("play", files, content, command=command)
     except BaseException:  # an interrupted play leaves nothing that looks like one
         shutil.rmtree(folder, ignore_errors=True)

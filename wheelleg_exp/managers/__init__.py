@@ -1,4 +1,4 @@
-"""The eight managers: when terms run, what they accumulate, what they log.
+"""The nine managers: when terms run, what they accumulate, what they log.
 
 | module | what it offers |
 |---|---|
@@ -7,6 +7,7 @@
 | `environment` | what terms may ask of the environment |
 | `entity` | members of the scene, and named ranges, as terms take them |
 | `returned`, `finite`, `failures` | what terms return and raise, told by the key of the term |
+| `recorded_rows` | what recorders note, cut into episodes |
 | `streams` | random draws, a stream for each term |
 | `buffers`, `observation_term` | history of samples, and what becomes of one |
 """
@@ -18,6 +19,7 @@ from wheelleg_exp.managers.entity import SceneEntityCfg, bounds, member
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.event_manager import EventManager
 from wheelleg_exp.managers.observation_manager import ObservationManager
+from wheelleg_exp.managers.recorder_manager import RecorderManager, RecorderTerm
 from wheelleg_exp.managers.reward_manager import RewardManager
 from wheelleg_exp.managers.scene_manager import SceneManager
 from wheelleg_exp.managers.term import Term, TermBase
@@ -32,6 +34,8 @@ __all__ = [
     "Env",
     "EventManager",
     "ObservationManager",
+    "RecorderManager",
+    "RecorderTerm",
     "RewardManager",
     "SceneEntityCfg",
     "SceneManager",

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.managers.curriculum_manager import CurriculumManager
     from wheelleg_exp.managers.event_manager import EventManager
     from wheelleg_exp.managers.observation_manager import ObservationManager
+    from wheelleg_exp.managers.recorder_manager import RecorderManager
     from wheelleg_exp.managers.reward_manager import RewardManager
     from wheelleg_exp.managers.termination_manager import TerminationManager
 
@@ -52,3 +53,4 @@ class Env(Protocol):
     reward_manager: RewardManager
     termination_manager: TerminationManager
     curriculum_manager: CurriculumManager
+    recorder_manager: RecorderManager

@@ -142,6 +142,11 @@ class RunDirectory(os.PathLike[str]):
         return self.path / "videos"
 
     @property
+    def dataset(self) -> Path:
+        """The folder of the episodes that recorders noted while training."""
+        return self.path / "dataset"
+
+    @property
     def evaluation(self) -> Path:
         """The folder of evaluations."""
         return self.path / "evaluation"

@@ -129,6 +129,25 @@ class Scene(Kept):
         """Return positions and velocities by what they are, (N, ...)."""
         return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
 
+    def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
+        """Return the robot's state, as Isaac Lab lays it out: ``["articulation"]["robot"]`` and these names.
+
+        ``root_pose`` (N, 7), m and (w, x, y, z); ``root_velocity`` (N, 6), of the centre of mass in world axes, m/s and
+        rad/s; ``joint_position`` and ``joint_velocity`` (N, J), rad and rad/s.
+
+        Args:
+            is_relative: whether positions are relative to the environments' origins.
+        """
+        data = self.robot.data
+        pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
+        state = {
+            "root_pose": torch.cat((pos, data.root_quat_w), dim=1),
+            "root_velocity": torch.cat((data.root_lin_vel_w, data.root_ang_vel_w), dim=1),
+            "joint_position": data.joint_pos,
+            "joint_velocity": data.joint_vel,
+        }
+        return {"articulation": {"robot": state}}
+
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
         """Return what was asked for to be written (see ``Engine.asked``), by what it is, (N, ...)."""
         wrenches = {WRENCHES: self.robot.permanent_wrench} if WRENCHES in asked else {}

@@ -28,6 +28,7 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "rewards": ("weight",),
     "terminations": ("time_out",),
     "curriculum": (),
+    "recorders": (),
 }
 
 # What the managers' own fields may be, and which of them every term of a section must have.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from wheelleg_exp.constraints import Count, Natural, Positive
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
@@ -18,6 +18,20 @@ if TYPE_CHECKING:
 
 
 Section = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """``env.dataset``: which of the episodes that recorders note are written.
+
+    Attributes:
+        export_mode: all; those that succeeded (the termination named `success` fired) and others in folders of their
+            own; the former alone; or none.
+        export_in_close: whether episodes that are under way at the end are written too.
+    """
+
+    export_mode: Literal["all", "succeeded_failed", "succeeded_only", "none"] = "all"
+    export_in_close: bool = False
 
 
 @dataclass(frozen=True)
@@ -37,6 +51,8 @@ class Env:
     rewards: Section
     terminations: Section
     curriculum: Section
+    recorders: Section = field(default_factory=dict)
+    dataset: Dataset = Dataset()
 
 
 @dataclass(frozen=True)

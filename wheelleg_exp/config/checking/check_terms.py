@@ -15,7 +15,7 @@ from wheelleg_exp.terms.binding import RESERVED, TARGET, NotSelected, TermNode, 
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
 # The classes that the terms of some sections must be, and what the managers of some pass beside the environment.
-_CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm"}
+_CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 
@@ -33,7 +33,7 @@ def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
 
 
 def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes of every term in the seven sections."""
+    """Return the mistakes of every term in the eight sections."""
     errors = []
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):

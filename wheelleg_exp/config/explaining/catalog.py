@@ -32,6 +32,7 @@ MODULES = {
     "rewards": "rewards",
     "terminations": "terminations",
     "curriculums": "curriculum",
+    "recorders": "recorders",
 }
 LIBRARY = "wheelleg_exp.mdp"
 

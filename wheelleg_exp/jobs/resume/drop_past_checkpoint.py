@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from wheelleg_exp.files import cut, for_people, temporaries
+from wheelleg_exp.jobs.dataset import dataset_files_from
 from wheelleg_exp.jobs.resume.point import ResumePoint
 from wheelleg_exp.jobs.train.event_files import cut_events
 from wheelleg_exp.jobs.train.films import films_from
@@ -24,10 +25,11 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         with for_people(path):
             path.replace(path.with_name(path.name + _DAMAGED))
     with for_people(run.path):
-        for folder in (run.hydra, run.params, run.source, run.asset, run.videos):
+        for folder in (run.hydra, run.params, run.source, run.asset, run.videos, run.dataset):
             _remove(temporaries(folder, deep=True))
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
+        _remove(dataset_files_from(run.dataset, point.iteration))
         shutil.rmtree(run.exported, ignore_errors=True)  # it would tell of a policy that is trained further
         (run.path / FAILURE).unlink(missing_ok=True)  # what it says stands in the manifest
         if point.iteration == 0:

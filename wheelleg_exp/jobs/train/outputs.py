@@ -15,6 +15,7 @@ from torch.utils.tensorboard import SummaryWriter
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import for_people, json_plain, sync, write_bytes
+from wheelleg_exp.jobs.dataset import close_dataset, write_dataset
 from wheelleg_exp.jobs.train.event_files import event_files, open_events
 from wheelleg_exp.jobs.train.films import Films
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording
@@ -93,7 +94,11 @@ class Outputs:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._opened.__exit__(kind, error, trace)
+        try:
+            if error is None and self._last is not None:
+                close_dataset(self._directory.dataset, self._trainer.env.env, self._last)
+        finally:
+            self._opened.__exit__(kind, error, trace)
 
     @property
     def note(self) -> str | None:
@@ -149,6 +154,7 @@ class Outputs:
             self._wandb.write(iteration.scalars, iteration.index)
         if self._films is not None:
             self._films.write(iteration.index)
+        write_dataset(self._directory.dataset, self._trainer.env.env, iteration.index)
         return found
 
     def checkpoint(self, iteration: int) -> str:

@@ -1,0 +1,118 @@
+"""Datasets of a training and of an agent: their files, how they are read, and that recording changes no number."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jobs.small import ITERATIONS, NUM_ENVS, SMALL, Trained, cache_of, wheelleg
+from wheelleg_exp.jobs.dataset import dataset_files_from
+from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.run.directory import RunDirectory
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
+RECORDERS = (
+    "+recorder@env.recorders=[initial_state,post_step_states,pre_step_actions,pre_step_flat_policy_observations]"
+)
+
+
+def episodes(path: Path):
+    """Read a file with the page's own code."""
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
+    space: dict = {}
+    exec(code, space)
+    return list(space["episodes"](path))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> RunDirectory:
+    """The shared training once more, with recorders."""
+    root = tmp_path_factory.mktemp("recorded")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        said = wheelleg("train", *SMALL, RECORDERS, f"run.root={root}", "run.name=small")
+    assert said.status == 0, said.err
+    return RunDirectory.open(next((root / "stand").iterdir()), root)
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.train
+def test_recorders_leave_every_checkpoint_as_it_is_to_the_bit(recorded: RunDirectory, trained: Trained):
+    names = [path.name for path in trained.run.checkpoints()]
+    assert len(names) == ITERATIONS
+    assert {n: digest(recorded.path / n) for n in names} == {n: digest(trained.run.path / n) for n in names}
+
+
+@pytest.mark.train
+def test_each_iteration_has_a_file_of_the_episodes_that_ended_in_it(recorded: RunDirectory):
+    """Rollouts of 24 steps, episodes of at most 18 (0.3 s at 60 Hz)."""
+    files = sorted(recorded.dataset.iterdir())
+    assert [path.name for path in files] == [f"{n:06d}.npz" for n in range(ITERATIONS)]
+    for number, path in enumerate(files):
+        found = np.load(path)
+        assert (found["episode/last_step"] > 24 * number).all()
+        assert (found["episode/last_step"] <= 24 * (number + 1)).all()
+        assert found["episode/length"].max() <= 18
+    manifest = json.loads((recorded.path / "manifest.json").read_text())
+    assert manifest["files"]["dataset/000000.npz"]["sha256"] == digest(files[0])
+
+
+@pytest.mark.train
+def test_an_episode_is_one_piece_of_motion(recorded: RunDirectory):
+    """Between two steps the root moves by its own velocity, as far as a control step's average tells."""
+    for episode in episodes(recorded.dataset / "000001.npz"):
+        pose = episode["states/articulation/robot/root_pose"]
+        velocity = episode["states/articulation/robot/root_velocity"]
+        assert len(pose) == len(episode["actions"]) == len(episode["obs"])
+        assert episode["initial_state/articulation/robot/root_pose"].shape == (1, 7)
+        np.testing.assert_allclose(np.diff(pose[:, :2], axis=0), velocity[1:, :2] / 60, atol=0.02)
+        # The last action stands at the end of each observation's newest frame: that of the step before.
+        np.testing.assert_allclose(episode["obs"][1:, -6:], episode["actions"][:-1])
+
+
+@pytest.mark.train
+def test_a_resume_goes_on_with_the_dataset(recorded: RunDirectory, monkeypatch, tmp_path):
+    """Episodes that were under way are left out: what is written began after the resume."""
+    monkeypatch.setattr(circumstances, "_source", lambda *_: [])
+    path = tmp_path / "runs" / "stand" / recorded.id
+    shutil.copytree(recorded.path, path)
+    (path / "dataset" / f"{ITERATIONS:06d}.npz").write_bytes(b"of a process that was killed")
+    said = wheelleg("resume", path, f"agent.max_iterations={ITERATIONS + 2}")
+    assert said.status == 0, said.err
+    later = dataset_files_from(path / "dataset", ITERATIONS)
+    assert len(later) > 0
+    found = np.load(max(later))
+    assert len(found["episode/env"]) > 0
+    assert (found["episode/last_step"] - found["episode/length"] >= 24 * ITERATIONS).all()
+
+
+@pytest.mark.train
+def test_an_agent_s_episodes_are_in_one_file(tmp_path):
+    said = wheelleg(
+        *("random-agent", "task=stand", f"env.num_envs={NUM_ENVS}", "env.episode_length_s=0.3", f"run.root={tmp_path}"),
+        *(RECORDERS, "recording.enabled=false", "+env.dataset.export_mode=succeeded_failed"),
+    )
+    assert said.status == 0, said.err
+    (path,) = tmp_path.rglob("*.npz")
+    assert path.relative_to(path.parents[2]).as_posix() == "dataset/failed/episodes.npz"
+    found = episodes(path)
+    assert sorted(episode["env"] for episode in found) == list(range(NUM_ENVS))
+    assert all(np.abs(episode["actions"]).max() <= 1.0 for episode in found)
+
+
+def test_files_past_a_checkpoint_and_of_unfinished_episodes_are_found(tmp_path):
+    names = ("000001.npz", "000002.npz", "failed/000003.npz", "000001_unfinished.npz", "notes.npz")
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    found = {path.relative_to(tmp_path).as_posix() for path in dataset_files_from(tmp_path, 2)}
+    assert found == {"000002.npz", "failed/000003.npz", "000001_unfinished.npz"}

@@ -1,0 +1,254 @@
+"""Recorders: what they note and when, the episodes that are cut of it, and that they change nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from managers import spies
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import RecorderTerm
+
+HERE = "managers.test_recorder_manager."
+STOCK = "wheelleg_exp.mdp.recorders."
+OBSERVATIONS = {
+    "policy": {
+        "enable_corruption": True,
+        "history_length": 2,
+        "terms": {
+            "q": {
+                "_target_": "wheelleg_exp.mdp.observations.joint_pos",
+                "noise": {"_target_": "wheelleg_exp.mdp.noise.GaussianNoise", "std": 0.5},
+            },
+            "count": {"_target_": spies.HERE + "CountingObservation"},
+        },
+    }
+}
+
+
+class Clock(RecorderTerm):
+    """Notes the step counter, before and after the physics and at resets."""
+
+    reads_observations = False
+
+    def _now(self, rows: int) -> torch.Tensor:
+        return torch.full((rows, 1), float(self._env.common_step_counter))
+
+    def record_pre_step(self) -> Any:
+        return "clock", {"before": self._now(4), "env": torch.arange(4.0).unsqueeze(1)}
+
+    def record_post_physics_decimation_step(self) -> Any:
+        return "physics", self._now(4)
+
+    def record_post_step(self) -> Any:
+        return "after", self._now(4)
+
+    def record_pre_reset(self, env_ids: torch.Tensor) -> Any:
+        return "end", env_ids.unsqueeze(1)
+
+    def record_post_reset(self, env_ids: torch.Tensor) -> Any:
+        return "start", self._now(len(env_ids)) + 0.1 * env_ids.unsqueeze(1)
+
+
+class Observed(RecorderTerm):
+    """Notes the observations that a term finds at the end of a step."""
+
+    def record_post_step(self) -> Any:
+        return "observed", self._env.observation_manager.obs_buf["policy"]
+
+
+class Returns(RecorderTerm):
+    """Returns what a test sets."""
+
+    reads_observations = False
+
+    def record_post_step(self) -> Any:
+        return spies.VALUES["noted"]
+
+
+def recorders(*names: str) -> dict[str, Any]:
+    return {name: {"_target_": (HERE if name in globals() else STOCK) + name} for name in names}
+
+
+@pytest.fixture
+def make(make_env):
+    """An environment of four whose episodes end where the test says, or after ten steps."""
+
+    def made(*names: str, terms: Any = (), **sections: Any) -> Any:
+        spies.VALUES["done"] = torch.zeros(4)
+        ends = {"success": {"_target_": spies.HERE + "flag", "key": "won"}, **dict(terms)}
+        ends["stop"] = {"_target_": spies.HERE + "SpyTermination"}
+        spies.VALUES["won"] = torch.zeros(4)
+        env = make_env(recorders=recorders(*names), terminations=ends, observations=OBSERVATIONS, **sections)
+        env.reset()
+        return env
+
+    return made
+
+
+def step(env: Any, ends: Any = (), wins: Any = ()) -> None:
+    spies.VALUES["done"] = torch.zeros(4).index_fill(0, torch.tensor([*ends], dtype=torch.long), 1.0)
+    spies.VALUES["won"] = torch.zeros(4).index_fill(0, torch.tensor([*wins], dtype=torch.long), 1.0)
+    env.step(torch.rand(4, 4))
+
+
+def episodes(arrays: dict[str, np.ndarray], key: str) -> list[np.ndarray]:
+    """Cut the rows of a quantity into its episodes, as the documentation says."""
+    return np.split(arrays[key], np.cumsum(arrays[f"rows/{key}"])[:-1])
+
+
+def test_each_episode_has_its_own_rows_and_no_others(make):
+    """Env 1 ends in steps 2 and 5, env 3 in step 5: their steps by hand."""
+    env = make("Clock")
+    for number in range(1, 6):
+        step(env, {2: [1], 5: [1, 3]}.get(number, []))
+    (found,) = env.recorder_manager.take().values()
+    assert found["episode/env"].tolist() == [1, 1, 3]
+    assert found["episode/length"].tolist() == [2, 3, 5]
+    assert found["episode/last_step"].tolist() == [2, 5, 5]
+    before = [rows[:, 0].tolist() for rows in episodes(found, "clock/before")]
+    assert before == [[0, 1], [2, 3, 4], [0, 1, 2, 3, 4]]
+    assert [rows[:, 0].tolist() for rows in episodes(found, "after")] == [[1, 2], [3, 4, 5], [1, 2, 3, 4, 5]]
+    assert [set(rows[:, 0].tolist()) for rows in episodes(found, "clock/env")] == [{1.0}, {1.0}, {3.0}]
+    assert found["rows/physics"].tolist() == [4, 6, 10]  # two physics steps a control step
+    assert found["start"][:, 0].tolist() == pytest.approx([0.1, 2.1, 0.3])
+    assert found["end"][:, 0].tolist() == [1, 1, 3]
+    assert env.recorder_manager.take() == {}
+
+
+def test_long_episodes_are_whole(make):
+    """More steps than there is room for at first, while other episodes end all the time."""
+    env = make("Clock", episode_length_s=100.0)
+    for number in range(1, 301):
+        step(env, [0, 1, 2] if number % 7 == 0 else [3] if number % 150 == 0 else [])
+    (found,) = env.recorder_manager.take().values()
+    cut = zip(found["episode/env"].tolist(), episodes(found, "clock/before"), strict=True)
+    rows = [(env_id, part[:, 0].tolist()) for env_id, part in cut]
+    assert [part for env_id, part in rows if env_id == 3] == [list(range(150)), list(range(150, 300))]
+    assert [part for env_id, part in rows if env_id == 1] == [list(range(n, n + 7)) for n in range(0, 294, 7)]
+
+
+def test_the_stock_recorders_note_what_the_environment_has(make):
+    names = ("InitialStateRecorder", "PostStepStatesRecorder", "PreStepActionsRecorder")
+    env = make(*names, "PostStepProcessedActionsRecorder", "PreStepFlatPolicyObservationsRecorder")
+    start = env.scene.robot.data.joint_pos.clone()
+    led_to = env.observation_manager.obs_buf["policy"].clone()
+    step(env, [2])
+    (found,) = env.recorder_manager.take().values()
+    manager = env.action_manager
+    assert found["initial_state/articulation/robot/joint_position"].tolist() == start[2:3].tolist()
+    assert found["actions"].shape == (1, 4)
+    assert found["obs"].tolist() == led_to[2:3].tolist()  # as the policy saw it, with its noise
+    wide = sum(manager.get_action_term(name).processed_actions.shape[1] for name in manager.active_terms)
+    assert found["processed_actions"].shape == (1, wide)
+    assert found["states/articulation/robot/root_pose"].shape == (1, 7)
+    assert not np.array_equal(found["states/articulation/robot/joint_position"][0], start[2].numpy())
+
+
+def test_observations_at_the_end_of_a_step_are_of_that_state_without_noise(make):
+    env = make("Observed")
+    before = env.observation_manager.obs_buf["policy"].clone()
+    env.keep_final_obs = True
+    step(env, [0])
+    (found,) = env.recorder_manager.take().values()
+    final = env.extras["final_obs"]["policy"][0]  # read without noise before the reset
+    assert found["observed"][0].tolist() == final.tolist() != before[0].tolist()
+    assert not torch.equal(env.observation_manager.obs_buf["policy"][0], final)
+
+
+def test_recorders_change_no_number_of_an_environment(make):
+    """States, observations with noise and streams, over episodes that end."""
+    ends = {}
+    for names in ((), ("Clock", "Observed", "PostStepStatesRecorder")):
+        torch.manual_seed(3)
+        env = make(*names)
+        for number in range(25):
+            step(env, [number % 4] if number % 5 == 0 else [])
+        ends[bool(names)] = env.state_dict()
+    assert str(ends[True]) == str(ends[False])
+    assert torch.equal(ends[True]["scene"]["sim"]["state"], ends[False]["scene"]["sim"]["state"])
+
+
+@pytest.mark.parametrize(
+    ("mode", "groups"),
+    [
+        ("all", {"episodes": [0, 1]}),
+        ("succeeded_failed", {"succeeded": [1], "failed": [0]}),
+        ("succeeded_only", {"succeeded": [1]}),
+        ("none", {}),
+    ],
+)
+def test_the_mode_says_which_episodes_are_kept(make, mode, groups):
+    env = make("Clock", dataset={"export_mode": mode})
+    step(env, [0], wins=[1])
+    found = env.recorder_manager.take()
+    assert {group: arrays["episode/env"].tolist() for group, arrays in found.items()} == groups
+    if mode == "all":
+        assert found["episodes"]["episode/success"].tolist() == [False, True]
+
+
+@pytest.mark.parametrize("wanted", [False, True])
+def test_episodes_under_way_are_kept_at_the_end_where_asked_for(make, wanted):
+    env = make("Clock", dataset={"export_in_close": wanted})
+    step(env, [2])
+    step(env)
+    env.recorder_manager.close()
+    env.recorder_manager.close()
+    found = env.recorder_manager.take()["episodes"]
+    assert found["episode/length"].tolist() == ([1, 2, 2, 1, 2] if wanted else [1])
+
+
+def test_an_episode_whose_beginning_is_in_another_process_is_left_out(make):
+    env = make("Clock")
+    step(env)
+    env.load_state_dict(env.state_dict())
+    step(env, [0])
+    assert env.recorder_manager.take() == {}
+    step(env, [0])
+    assert env.recorder_manager.take()["episodes"]["episode/length"].tolist() == [1]
+
+
+def test_a_reset_of_what_has_made_no_step_is_no_episode(make):
+    env = make("Clock")
+    env.reset()
+    assert env.recorder_manager.take() == {}
+    step(env)
+    env.reset(env_ids=torch.tensor([1]))
+    assert env.recorder_manager.take()["episodes"]["episode/env"].tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    ("noted", "said"),
+    [
+        (("k", torch.zeros(3, 1)), "a tensor of shape (3, 1)"),
+        (("k", 1.0), "float 1.0"),
+        ((None, torch.zeros(4, 1)), "NoneType None"),
+        (("k", {"a": [1.0]}), "'k/a'"),
+        (("episode/env", torch.zeros(4)), "the episodes themselves"),
+        (("after", torch.zeros(4)), "is noted by"),
+    ],
+)
+def test_what_cannot_be_noted_is_told_with_the_term(make, noted, said):
+    env = make("Clock", "Returns")
+    spies.VALUES["noted"] = noted
+    with pytest.raises(ConfigError) as caught:
+        step(env)
+    assert caught.value.key == "env.recorders.Returns"
+    assert said in str(caught.value)
+
+
+def test_a_shape_that_changes_is_told(make):
+    env = make("Returns")
+    spies.VALUES["noted"] = ("k", torch.zeros(4, 1))
+    step(env)
+    spies.VALUES["noted"] = ("k", torch.zeros(4, 2))
+    with pytest.raises(ConfigError, match=r"env\.recorders\.Returns.*was \(4, 1\)"):
+        step(env)
+
+
+def test_a_term_that_is_no_recorder_is_told(make_env):
+    with pytest.raises(ConfigError, match=r"env\.recorders\.x.*no recorder"):
+        make_env(recorders={"x": {"_target_": spies.HERE + "CountingObservation"}})
