@@ -37,6 +37,7 @@ MOUNTS = {  # where a term file of each group stands when a task mounts it
     "observation": "env.observations.policy.terms",
     "recorder": "env.recorders",
     "reward": "env.rewards",
+    "sensor": "env.scene.sensors",
     "termination": "env.terminations",
 }
 

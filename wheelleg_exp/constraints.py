@@ -157,7 +157,7 @@ class Targeted(Constraint):
 
     def holds(self, value: Any) -> bool:
         """Return whether it says so."""
-        return "_target_" in value
+        return isinstance(value, Mapping) and "_target_" in value
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,29 @@ from wheelleg_exp.managers import ActionTerm, CommandTerm, TermBase
 from wheelleg_exp.mdp import actions, commands, curriculums, events, modifiers, noise, observations, rewards
 from wheelleg_exp.mdp import terminations as terminations_module
 from wheelleg_exp.sim import actuators
-from wheelleg_exp.sim.sensors import ContactSensor
+from wheelleg_exp.sim.sensors import ContactSensor, RayCaster
 
 M = "wheelleg_exp.mdp.modifiers."
 N = "wheelleg_exp.mdp.noise."
 A = "wheelleg_exp.mdp.actions."
 HIPS = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": [".*_hip"]}
+
+SENSOR = "wheelleg_exp.sim.sensors."
+PATTERN = {"_target_": SENSOR + "GridPattern", "resolution": 0.1, "size": [0.2, 0.2]}
+SENSORS = {
+    "scan": {
+        "_target_": SENSOR + "RayCaster",
+        "body_name": "base",
+        "pattern": PATTERN,
+        "ray_cast_drift_range": {"z": [-0.1, 0.1]},
+    },
+    "held": {
+        "_target_": SENSOR + "RayCaster",
+        "body_name": "left_wheel",
+        "pattern": PATTERN,
+        "update_period": 0.05,
+    },
+}
 
 # What may differ right after loading, because nothing reads it before it is computed anew.
 DERIVED = frozenset(
@@ -40,6 +57,8 @@ DERIVED = frozenset(
         "._part_forms",
         ".robot.data._cache",  # quantities derived from the state, computed when they are asked for
         ".sensors['contact']._norms",
+        ".sensors['scan']._data",  # what is measured when it is read
+        ".sensors['scan']._outdated",
         ".robot.data.motion_at_start",  # read within a control step alone
         ".command_manager.step_errors",  # of the step alone
     }
@@ -99,6 +118,7 @@ def everything() -> dict:
     sections["observations"]["critic"] = {"terms": {"v": {"_target_": O + "base_lin_vel"}}, "history_length": 2}
     sections["robot"] = {"actuators": copy.deepcopy(env_config()["robot"]["actuators"])}
     sections["robot"]["actuators"]["axles"]["_target_"] = ACTUATORS + "IdealPDActuator"
+    sections["scene"] = {"sensors": {"contact": env_config()["scene"]["sensors"]["contact"], **SENSORS}}
     sections["rewards"]["ended"] = {"_target_": "wheelleg_exp.mdp.rewards.is_terminated_term", "weight": -1.0}
     return sections
 
@@ -190,7 +210,7 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
     env = make()
     env.reset()
     found = Crawl(env).classes.union(*(Crawl(make(robot=driven(model))).classes for model in MODELS))
-    library = {ContactSensor, *_classes(actuators, actuators.ActuatorBase), *_classes(noise)}
+    library = {ContactSensor, RayCaster, *_classes(actuators, actuators.ActuatorBase), *_classes(noise)}
     library |= _classes(modifiers, modifiers.Modifier)
     for module in (actions, commands, curriculums, events, observations, rewards, terminations_module):
         library |= _classes(module, TermBase)

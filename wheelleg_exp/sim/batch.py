@@ -130,13 +130,18 @@ class BatchEngine(Engine):
         return self.state[rows].sum()
 
     def ray(
-        self, origins: torch.Tensor, directions: torch.Tensor, geom_groups: Sequence[int] | None = None
+        self,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        geom_groups: Sequence[int] | None = None,
+        ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """Return how far rays go before they meet a geom (see ``Engine.ray``); the next step starts afresh."""
         groups = None
         if geom_groups is not None:
             groups = np.isin(np.arange(mujoco.mjNGROUP), geom_groups)
-        distances, _ = self.batch.ray(origins.double().numpy(), directions.double().numpy(), geomgroup=groups)
+        points, vectors = (rays.double().contiguous().numpy() for rays in (origins, directions))
+        distances, _ = self.batch.ray(points, vectors, geomgroup=groups, ids=_rows(ids))
         return torch.from_numpy(distances)
 
     def state_dict(self) -> dict[str, Any]:

@@ -105,14 +105,19 @@ class Engine(Kept, ABC):
 
     @abstractmethod
     def ray(
-        self, origins: torch.Tensor, directions: torch.Tensor, geom_groups: Sequence[int] | None = None
+        self,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        geom_groups: Sequence[int] | None = None,
+        ids: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return how far rays go before they meet a geom, in lengths of their direction, (N, R); -1 is a miss.
+        """Return how far rays go before they meet a geom, in lengths of their direction, (n, R); -1 is a miss.
 
         Args:
-            origins: world, m, (N, R, 3).
-            directions: world, (N, R, 3).
+            origins: world, m, (n, R, 3).
+            directions: world, (n, R, 3).
             geom_groups: MuJoCo's groups of the geoms that stop a ray; None is all.
+            ids: the simulations that the rays are in, (n,); None is all.
         """
 
     @abstractmethod

@@ -78,6 +78,7 @@ class Scene(Kept):
         self.robot = Robot(robot, actuators, spec, root_name, self.device)
         self.sensors = dict(sensors)
         for name, sensor in self.sensors.items():
+            sensor.terrain = terrain
             sensor.add_to(spec, name, self.robot)
         self.spec = spec
         self._sim_options = sim

@@ -45,8 +45,9 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
     for name, node in sensors.items() if isinstance(sensors, Mapping) else ():
         if node is None:
             continue
-        listed = node.get("body_names") if isinstance(node, Mapping) else None
-        key = f"env.scene.sensors.{name}.body_names"
+        own = node if isinstance(node, Mapping) else {}
+        word = "body_name" if "body_name" in own else "body_names"  # a sensor sits on one, or senses several
+        listed, key = own.get(word), f"env.scene.sensors.{name}.{word}"
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
         bodies[name] = found or None
         errors += wrong

@@ -3,11 +3,29 @@
 | name | what it measures |
 |---|---|
 | `SensorBase` | nothing: the base class of all, also of a user's own |
+| `LazySensor` | nothing: the base class of those that measure when they are read |
 | `ContactSensor` | net normal contact forces on bodies, contact and air times: `ContactSensorData` |
+| `RayCaster` | where rays from a body meet the ground: `RayCasterData` |
+| `GridPattern` ... | the patterns of the rays; `PatternBase` is their base class |
 """
 
 from wheelleg_exp.sim.sensors.base import SensorBase
 from wheelleg_exp.sim.sensors.contact import ContactSensor
 from wheelleg_exp.sim.sensors.contact_data import ContactSensorData
+from wheelleg_exp.sim.sensors.lazy import LazySensor
+from wheelleg_exp.sim.sensors.patterns import BpearlPattern, GridPattern, LidarPattern, PatternBase, PinholePattern
+from wheelleg_exp.sim.sensors.ray_caster import RayCaster, RayCasterData
 
-__all__ = ["ContactSensor", "ContactSensorData", "SensorBase"]
+__all__ = [
+    "BpearlPattern",
+    "ContactSensor",
+    "ContactSensorData",
+    "GridPattern",
+    "LazySensor",
+    "LidarPattern",
+    "PatternBase",
+    "PinholePattern",
+    "RayCaster",
+    "RayCasterData",
+    "SensorBase",
+]

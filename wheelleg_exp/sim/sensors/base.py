@@ -15,6 +15,7 @@ from wheelleg_exp.state import Kept
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
+    from wheelleg_exp.sim.terrain import TerrainBase
 
 
 class SensorBase(Kept):
@@ -28,11 +29,13 @@ class SensorBase(Kept):
 
     Attributes:
         name: the sensor's name in the scene, known from ``add_to`` on.
+        terrain: the scene's ground, known from before ``add_to`` on.
         body_names: the bodies that it senses.
         data: what was measured, under Isaac Lab's names where it has a like sensor.
     """
 
     name: str
+    terrain: TerrainBase
     data: Any
     body_names: list[str]
 

@@ -114,6 +114,11 @@ class TerrainBase(Kept):
         """
         return self._probe.height_at(xy)
 
+    @property
+    def has_formula(self) -> bool:
+        """Whether ``height_at`` is a formula, and costs less than rays."""
+        return type(self).height_at is not TerrainBase.height_at
+
     def state_dict(self) -> dict[str, Any]:
         """Return what a curriculum has changed; nothing for a ground that stays as it is."""
         return {} if self.terrain_origins is None else {"terrain_levels": self.terrain_levels.clone()}

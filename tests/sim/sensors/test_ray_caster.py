@@ -1,0 +1,273 @@
+"""Rays onto grounds whose heights are known."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.terrain import Plane
+
+pytestmark = pytest.mark.usefixtures("allow_test_terms")
+PREFIX = "wheelleg_exp.sim.sensors."
+GRID = {"_target_": PREFIX + "GridPattern", "resolution": 0.5, "size": [1.0, 0.5]}
+STEP = {
+    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
+    "height": 0.25,
+    "static_friction": 0.5,
+    "dynamic_friction": 0.5,
+    "restitution": 0.0,
+}
+STILL = torch.zeros(4, 1)
+ALL = torch.arange(4)
+
+
+@pytest.fixture
+def make(make_env):
+    def build(ground=None, seed=0, **settings):
+        node = {"_target_": PREFIX + "RayCaster", "body_name": "block", "pattern": GRID, **settings}
+        scene = {"sensors": {"scan": node}} | ({} if ground is None else {"terrain": ground})
+        env = make_env("block", seed=seed, scene=scene)
+        env.reset()
+        return env
+
+    return build
+
+
+def place(env, pos, yaw=0.0, pitch=0.0, ids=ALL):
+    """Put the robot to a place in the world, pitched first and then turned."""
+    c, s, p, q = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
+    quat = torch.tensor([c * p, -s * q, c * q, s * p])
+    env.scene.robot.write_root_pose(ids, torch.tensor(pos).expand(len(ids), 3), quat.expand(len(ids), 4))
+    env.scene.refresh()
+
+
+def points(*rows):
+    return torch.tensor(rows).expand(4, len(rows), 3)
+
+
+def test_on_a_plane_the_scan_turns_with_the_yaw_alone(make):
+    env = make(ray_alignment="yaw", offset={"pos": [0.0, 0.0, 20.0]})
+    place(env, [1.0, 2.0, 0.7], yaw=math.pi / 2, pitch=0.4)
+    data = env.scene["scan"].data
+    turned = [[1.0 - y, 2.0 + x, 0.0] for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
+    torch.testing.assert_close(data.ray_hits_w, points(*turned), atol=1e-5, rtol=0)
+    torch.testing.assert_close(data.pos_w, torch.tensor([1.0, 2.0, 0.7]).expand(4, 3))  # the offset is not in it
+    torch.testing.assert_close(data.quat_w, env.scene.robot.data.root_quat_w)
+
+
+def test_world_alignment_turns_nothing(make):
+    env = make(ray_alignment="world")
+    place(env, [1.0, 2.0, 0.7], yaw=1.0, pitch=0.4)
+    fixed = [[1.0 + x, 2.0 + y, 0.0] for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
+    torch.testing.assert_close(env.scene["scan"].data.ray_hits_w, points(*fixed), atol=1e-5, rtol=0)
+
+
+def test_base_alignment_tilts_the_rays(make):
+    """Pitched by p, a ray along the body's -z from height h meets the plane h tan p behind."""
+    one = {**GRID, "size": [0.0, 0.0]}
+    env = make(pattern=one)
+    place(env, [0.0, 0.0, 0.7], pitch=0.3)
+    hit = env.scene["scan"].data.ray_hits_w
+    torch.testing.assert_close(hit, points([-0.7 * math.tan(0.3), 0.0, 0.0]), atol=1e-5, rtol=0)
+
+
+def test_an_offset_turns_the_directions_and_moves_the_starts(make):
+    """Turned by a quarter about y, down becomes backwards; starts move in the body's axes."""
+    quarter = [math.cos(math.pi / 4), 0.0, math.sin(math.pi / 4), 0.0]
+    back = make(STEP, pattern={**GRID, "size": [0.0, 0.0]}, offset={"pos": [0.0, 0.0, -0.1], "rot": quarter})
+    place(back, [8.0, 0.0, 0.3])
+    torch.testing.assert_close(
+        back.scene["scan"].data.ray_hits_w, points([6.0, 0.0, 0.2]), atol=1e-5, rtol=0
+    )  # the far side of the box
+
+
+def test_a_step_is_where_it_is(make):
+    env = make(STEP, ray_alignment="yaw")
+    place(env, [3.75, 0.9, 0.6])
+    hits = env.scene["scan"].data.ray_hits_w
+    xy = [(3.75 + x, 0.9 + y) for y in (-0.25, 0.25) for x in (-0.5, 0.0, 0.5)]
+    expected = [[x, y, 0.25 if x > 4 and y < 1 else 0.0] for x, y in xy]
+    assert sum(z for *_, z in expected) == 0.25
+    torch.testing.assert_close(hits, points(*expected), atol=1e-5, rtol=0)
+
+
+def test_a_slope_rises(make):
+    env = make({"_target_": "sim.sensors.grounds.Slope", "angle": 0.2}, ray_alignment="world")
+    place(env, [1.0, 0.0, 2.0])
+    hits = env.scene["scan"].data.ray_hits_w
+    torch.testing.assert_close(hits[..., 2], hits[..., 0] * math.tan(0.2), atol=1e-5, rtol=0)
+    assert hits[0, :3, 0].tolist() == [0.5, 1.0, 1.5]
+
+
+def test_the_height_of_a_plane_is_what_rays_find_to_the_bit(make, monkeypatch):
+    env = make(ray_alignment="yaw", offset={"pos": [0.1, 0.2, 1.3]})
+    place(env, [13.37, -4.2, 0.731], yaw=0.6, pitch=0.4)
+    by_formula = env.scene["scan"].data.ray_hits_w.clone()
+    monkeypatch.setattr(Plane, "has_formula", False)
+    place(env, [13.37, -4.2, 0.731], yaw=0.6, pitch=0.4)
+    assert torch.equal(env.scene["scan"].data.ray_hits_w, by_formula)
+
+
+def test_what_is_too_far_or_not_there_is_a_miss(make):
+    level = {**GRID, "size": [0.0, 0.0], "direction": [2.0, 0.0, 0.0]}
+    assert make(pattern=level).scene["scan"].data.ray_hits_w.isinf().all()
+    for reach, is_hit in ((0.69, False), (0.71, True)):
+        env = make(ray_alignment="yaw", max_distance=reach)
+        place(env, [0.0, 0.0, 0.7])
+        hits = env.scene["scan"].data.ray_hits_w
+        assert hits.isfinite().all() if is_hit else hits.isinf().all()
+
+
+def test_below_the_ground_a_plane_is_a_miss_with_and_without_rays(make, monkeypatch):
+    env = make(ray_alignment="yaw")
+    for formula in (True, False):
+        monkeypatch.setattr(Plane, "has_formula", formula)
+        place(env, [0.0, 0.0, -0.2])
+        assert env.scene["scan"].data.ray_hits_w.isinf().all()
+
+
+def test_it_measures_when_it_is_read_and_once(make, monkeypatch):
+    env = make(ray_alignment="yaw")
+    sensor, measured = env.scene["scan"], []
+    sense = sensor.sense
+    monkeypatch.setattr(sensor, "sense", lambda ids: (measured.append(ids), sense(ids)))
+    env.step(STILL)
+    assert measured == []
+    first = sensor.data.pos_w.clone()
+    assert torch.equal(sensor.data.pos_w, first)
+    assert measured == [slice(None)]
+    env.reset(env_ids=torch.tensor([2]))
+    assert sensor.data.pos_w[2, 2] != first[2, 2]
+    assert [ids.tolist() for ids in measured[1:]] == [[2]]
+
+
+def test_a_reset_environments_scan_is_fresh_and_the_others_stay(make):
+    env = make(ray_alignment="yaw")
+    place(env, [0.5, 0.0, 0.9])
+    hits = env.scene["scan"].data.ray_hits_w.clone()
+    env.reset(env_ids=torch.tensor([1]))
+    now = env.scene["scan"].data
+    assert torch.equal(now.ray_hits_w[[0, 2, 3]], hits[[0, 2, 3]])
+    origin = env.scene.env_origins[1]
+    torch.testing.assert_close(now.ray_hits_w[1, 1], origin + torch.tensor([0.0, -0.25, 0.0]), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("period", [0.0, 0.04])
+def test_with_a_period_it_holds_what_it_saw(make, period):
+    """Two physics steps of 0.01 s a control step: the state of every second step is seen, read or not."""
+    env = make(ray_alignment="yaw", update_period=period)
+    heights = [env.scene.robot.data.root_pos_w[0, 2].clone()]
+    env.scene.robot.write_root_com_velocity(ALL, torch.tensor([[0.0, 0.0, 2.0]]).expand(4, 3), torch.zeros(4, 3))
+    env.scene.refresh()
+    for k in range(1, 6):
+        env.step(STILL)
+        heights.append(env.scene.robot.data.root_pos_w[0, 2].clone())
+        if k != 4:  # that nobody reads changes nothing
+            seen = heights[k] if period == 0.0 else heights[k - k % 2]
+            assert float(env.scene["scan"].data.pos_w[0, 2]) == float(seen)
+
+
+def test_drift_is_drawn_at_resets_within_its_ranges(make):
+    cast = {"x": [0.5, 0.5], "z": [0.05, 0.1]}
+    env = make(ray_alignment="yaw", drift_range=[-0.2, 0.2], ray_cast_drift_range=cast)
+    place(env, [0.0, 0.0, 0.7], yaw=math.pi / 2)
+    data = env.scene["scan"].data
+    drift = data.pos_w - torch.tensor([0.0, 0.0, 0.7])
+    assert drift.abs().max() <= 0.2
+    assert len(drift.unique()) == 12
+    first = data.ray_hits_w[:, 1]  # the ray of x = 0, y = -.25, which the yaw turns to x = .25, y = 0
+    torch.testing.assert_close(first[:, :2] - drift[:, :2], torch.tensor([[0.25, 0.5]]).expand(4, 2))
+    assert ((first[:, 2] >= 0.05) & (first[:, 2] <= 0.1)).all()
+    env.step(STILL)
+    kept = env.scene["scan"].drift.clone()
+    env.reset(env_ids=torch.tensor([0]))
+    assert (env.scene["scan"].drift[0] != kept[0])[[0, 1, 2, 5]].all()
+    assert torch.equal(env.scene["scan"].drift[1:], kept[1:])
+
+
+def test_a_drift_of_the_rays_is_level_however_the_body_is_tilted(make):
+    env = make(pattern={**GRID, "size": [0.0, 0.0]}, ray_cast_drift_range={"x": [0.5, 0.5]})
+    place(env, [0.0, 0.0, 0.7], pitch=0.3)
+    hit = env.scene["scan"].data.ray_hits_w
+    expected = [0.5 * math.cos(0.3) - 0.7 * math.tan(0.3), 0.0, 0.0]
+    torch.testing.assert_close(hit, points(expected), atol=1e-5, rtol=0)
+
+
+def test_what_is_held_is_of_the_new_episode_after_a_reset_and_of_nothing_else_that_is_written(make):
+    env = make(update_period=1.0)
+    start = env.scene["scan"].data.pos_w.clone()
+    place(env, [0.0, 0.0, 0.9])
+    assert torch.equal(env.scene["scan"].data.pos_w, start)
+    env.scene.reset(torch.tensor([1]))
+    place(env, [0.0, 0.0, 0.8], ids=torch.tensor([1, 2]))
+    assert env.scene["scan"].data.pos_w[:, 2].tolist() == pytest.approx([0.1, 0.8, 0.1, 0.1])
+
+
+def test_without_drift_nothing_is_drawn(make):
+    env = make()
+    assert "env.scene.sensors.scan" not in env.streams.state_dict()["generators"]
+
+
+def test_reading_does_not_change_the_simulations(make):
+    read, unread = make(STEP), make(STEP)
+    for env in (read, unread):
+        env.scene.robot.write_root_com_velocity(ALL, torch.tensor([[1.0, 0.3, 1.0]]).expand(4, 3), torch.ones(4, 3))
+        env.scene.refresh()
+    for _ in range(20):
+        _ = read.scene["scan"].data
+        read.step(STILL)
+        unread.step(STILL)
+    assert torch.equal(read.scene.sim.state, unread.scene.sim.state)
+
+
+@pytest.mark.parametrize("period", [0.0, 0.05])
+def test_it_goes_on_from_its_saved_state(make, period):
+    settings = {"drift_range": [-0.1, 0.1], "ray_cast_drift_range": {"z": [-0.1, 0.1]}, "update_period": period}
+    env, other = make(STEP, **settings), make(STEP, seed=5, **settings)
+    for _ in range(7):
+        env.step(STILL)
+    assert not torch.equal(other.scene["scan"].data.pos_w, env.scene["scan"].data.pos_w)
+    other.load_state_dict(env.state_dict())
+    for k in range(6):
+        a, b = env.scene["scan"].data, other.scene["scan"].data
+        assert all(torch.equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
+        if k == 3:
+            env.reset(env_ids=torch.tensor([3]))
+            other.reset(env_ids=torch.tensor([3]))
+        env.step(STILL)
+        other.step(STILL)
+
+
+@pytest.mark.parametrize(
+    ("settings", "key", "words"),
+    [
+        ({"body_name": ".*"}, "body_name", "one body"),
+        ({"body_name": "blok"}, "body_name", "block"),
+        ({"pattern": {"resolution": 0.1}}, "pattern", "_target_"),
+        ({"pattern": 3}, "pattern", "_target_"),
+        ({"pattern": {"_target_": "wheelleg_exp.mdp.noise.ConstantNoise", "bias": 1.0}}, "pattern", "PatternBase"),
+        ({"offset": {"rot": [1.0, 0.0, 0.0]}}, "offset.rot", "4 finite numbers"),
+        ({"offset": {"pose": [1.0, 0.0, 0.0]}}, "offset.pose", "pos"),
+        (
+            {
+                "pattern": {
+                    "_target_": PREFIX + "LidarPattern",
+                    "channels": 2,
+                    "vertical_fov_range": [-0.3, 0.3],
+                    "horizontal_fov_range": [0.0, 360.0],
+                    "horizontal_res": 0.1,
+                }
+            },
+            "pattern.horizontal_fov_range",
+            "radians",
+        ),
+    ],
+)
+def test_wrong_settings_are_named(make, settings, key, words):
+    with pytest.raises(ConfigError) as caught:
+        make(**settings)
+    assert caught.value.key == f"env.scene.sensors.scan.{key}"
+    assert words in str(caught.value)

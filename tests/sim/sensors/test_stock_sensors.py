@@ -1,0 +1,39 @@
+"""Every stock sensor on the stock robot: it is built, it measures, and it is saved."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.checking.collect import compose_valid
+from wheelleg_exp.config.explaining.catalog import options
+
+NAMES = [entry.name for entry in options("sensor")]
+
+
+def _env(name: str):
+    tree = compose_valid(["task=stand", "env.num_envs=2", f"+sensor@env.scene.sensors={name}"]).config
+    env = build_env(tree)
+    env.reset()
+    return env
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_measures_finite_numbers_and_goes_on_from_its_state(name):
+    env, other = _env(name), _env(name)
+    for _ in range(3):
+        env.step(torch.zeros(2, env.action_manager.total_action_dim))
+    other.load_state_dict(env.state_dict())
+    found, again = (tensors(e.scene[name].data) for e in (env, other))
+    assert found
+    assert found.keys() == again.keys()
+    for key, value in found.items():
+        assert value.shape[0] == 2, key
+        assert torch.equal(value, again[key]), key
+        assert not value.isnan().any(), key
+
+
+def tensors(data):
+    found = {name: value for name, value in vars(data).items() if isinstance(value, torch.Tensor)}
+    return found | {name: v for name, v in getattr(data, "output", {}).items()}

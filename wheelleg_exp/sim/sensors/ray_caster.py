@@ -1,0 +1,156 @@
+"""Rays from a body to the ground: height scanners and lidars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import Interval, NonNegative, Positive, Targeted, relation
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.sensors.lazy import LazySensor
+from wheelleg_exp.sim.sensors.mounting import Mount, Offset, offset_fits, offset_pose
+from wheelleg_exp.sim.sensors.patterns import PatternBase
+from wheelleg_exp.sim.terrain import GROUND_GROUP
+from wheelleg_exp.state import Kept
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot import Robot
+
+_Axis = Literal["x", "y", "z"]
+
+
+class RayCasterData(Kept):
+    """What a ray caster has measured, under Isaac Lab's names.
+
+    Attributes:
+        pos_w: position of the body with the drift of this episode, without the offset, m, (N, 3).
+        quat_w: orientation of the body (w, x, y, z), (N, 4).
+        ray_hits_w: where the rays meet the ground, m, (N, R, 3); a miss is inf.
+    """
+
+    def __init__(self, num_envs: int, rays: int, device: torch.device) -> None:
+        self.pos_w = torch.zeros(num_envs, 3, device=device)
+        self.quat_w = torch.zeros(num_envs, 4, device=device)
+        self.ray_hits_w = torch.zeros(num_envs, rays, 3, device=device)
+
+
+@relation(offset_fits)
+class RayCaster(LazySensor):
+    """Casts rays from a body onto the ground, and on nothing else; as Isaac Lab's, read lazily.
+
+    Args:
+        body_name: expression of the body.
+        pattern: the rays.
+        offset: ``pos``, m, (x, y, z), by which the rays' starts are moved, and ``rot``, (w, x, y, z), by which their
+            directions are turned, in the frame that the alignment says.
+        ray_alignment: ``base`` turns starts and directions with the body; ``yaw`` turns starts by the body's yaw and
+            leaves directions as they are; ``world`` turns nothing.
+        max_distance: longest ray, m.
+        drift_range: range of an error of the position along each world axis, drawn at each reset, m.
+        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` move the rays' starts in the
+            aligned frame, ``z`` moves hits up.
+        update_period: time between two measurements, s; 0 shows the present state at every reading.
+    """
+
+    def __init__(
+        self,
+        body_name: str,
+        pattern: Annotated[PatternBase, Targeted()],
+        offset: Offset | None = None,
+        ray_alignment: Literal["base", "yaw", "world"] = "base",
+        max_distance: Positive = 1e6,
+        drift_range: Interval = (0.0, 0.0),
+        ray_cast_drift_range: Mapping[_Axis, Interval] | None = None,
+        update_period: NonNegative = 0.0,
+    ) -> None:
+        super().__init__(update_period)
+        if not isinstance(pattern, PatternBase):
+            raise ConfigError("is no pattern", key="pattern", expected="a _target_ of PatternBase")
+        self._body, self._pattern, self._offset = body_name, pattern, offset
+        self._alignment, self._max_distance = ray_alignment, max_distance
+        cast = ray_cast_drift_range or {}
+        self._drift_ranges = [drift_range] * 3 + [cast.get(axis, (0.0, 0.0)) for axis in ("x", "y", "z")]
+
+    def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
+        """Find the body."""
+        super().add_to(spec, name, robot)
+        self._mount = Mount(self._body, robot, f"{self.key}.body_name")
+        self.body_names = [self._mount.body]
+
+    def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled."""
+        super().connect(sim, stream)
+        starts, directions = self._pattern.rays(sim.device)
+        pos, quat = offset_pose(self._offset, sim.device)
+        turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0]
+        directions = torch.nn.functional.normalize(directions, dim=1) @ turn.T
+        self._starts, self._directions = starts + pos, directions
+        self.num_rays = len(starts)
+        is_down = bool((self._directions == self._directions.new_tensor([0.0, 0.0, -1.0])).all())
+        self._looks_down = is_down and self._alignment != "base"
+        self._data = RayCasterData(sim.num_envs, self.num_rays, sim.device)
+        ranges = torch.tensor([list(pair) for pair in self._drift_ranges], device=sim.device)
+        self._low, self._high = ranges.unbind(dim=1)
+        self.drift = torch.zeros(sim.num_envs, 6, device=sim.device)
+        self._stream = stream() if bool(ranges.any()) else None
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Draw the drift of the new episodes."""
+        super().reset(env_ids)
+        if self._stream is not None:
+            self.drift[env_ids] = rotation.uniform(self._low, self._high, len(env_ids), self._stream)
+
+    def sense(self, ids: torch.Tensor | slice) -> None:
+        """Cast the rays of some environments."""
+        drift = self.drift[ids]
+        pos = self._mount.pos_w[ids] + drift[:, :3]
+        self._data.pos_w[ids] = pos
+        self._data.quat_w[ids] = self._mount.quat_w[ids]
+        turn = self._turn(ids)
+        moved = rotation.rotate(turn, drift[:, 3:])
+        moved[:, 2] = 0.0
+        starts = self._starts @ turn.transpose(1, 2) + (pos + moved).unsqueeze(1)
+        directions = self._directions.expand_as(starts)
+        if self._alignment == "base":
+            directions = directions @ turn.transpose(1, 2)
+        far = self._distances(ids, starts, directions).unsqueeze(2)
+        hits = torch.where((far >= 0.0) & (far <= self._max_distance), starts + far * directions, torch.inf)
+        hits[..., 2] += drift[:, 5:]
+        self._data.ray_hits_w[ids] = hits
+
+    def _distances(self, ids: torch.Tensor | slice, starts: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+        """Return how far rays (n, R, 3) go to the ground, m, (n, R); negative is a miss."""
+        if self._looks_down and self.terrain.has_formula:
+            return starts[..., 2] - self.terrain.height_at(starts[..., :2])
+        only = None if isinstance(ids, slice) else ids
+        return self._sim.ray(starts, directions, (GROUND_GROUP,), only).float()
+
+    def _turn(self, ids: torch.Tensor | slice) -> torch.Tensor:
+        """Return the matrices (n, 3, 3) that turn the pattern into the world."""
+        matrix = self._mount.rot_w[ids]
+        if self._alignment == "base":
+            return matrix
+        turn = torch.eye(3, device=matrix.device).repeat(len(matrix), 1, 1)
+        if self._alignment == "yaw":
+            yaw = torch.atan2(matrix[:, 1, 0], matrix[:, 0, 0])
+            turn[:, 0, 0] = turn[:, 1, 1] = yaw.cos()
+            turn[:, 1, 0] = yaw.sin()
+            turn[:, 0, 1] = -turn[:, 1, 0]
+        return turn
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the drift, and what is held until the next measurement."""
+        held = {} if self.update_period == 0.0 else {name: value.clone() for name, value in vars(self._data).items()}
+        return {**super().state_dict(), "drift": self.drift.clone(), **held}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        self.drift.copy_(saved["drift"])
+        for name, value in vars(self._data).items() if self.update_period > 0.0 else ():
+            value.copy_(saved[name])
