@@ -183,6 +183,7 @@ PositiveInterval = Annotated[Sequence[Positive], Ordered()]
 NonNegativeInterval = Annotated[Sequence[NonNegative], Ordered()]
 Bounds = Annotated[Sequence[Annotated[float, MayBeInfinite()]], Ordered()]  # may be open to one side
 Node = Annotated[Mapping[str, Any], Targeted()]
+PathBelow = Annotated[str, Pattern(r"(?!(.*/)?\.{0,2}(/|$))[^/\\\0][^\\\0]*", "a file's path below a folder")]
 Names = str | Annotated[Sequence[str], NotEmpty()]  # one regular expression, or several
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from wheelleg_exp.errors import AssetError, nearest_name
 
+NETWORKS = "networks"  # beside a robot's MJCF: the networks of its actuators, by their names in the config
+
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -37,7 +39,7 @@ def cache_dir() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "wheelleg_exp"
 
 
-def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None) -> Path:
+def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:
     """Return the file that a config's relative asset path names.
 
     Args:
@@ -45,6 +47,7 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None)
             stock assets.
         roots: folders of the user's own assets, searched first.
         key: config key that holds the path, for the message.
+        what: what kind of file it is, for the message.
 
     Raises:
         AssetError: no such file, with the places that were searched.
@@ -58,7 +61,7 @@ def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None)
     raise AssetError(
         f"there is no file '{name}'",
         key=key,
-        expected=f"a robot file at one of: {searched}",
+        expected=f"a {what} at one of: {searched}",
         nearest=_nearest_file(name, candidates),
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import shutil
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
@@ -19,6 +20,8 @@ from wheelleg_exp.asset.report import Report
 from wheelleg_exp.asset.urdf.robot import source_files
 from wheelleg_exp.asset.usd.stage import open_stage
 from wheelleg_exp.errors import AssetError
+from wheelleg_exp.files import sha256
+from wheelleg_exp.paths import NETWORKS
 from wheelleg_exp.reading import json_value
 
 MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
@@ -44,38 +47,52 @@ class CachedConversion:
         """Return the mesh files that belong to the MJCF."""
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
+    @property
+    def networks(self) -> tuple[Path, ...]:
+        """Return the networks of actuators that lie beside the MJCF."""
+        return tuple(sorted(path for path in self.output.parent.glob(f"{NETWORKS}/**/*") if path.is_file()))
 
-def source_digest(source: Path, variants: Mapping[str, str] | None = None) -> dict[str, str]:
+
+def source_digest(
+    source: Path, variants: Mapping[str, str] | None = None, networks: Mapping[str, Path] | None = None
+) -> dict[str, str]:
     """Return the sha256 of every file that the robot is made of, by path as seen from the source's folder.
 
-    These are the layers of a USD stage, or a URDF and its meshes.
+    These are the layers of a USD stage, or a URDF and its meshes; and networks of actuators.
 
     Raises:
         AssetError: the source cannot be read.
     """
     source, chosen = Path(source), variants or {}
     with bounded_memory(source):
-        return source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers
+        files = source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers
+    return {**files, **{f"{NETWORKS}/{name}": sha256(path) for name, path in sorted((networks or {}).items())}}
 
 
 def convert_cached(
-    source: Path, *, base: BaseMode = "auto", variants: Mapping[str, str] | None = None, cache_dir: Path
+    source: Path,
+    *,
+    base: BaseMode = "auto",
+    variants: Mapping[str, str] | None = None,
+    cache_dir: Path,
+    networks: Mapping[str, Path] | None = None,
 ) -> CachedConversion:
     """Return the conversion of ``source``, from the cache when nothing that went into it has changed.
 
     The key holds the bytes of every layer or mesh in use, the options, and this converter with the libraries that it
-    stands on. A damaged entry is made again; several processes may do this at once.
+    stands on. A damaged entry is made again; several processes may do this at once. ``networks``, files of actuators by
+    name, are laid beside the MJCF.
 
     Raises:
         AssetError: the source cannot be read or holds no robot, or the cache cannot be written.
     """
     source, chosen = Path(source), dict(variants or {})
-    sources = source_digest(source, chosen)
+    sources = source_digest(source, chosen, networks)
     key = _key(source, sources, base, chosen)
     entry = Path(cache_dir) / key
     if (report := _read(entry)) is not None:
         return CachedConversion(entry / MODEL, report, sources, key, fresh=False)
-    report = _make(source, base, chosen, entry)
+    report = _make(source, base, chosen, entry, networks or {})
     return CachedConversion(entry / MODEL, report, sources, key, fresh=True)
 
 
@@ -119,13 +136,18 @@ def _hashes(entry: Path) -> dict[str, str]:
     return {path.relative_to(entry).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path) -> Report:
+def _make(
+    source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path, networks: Mapping[str, Path]
+) -> Report:
     try:
         entry.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=entry.parent, prefix=".making.") as folder:
             draft = Path(folder) / "entry"
             report = convert(source, draft / MODEL, base=base, variants=variants).report
             (draft / REPORT).write_text(report.to_json(), encoding="utf-8")
+            for name, path in networks.items():
+                (target := draft / NETWORKS / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, target)
             (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")
             _publish(draft, entry, Path(folder))
         return report

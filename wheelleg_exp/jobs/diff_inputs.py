@@ -207,8 +207,10 @@ def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
 
 def _layers(composed: Composed) -> dict[str, str]:
     from wheelleg_exp.asset.cache import source_digest
+    from wheelleg_exp.asset.networks import find_networks
 
     try:
-        return source_digest(find_asset(composed.config["env"]["robot"]["asset"], composed.asset_roots))
+        robot, roots = composed.config["env"]["robot"], composed.asset_roots
+        return source_digest(find_asset(robot["asset"], roots), networks=find_networks(robot, roots))
     except WheellegError:
         return {}

@@ -1,4 +1,4 @@
-"""The robot inside a run directory: the MJCF that was simulated, its meshes, its report and its identity."""
+"""The robot inside a run directory: the MJCF that was simulated, its meshes and networks, report and identity."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def keep_asset(directory: RunDirectory, asset: CachedConversion, source: str, mo
         model_sha256: digest of the compiled scene, the identity of all that physics reads.
     """
     directory.asset.mkdir(parents=True, exist_ok=True)
-    for mesh in asset.meshes:
-        target = directory.asset / mesh.relative_to(asset.output.parent)
+    for part in (*asset.meshes, *asset.networks):
+        target = directory.asset / part.relative_to(asset.output.parent)
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(mesh, target)
+        shutil.copyfile(part, target)
     write_text(directory.asset / MJCF, asset.output.read_text(encoding="utf-8"))
     write_text(directory.asset / REPORT, asset.report.to_json())
     identity: dict[str, Any] = {"source": source, "sources": asset.sources, "model_sha256": model_sha256}

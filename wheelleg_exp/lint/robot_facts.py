@@ -23,8 +23,8 @@ class Drive:
 
     Attributes:
         group: the actuator group.
-        stiffness: kp, N·m/rad.
-        damping: kd, N·m·s/rad.
+        stiffness: kp, N·m/rad; NaN where the drive is learned.
+        damping: kd, N·m·s/rad; likewise.
         effort: largest torque, N·m.
         velocity: largest speed, rad/s.
         explicit: whether the torque is computed from the state before each physics step.

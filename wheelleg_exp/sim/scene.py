@@ -75,6 +75,8 @@ class Scene(Kept):
         terrain.add_to(spec)
         _leave_group_to_ground(spec)
         self._effective_friction(spec, robot.friction_source)
+        for name, actuator in actuators.items():
+            actuator.read_files(mjcf.parent, f"env.robot.actuators.{name}", self.device)
         self.robot = Robot(robot, actuators, spec, root_name, self.device)
         self.sensors = dict(sensors)
         for name, sensor in self.sensors.items():

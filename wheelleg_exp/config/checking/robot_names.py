@@ -34,12 +34,14 @@ def converted(robot: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
         ConfigError: the file is not there, or holds no robot.
     """
     from wheelleg_exp.asset import convert_cached
+    from wheelleg_exp.asset.networks import find_networks
 
     try:
         source = find_asset(robot["asset"], asset_roots, key=ASSET_KEY)
-        return convert_cached(source, base=robot.get("base", "auto"), cache_dir=cache_dir() / "assets").output
+        networks, base = find_networks(robot, asset_roots), robot.get("base", "auto")
+        return convert_cached(source, base=base, cache_dir=cache_dir() / "assets", networks=networks).output
     except AssetError as error:
-        told = error.of(ASSET_KEY)
+        told = error if str(error.key).startswith("env.") else error.of(ASSET_KEY)
         raise ConfigError(told.message, key=told.key, expected=told.expected, nearest=told.nearest) from error
 
 

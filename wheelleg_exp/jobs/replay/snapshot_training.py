@@ -197,6 +197,7 @@ def _converted_again(
 ) -> tuple[CachedConversion | None, str | None]:
     """Return the conversion, or None and why there is none."""
     from wheelleg_exp.asset.cache import convert_cached, source_digest
+    from wheelleg_exp.asset.networks import find_networks
     from wheelleg_exp.jobs.kept_robot import kept_sources
     from wheelleg_exp.paths import find_asset
 
@@ -204,9 +205,10 @@ def _converted_again(
     roots = [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
     try:
         source = find_asset(_moved(str(robot["asset"]), request.moved), roots, key="env.robot.asset")
-        if source_digest(source) != kept_sources(run):
+        networks = find_networks(robot, roots)
+        if source_digest(source, networks=networks) != kept_sources(run):
             return None, f"'{source.name}' or a file that it uses is not the recorded one"
-        return convert_cached(source, base=robot["base"], cache_dir=cache), None
+        return convert_cached(source, base=robot["base"], cache_dir=cache, networks=networks), None
     except WheellegError as error:
         return None, f"the robot cannot be converted again ({error})"
 

@@ -30,12 +30,15 @@ from wheelleg_exp.sim.actuators.base import (
     Stream,
 )
 from wheelleg_exp.sim.actuators.motors import DCMotor, DelayedPDActuator, RemotizedPDActuator
+from wheelleg_exp.sim.actuators.networks import ActuatorNetLSTM, ActuatorNetMLP
 from wheelleg_exp.sim.actuators.pd import IdealPDActuator, ImplicitActuator
 
 __all__ = [
     "NEEDED",
     "ONE_GROUP",
     "ActuatorBase",
+    "ActuatorNetLSTM",
+    "ActuatorNetMLP",
     "DCMotor",
     "DelayedPDActuator",
     "IdealPDActuator",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import mujoco
@@ -66,6 +67,15 @@ class ActuatorBase(Stateful):
         }
         self._delay_bounds = delay
         self.delay: TargetDelay | None = None
+
+    def read_files(self, folder: Path, key: str, device: torch.device) -> None:
+        """Read the files that the model is made of; called first.
+
+        Args:
+            folder: the robot's folder, in which they lie.
+            key: the group's config key.
+            device: where tensors are.
+        """
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
         """Find the group's joints among ``joint_names`` and spread each number over them, as tensors on ``device``.

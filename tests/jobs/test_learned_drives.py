@@ -1,0 +1,92 @@
+"""A run keeps the networks of its robot's drives, and needs nobody else's."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from patience import PATIENCE_S
+
+from jobs.small import TINY, wheelleg
+
+pytestmark = pytest.mark.train
+
+ROBOT = """# @package env.robot
+defaults: [article, _self_]
+profile: learned
+actuators:
+  legs: null
+  net:
+    _target_: wheelleg_exp.sim.actuators.ActuatorNetMLP
+    joint_names_expr: [".*0[12]$"]
+    network_file: nets/leg.pt
+    effort_limit: 2.0
+    velocity_limit: 30.0
+    saturation_effort: 3.0
+    pos_scale: 1.0
+    vel_scale: 0.1
+    torque_scale: 1.0
+    input_order: pos_vel
+    input_idx: [0, 1, 2]
+    armature: 0.05
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    (tmp_path / "configs" / "robot").mkdir(parents=True)
+    (tmp_path / "configs" / "robot" / "learned.yaml").write_text(ROBOT)
+    make_network(tmp_path / "assets" / "nets" / "leg.pt")
+    return tmp_path
+
+
+def make_network(file: Path) -> None:
+    """Write a network in a process of its own: names of classes that TorchScript has seen would reach the policy."""
+    file.parent.mkdir(parents=True)
+    words = "import torch; n = torch.nn; m = n.Sequential(n.Linear(6, 16), n.Softsign(), n.Linear(16, 1)); "
+    code = words + f"torch.manual_seed(0); torch.jit.save(torch.jit.script(m), {str(file)!r})"
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=PATIENCE_S)
+
+
+def test_a_run_is_resumed_and_replayed_with_the_network_that_it_has_kept(project):
+    network = project / "assets" / "nets" / "leg.pt"
+    words = ("--config-dir", project / "configs", "robot=learned", *TINY, f"run.root={project / 'runs'}")
+    said = wheelleg("train", *words, "agent.max_iterations=1")
+    assert said.status == 0, said.err
+    (run,) = (project / "runs" / "stand").iterdir()
+    kept = run / "asset" / "networks" / "nets" / "leg.pt"
+    assert kept.read_bytes() == network.read_bytes()
+    sources = json.loads((run / "asset" / "asset.json").read_text())["sources"]
+    assert sources["networks/nets/leg.pt"] == hashlib.sha256(kept.read_bytes()).hexdigest()
+
+    network.unlink()
+    assert wheelleg("resume", run, "agent.max_iterations=2").status == 0
+    network.write_bytes(b"another")
+    said = wheelleg("replay", run)
+    assert said.status == 0, said.out + said.err
+    assert "identical" in said.out
+
+    kept.write_bytes(b"another")
+    assert wheelleg("verify", run).status == 1
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [("nets/lge.pt", "did you mean 'nets/leg.pt'?"), ("../nets/leg.pt", "a file's path below a folder")],
+)
+def test_a_network_that_is_not_there_is_found_by_the_check(project, file, words):
+    override = f"env.robot.actuators.net.network_file={file}"
+    said = wheelleg("check", "--config-dir", project / "configs", "robot=learned", override)
+    assert said.status == 2
+    assert "env.robot.actuators.net.network_file" in said.err
+    assert words in said.err
+
+
+def test_the_numbers_of_a_learned_drive_are_not_looked_for(project):
+    said = wheelleg("check", "--physics", "--config-dir", project / "configs", "robot=learned")
+    assert "nan" not in said.out
+    assert said.status == 0, said.out

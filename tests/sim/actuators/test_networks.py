@@ -1,0 +1,198 @@
+"""Learned drives against the same networks by hand, and what their files may not do."""
+
+from __future__ import annotations
+
+import io
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from env.crawler import Crawl, differing
+
+from sim.actuators import torques
+from sim.small_envs import ACTUATORS, ASSETS, env_config
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+
+MOTOR = {"effort_limit": 1e6, "velocity_limit": 1e6, "saturation_effort": 1e6}
+MLP = {
+    "_target_": ACTUATORS + "ActuatorNetMLP",
+    "joint_names_expr": [".*_hip"],
+    "network_file": "nets/hip.pt",
+    **MOTOR,
+    "pos_scale": 2.0,
+    "vel_scale": 0.1,
+    "torque_scale": 3.0,
+    "input_order": "pos_vel",
+    "input_idx": [0, 1, 3],
+}
+LSTM = {
+    "_target_": ACTUATORS + "ActuatorNetLSTM",
+    "joint_names_expr": [".*_hip"],
+    "network_file": "nets/hip.pt",
+    **MOTOR,
+}
+
+
+@pytest.fixture
+def made(tmp_path):
+    """Return a maker of a rover whose hips a network drives, and that network."""
+
+    def make(node, module, **changes):
+        shutil.copyfile(ASSETS / "rover.xml", tmp_path / "rover.xml")
+        torques.written(module, tmp_path / "networks" / "nets" / "hip.pt")
+        config = env_config(**changes)
+        config["robot"]["actuators"]["hips"] = node
+        env = ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
+        env.reset()
+        return env
+
+    return make
+
+
+def stepped(env, count):
+    """Yield the errors and speeds of the hips before each physics step, and the torques that acted in it."""
+    robot, data, generator = env.scene.robot, env.scene.robot.data, torch.Generator().manual_seed(1)
+    ids = robot.actuators["hips"].joint_ids
+    for _ in range(count):
+        robot.set_joint_position_target(torch.randn(4, 4, generator=generator), slice(None))
+        error, speed = robot.targets.pos[:, ids] - data.joint_pos[:, ids], data.joint_vel[:, ids].clone()
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+        yield error.numpy(), speed.numpy(), data.computed_torque[:, ids].numpy(), data.applied_torque[:, ids].numpy()
+
+
+def softsign(x):
+    return x / (1 + np.abs(x))
+
+
+@pytest.mark.parametrize("order", ["pos_vel", "vel_pos"])
+def test_a_perceptron_sees_errors_and_speeds_of_chosen_steps(made, order):
+    module = torques.perceptron()
+    env = made({**MLP, "input_order": order}, module)
+    w1, b1, w2, b2 = (p.detach().double().numpy() for p in module.parameters())
+    errors, speeds = [np.zeros((4, 2))] * 3, [np.zeros((4, 2))] * 3
+    for error, speed, computed, applied in stepped(env, 8):
+        errors, speeds = [error, *errors], [speed, *speeds]
+        pos = np.stack([2.0 * errors[k] for k in (0, 1, 3)], axis=-1)
+        vel = np.stack([0.1 * speeds[k] for k in (0, 1, 3)], axis=-1)
+        x = np.concatenate([pos, vel] if order == "pos_vel" else [vel, pos], axis=-1)
+        torque = 3.0 * (softsign(x @ w1.T + b1) @ w2.T + b2)[..., 0]
+        np.testing.assert_allclose(computed, torque, atol=1e-4)
+        np.testing.assert_allclose(applied, torque, atol=1e-4)
+
+
+def sigmoid(x):
+    return 1 / (1 + np.exp(-x))
+
+
+def test_an_lstm_remembers_each_joint_of_each_environment(made):
+    module = torques.recurrent()
+    env = made(LSTM, module)
+    weights = {name: p.detach().double().numpy() for name, p in module.named_parameters()}
+    hidden, cell = np.zeros((2, 4, 2, 8)), np.zeros((2, 4, 2, 8))
+
+    def run(error, speed):
+        x = np.stack([error, speed], axis=-1)
+        for layer in range(2):
+            w, u = weights[f"lstm.weight_ih_l{layer}"], weights[f"lstm.weight_hh_l{layer}"]
+            gates = x @ w.T + hidden[layer] @ u.T
+            gates += weights[f"lstm.bias_ih_l{layer}"] + weights[f"lstm.bias_hh_l{layer}"]
+            i, f, g, o = np.split(gates, 4, axis=-1)
+            cell[layer] = sigmoid(f) * cell[layer] + sigmoid(i) * np.tanh(g)
+            x = hidden[layer] = sigmoid(o) * np.tanh(cell[layer])
+        return (x @ weights["out.weight"].T + weights["out.bias"])[..., 0]
+
+    for error, speed, computed, _ in stepped(env, 6):
+        np.testing.assert_allclose(computed, run(error, speed), atol=1e-4)
+    env.scene.robot.actuators["hips"].begin(torch.tensor([1, 2]))
+    hidden[:, 1:3], cell[:, 1:3] = 0.0, 0.0
+    for error, speed, computed, _ in stepped(env, 3):
+        np.testing.assert_allclose(computed, run(error, speed), atol=1e-4)
+
+
+def test_the_past_of_a_perceptron_is_forgotten_with_its_episode(made):
+    env = made(MLP, torques.perceptron())
+    list(stepped(env, 5))
+    hips = env.scene.robot.actuators["hips"]
+    hips.begin(torch.tensor([0, 3]))
+    assert hips._past.flatten(1).any(dim=1).tolist() == [False, True, True, False]
+
+
+def test_what_a_network_gives_is_bounded_by_the_motors_line(made):
+    module = torques.perceptron()
+    with torch.no_grad():
+        module[2].weight.zero_()
+        module[2].bias.fill_(50.0)
+    motor = {"effort_limit": 4.0, "velocity_limit": 30.0, "saturation_effort": 6.0}
+    env = made({**MLP, **motor, "torque_scale": 1.0}, module)
+    robot, data = env.scene.robot, env.scene.robot.data
+    robot.write_joint_state(torch.arange(4), data.joint_pos, torch.full((4, 4), 20.0))
+    data.invalidate()
+    *_, computed, applied = next(iter(stepped(env, 1)))
+    np.testing.assert_allclose(computed, 50.0)
+    np.testing.assert_allclose(applied, 6.0 * (1 - 20.0 / 30.0), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("node", "module"), [(MLP, torques.perceptron()), (LSTM, torques.recurrent())])
+def test_a_restored_network_goes_on_as_if_it_had_never_stopped(made, node, module):
+    node = {**node, "delay": [0, 2]}
+    env = made(node, module)
+    list(stepped(env, 7))
+    file = io.BytesIO()
+    torch.save(env.state_dict(), file)
+    file.seek(0)
+    other = made(node, module)
+    list(stepped(other, 3))
+    other.load_state_dict(torch.load(file, weights_only=True))
+    hips = [e.scene.robot.actuators["hips"] for e in (env, other)]
+    assert differing(*map(Crawl, hips)) == []
+    for one, two in zip(stepped(env, 5), stepped(other, 5), strict=True):
+        assert all(map(np.array_equal, one, two))
+
+
+def test_a_networks_numbers_stand_in_no_state(made):
+    env = made(LSTM, torques.recurrent())
+    saved = env.state_dict()["scene"]["robot"]["actuators"]["hips"]
+    assert saved.keys() == {"_hidden", "_cell", "_computed"}
+
+
+@pytest.mark.parametrize(
+    ("module", "words"),
+    [
+        (torques.WritesAFile(), "aten::from_file"),
+        (torques.RunsAtLoading(), "__setstate__"),
+        (torques.perceptron(inputs=5), "does not take its inputs"),
+        (torques.perceptron(outputs=2), "2 numbers a joint"),
+    ],
+)
+def test_a_file_that_is_no_such_network_is_refused_before_it_runs(made, module, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=words) as caught:
+        made(MLP, module)
+    assert caught.value.key == "env.robot.actuators.hips.network_file"
+    assert not (tmp_path / "written_by_a_network").exists()
+
+
+def test_a_network_without_an_lstm_is_no_lstm(made):
+    with pytest.raises(ConfigError, match="no LSTM"):
+        made(LSTM, torques.perceptron())
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06", b"not a network" * 100])
+def test_a_file_that_is_no_torchscript_is_refused(made, tmp_path, content):
+    made(MLP, torques.perceptron())
+    (tmp_path / "networks" / "nets" / "hip.pt").write_bytes(content)
+    config = env_config()
+    config["robot"]["actuators"]["hips"] = MLP
+    with pytest.raises(ConfigError, match="no TorchScript network") as caught:
+        ManagerBasedRLEnv(config, tmp_path / "rover.xml", 0)
+    assert "\n" not in caught.value.message
+
+
+@pytest.mark.parametrize("file", ["../hip.pt", "/hip.pt", "nets/../../hip.pt", ""])
+def test_a_path_that_leaves_the_folder_is_refused(made, file):
+    with pytest.raises(ConfigError, match="below a folder"):
+        made({**MLP, "network_file": file}, torques.perceptron())

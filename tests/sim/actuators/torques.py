@@ -1,0 +1,69 @@
+"""Networks of learned drives, for tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+
+class Recurrent(torch.nn.Module):
+    """An LSTM of two layers and a linear one, as drives are learned."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lstm = torch.nn.LSTM(2, 8, 2, batch_first=True)
+        self.out = torch.nn.Linear(8, 1)
+
+    def forward(
+        self, x: torch.Tensor, memory: tuple[torch.Tensor, torch.Tensor]
+    ) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
+        y, memory = self.lstm(x, memory)
+        return self.out(y[:, -1]), memory
+
+
+def perceptron(inputs: int = 6, outputs: int = 1) -> torch.nn.Sequential:
+    """Return a perceptron of two hidden layers."""
+    torch.manual_seed(0)
+    layers = torch.nn.Linear(inputs, 16), torch.nn.Softsign(), torch.nn.Linear(16, outputs)
+    return torch.nn.Sequential(*layers)
+
+
+def recurrent() -> Recurrent:
+    """Return an LSTM of known numbers."""
+    torch.manual_seed(0)
+    return Recurrent()
+
+
+def written(module: torch.nn.Module, file: Path) -> Path:
+    """Write a network as TorchScript."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    torch.jit.save(torch.jit.script(module), str(file))
+    return file
+
+
+class WritesAFile(torch.nn.Module):
+    """Writes a file when it is asked."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x[:, :1] + torch.from_file("written_by_a_network", True, 4).sum()
+
+
+class RunsAtLoading(torch.nn.Module):
+    """Stops whoever loads it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.number = 1
+
+    @torch.jit.export
+    def __getstate__(self) -> tuple[int, bool]:
+        return self.number, self.training
+
+    @torch.jit.export
+    def __setstate__(self, state: tuple[int, bool]) -> None:
+        assert state[0] > 1, "ran while it was loaded"
+        self.number, self.training = state
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x
