@@ -36,6 +36,10 @@ HOST = {
     "managers/recorder_manager.py": "the same",
     "managers/curriculum_manager.py": "takes what a user's term returned",
 }
+GROUNDS = {
+    f"sim/terrain/{name}.py": "makes the ground before it is compiled"
+    for name in ("cache", "flat_patches", "geoms", "height_map", "relief", "smooth", "stepped", "sub_terrain")
+}
 
 
 def _name(path: Path) -> str:
@@ -108,9 +112,9 @@ def _uses_state_rows(tree: ast.Module) -> Iterator[int]:
 RULES = {
     "a tensor is made without env.device": (_without_a_device, {}),
     "a step branches on a tensor's value": (_branches, {}),
-    "a step reads a tensor's value": (_reads, {}),
-    "a tensor goes through numpy": (_bridges, HOST),
-    "a number is taken for a float64": (_assumes_doubles, {}),
+    "a step reads a tensor's value": (_reads, GROUNDS),
+    "a tensor goes through numpy": (_bridges, {**HOST, **GROUNDS}),
+    "a number is taken for a float64": (_assumes_doubles, GROUNDS),
     "the engine's state is taken for a row": (_uses_state_rows, {}),
 }
 

@@ -20,11 +20,10 @@ from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import Robot
 from wheelleg_exp.sim.root_frame import turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase
-from wheelleg_exp.sim.terrain import GROUND_GROUP, TerrainBase, is_ground
+from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, is_ground
 from wheelleg_exp.state import Kept
 
 _ENGINES = {"mujoco": BatchEngine}
-TERRAIN_KEY = "env.scene.terrain"
 _ROBOT_PRIORITY = 1
 _ROBOT_GROUP = 1  # of geoms that came without one; drawn like the ground's
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them

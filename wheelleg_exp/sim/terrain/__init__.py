@@ -4,9 +4,54 @@
 |---|---|
 | `TerrainBase` | the base class of every ground, also of a user's own |
 | `Plane` | an infinite plane |
+| `TerrainGenerator` | tiles, generated, harder from row to row |
+| `SubTerrain`, `Grid` | a kind of tile, also a user's own, and where it is asked for its heights |
+| `Flat`, `RandomUniform`, `UniformNoise`, `PyramidSlope`, `Waves` | level, rough and sloped tiles |
+| `PyramidStairs`, `RandomGrid`, `DiscreteObstacles`, `SteppingStones`, `Gap`, `Rails`, `Box`, `Pit` | with steps |
+| `FlatPatches` | level places to begin or to end on |
 """
 
-from wheelleg_exp.sim.terrain.base import GROUND, GROUND_GROUP, TerrainBase, grid_origins, is_ground
+from wheelleg_exp.sim.terrain.base import GROUND, GROUND_GROUP, TERRAIN_KEY, TerrainBase, grid_origins, is_ground
+from wheelleg_exp.sim.terrain.flat_patches import FlatPatches
+from wheelleg_exp.sim.terrain.generator import TerrainGenerator
 from wheelleg_exp.sim.terrain.plane import Plane
+from wheelleg_exp.sim.terrain.smooth import PyramidSlope, RandomUniform, UniformNoise, Waves
+from wheelleg_exp.sim.terrain.stepped import (
+    Box,
+    DiscreteObstacles,
+    Flat,
+    Gap,
+    Pit,
+    PyramidStairs,
+    Rails,
+    RandomGrid,
+    SteppingStones,
+)
+from wheelleg_exp.sim.terrain.sub_terrain import Grid, SubTerrain
 
-__all__ = ["GROUND", "GROUND_GROUP", "Plane", "TerrainBase", "grid_origins", "is_ground"]
+__all__ = [
+    "GROUND",
+    "GROUND_GROUP",
+    "TERRAIN_KEY",
+    "Box",
+    "DiscreteObstacles",
+    "Flat",
+    "FlatPatches",
+    "Gap",
+    "Grid",
+    "Pit",
+    "Plane",
+    "PyramidSlope",
+    "PyramidStairs",
+    "Rails",
+    "RandomGrid",
+    "RandomUniform",
+    "SteppingStones",
+    "SubTerrain",
+    "TerrainBase",
+    "TerrainGenerator",
+    "UniformNoise",
+    "Waves",
+    "grid_origins",
+    "is_ground",
+]

@@ -14,6 +14,7 @@ from wheelleg_exp.sim.terrain.probe import Probe
 from wheelleg_exp.state import Kept
 
 GROUND = "ground"
+TERRAIN_KEY = "env.scene.terrain"
 GROUND_GROUP = 0  # MuJoCo's geom group that holds the ground and nothing else
 
 

@@ -1,0 +1,338 @@
+"""The ground as a whole: layout, chance, the cache, its surface."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from sim.terrain.tiles import TERRAIN, Ramp, generator, placed
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.terrain import (
+    DiscreteObstacles,
+    Flat,
+    FlatPatches,
+    Gap,
+    PyramidSlope,
+    PyramidStairs,
+    RandomGrid,
+    TerrainGenerator,
+    UniformNoise,
+    Waves,
+    cache,
+)
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
+
+
+def stairs(**options):
+    return PyramidStairs(
+        step_height_range=[0.0, 0.1], step_width=0.1, platform_width=0.4, **({"proportion": 1} | options)
+    )
+
+
+def noise(**options):
+    return UniformNoise(amplitude_range=[0.0, 0.1], **({"proportion": 1} | options))
+
+
+def everything():
+    return {
+        "noise": noise(),
+        "slope": PyramidSlope(proportion=1, slope_range=[0.1, 0.5], platform_width=0.2, border_width=0.15),
+        "stairs": stairs(),
+        "waves": Waves(proportion=1, amplitude_range=[0.0, 0.1], horizontal_scale=0.07),
+        "grid": RandomGrid(proportion=1, grid_width=0.2, grid_height_range=[0.0, 0.1], platform_width=0.3),
+        "gap": Gap(proportion=1, gap_width_range=[0.1, 0.2], gap_depth=0.2, platform_width=0.4),
+        "blocks": DiscreteObstacles(
+            proportion=1,
+            obstacle_width_range=[0.1, 0.5],
+            obstacle_height_range=[0, 0.1],
+            num_obstacles=9,
+            platform_width=0.2,
+            boxes=True,
+        ),
+    }
+
+
+def test_columns_are_shared_out_by_proportion_and_rows_grow_harder():
+    kinds = {"a": Flat(proportion=0.4), "b": noise(proportion=0.6), "c": stairs(proportion=1.0)}
+    relief = placed(kinds, num_cols=10, num_rows=5, difficulty_range=[0.2, 0.7]).relief
+    assert relief.kinds.tolist() == [[0, 0, 1, 1, 1, 2, 2, 2, 2, 2]] * 5
+    low = 0.2 + 0.1 * np.arange(5)[:, None]
+    assert ((relief.difficulties >= low) & (relief.difficulties < low + 0.1)).all()
+    assert np.ptp(relief.difficulties, axis=1).min() > 0
+
+
+def test_without_a_curriculum_kind_and_difficulty_are_drawn():
+    kinds = {"a": Flat(proportion=1), "b": noise(proportion=3)}
+    relief = placed(kinds, num_cols=30, num_rows=30, curriculum=False, difficulty_range=[0.5, 1.0]).relief
+    assert relief.kinds.mean() == pytest.approx(0.75, abs=0.05)
+    assert 0.5 <= relief.difficulties.min() < 0.51 < 0.74 < relief.difficulties.mean() < 0.76
+    assert abs(np.corrcoef(relief.difficulties.ravel(), np.repeat(range(30), 30))[0, 1]) < 0.1
+
+
+def test_rows_go_along_x_and_columns_along_y_around_the_origin():
+    ground = placed()
+    x = torch.tensor([-3.0, -1.0, 1.0, 3.0])
+    y = torch.tensor([-1.0, 0.0, 1.0])
+    assert torch.equal(ground.terrain_origins[..., 0], x[:, None].expand(4, 3))
+    assert torch.equal(ground.terrain_origins[..., 1], y.expand(4, 3))
+    assert ground.size == (2.0, 1.0)
+    assert ground.max_terrain_level == 4
+
+
+def test_an_origin_is_as_high_as_the_highest_point_of_the_window():
+    ramp = {"ramp": Ramp(proportion=1)}
+    for window, reach in [(0.0, 0.0), (0.25, 0.25), (1.0, 1.0)]:
+        ground = placed(ramp, difficulty_range=[1.0, 1.0], origin_window=window)
+        assert ground.terrain_origins[0, 0, 2] == pytest.approx(1.0 + reach, abs=0.1001)
+        assert ground.terrain_origins[0, 0, 2] >= 1.0 + reach - 1e-6
+
+
+def test_environments_begin_on_their_tiles():
+    ground = placed({"stairs": stairs()}, num_envs=60, max_init_terrain_level=1)
+    assert set(ground.terrain_levels.tolist()) == {0, 1}
+    assert torch.equal(ground.env_origins, ground.terrain_origins[ground.terrain_levels, ground.terrain_types])
+    torch.testing.assert_close(ground.env_origins[:, 2], ground.height_at(ground.env_origins[:, :2]))
+
+
+def test_steps_and_roughness_of_each_row_are_those_of_its_difficulty():
+    ground = placed({"stairs": stairs(), "noise": noise()}, num_rows=10, num_cols=2, horizontal_scale=0.02)
+    hard = ground.relief.difficulties
+    x, y = torch.meshgrid(torch.linspace(-0.99, 0.99, 200), torch.linspace(-0.49, 0.49, 100), indexing="ij")
+    points = torch.stack((x, y), dim=-1) + ground.terrain_origins[:, :, None, None, :2]
+    heights = ground.height_at(points).numpy()
+    top = heights[:, 0].max(axis=(1, 2))
+    assert top == pytest.approx(3 * 0.1 * hard[:, 0], abs=3e-4)  # (1 - 0.4) / 0.2 steps
+    # Between corners the surface is a mean of three heights, whose square is half of a height's square.
+    assert heights[:, 1].std(axis=(1, 2)) == pytest.approx(0.1 * hard[:, 1] / np.sqrt(6), rel=0.08)
+
+
+def test_the_height_at_a_point_is_where_a_ray_meets_mujocos_ground():
+    ground = placed(everything(), num_rows=3, num_cols=7)
+    points = torch.rand(4000, 2, dtype=torch.float64) * torch.tensor([8.0, 9.0]) - torch.tensor([4.0, 4.5])
+    found, expected = ground.height_at(points), ground._probe.height_at(points)
+    torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
+    assert found.std() > 0.02
+    assert not ground.height_at(torch.tensor([[3.5, 0.0], [0.0, -4.4], [99.0, 99.0]])).any()
+
+
+def test_a_ball_touches_the_ground_where_its_height_says():
+    ground = placed(everything(), num_rows=3, num_cols=7)
+    spec = mujoco.MjSpec()
+    ground.add_to(spec)
+    ball = spec.worldbody.add_body(name="ball")
+    ball.add_freejoint()
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-4, 0, 0], mass=1)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    points = torch.rand(300, 2, dtype=torch.float64) * torch.tensor([6.0, 7.0]) - torch.tensor([3.0, 3.5])
+    touches = {}
+    for lift in (-2e-4, 1e-3):
+        for (x, y), height in zip(points.tolist(), ground.height_at(points).tolist(), strict=True):
+            data.qpos[:3] = x, y, height + lift
+            mujoco.mj_forward(model, data)
+            touches.setdefault(lift, []).append(data.ncon > 0)
+    assert np.mean(touches[-2e-4]) > 0.99  # beside an upright edge it may touch that one alone
+    assert np.mean(touches[1e-3]) < 0.03
+
+
+def test_steps_are_boxes_as_few_as_can_be():
+    spec = mujoco.MjSpec()
+    placed({"stairs": stairs()}, num_rows=1, num_cols=1, difficulty_range=[1, 1], border_width=0.0).add_to(spec)
+    assert [geom.type for geom in spec.geoms] == [mujoco.mjtGeom.mjGEOM_BOX] * 4  # the ground and three steps
+
+
+def test_the_border_goes_all_around_at_height_zero():
+    spec = mujoco.MjSpec()
+    placed().add_to(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    hit = np.zeros(1, dtype=np.int32)
+
+    def height(x: float, y: float) -> float:
+        return 1 - mujoco.mj_ray(model, data, np.array([x, y, 1.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
+
+    assert [height(*p) for p in [(4.9, 2.4), (-4.9, 0), (0, -2.4), (4.5, 0.3)]] == pytest.approx([0.0] * 4)
+    assert height(5.1, 0) == height(0, 2.6) == 2.0  # the ray meets nothing
+
+
+def digest(seed: int) -> str:
+    return str(
+        cache.hashlib.sha256(cache._packed(cache.make_relief(generator(everything()).layout))).hexdigest() + str(seed)
+    )
+
+
+def test_one_seed_gives_one_ground_in_any_process():
+    code = "from sim.terrain.test_generator import digest; print(digest(0))"
+    found = {
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env).stdout.strip()
+        for env in ({**cache_env(), "OMP_NUM_THREADS": threads} for threads in ("1", "4"))
+    }
+    assert found == {digest(0)}
+
+
+def cache_env() -> dict[str, str]:
+    import os
+
+    return {**os.environ, "PYTHONPATH": ":".join(path for path in sys.path if path)}
+
+
+def test_the_runs_seed_makes_the_ground_unless_it_has_its_own():
+    heights = [placed({"n": noise()}, run_seed=s, **o).relief.tiles[5].heights for s, o in [(1, {}), (2, {}), (1, {})]]
+    assert np.array_equal(heights[0], heights[2])
+    assert not np.array_equal(heights[0], heights[1])
+    fixed = [placed({"n": noise()}, run_seed=s, seed=7).relief for s in (1, 2)]
+    assert np.array_equal(fixed[0].tiles[5].heights, fixed[1].tiles[5].heights)
+    assert np.array_equal(fixed[0].difficulties, fixed[1].difficulties)
+
+
+def test_a_ground_is_made_once(monkeypatch):
+    made = []
+    monkeypatch.setattr(cache, "make_relief", lambda layout: made.append(layout) or real(layout))
+    wanted = {
+        "stairs": stairs(flat_patches={"goal": FlatPatches(num_patches=3, patch_radius=0.05, max_height_diff=0.0)})
+    }
+    first, second = placed(wanted), placed(wanted)
+    assert len(made) == 1
+    assert torch.equal(first.flat_patches["goal"], second.flat_patches["goal"])
+    assert all(
+        np.array_equal(a.heights, b.heights) for a, b in zip(first.relief.tiles, second.relief.tiles, strict=True)
+    )
+    for change in ({"seed": 3}, {"vertical_scale": 2e-4}, {"difficulty_range": [0, 0.5]}):
+        placed(wanted, **change)
+    placed({"stairs": stairs(border_width=0.1)})
+    placed({"stairs": wanted["stairs"], "none": Flat(proportion=0)})
+    assert len(made) == 6
+
+
+real = cache.make_relief
+
+
+def test_a_damaged_entry_is_made_again(tmp_path):
+    first = placed({"n": noise()})
+    (entry,) = (tmp_path / "cache" / "terrains").iterdir()
+    entry.write_bytes(entry.read_bytes()[:-100])
+    again = placed({"n": noise()})
+    assert np.array_equal(first.relief.tiles[3].heights, again.relief.tiles[3].heights)
+
+
+def test_flat_places_are_flat_and_where_they_may_be():
+    wanted = FlatPatches(num_patches=20, patch_radius=[0.05, 0.1], max_height_diff=0.0, x_range=[-0.3, 0.9])
+    kinds = {"stairs": stairs(flat_patches={"goal": wanted}), "flat": Flat(proportion=1)}
+    ground = placed(kinds, num_cols=2, difficulty_range=[1.0, 1.0])
+    places = ground.flat_patches["goal"]
+    assert places.shape == (4, 2, 20, 3)
+    torch.testing.assert_close(places[..., 2], ground.height_at(places[..., :2]), atol=1e-5, rtol=0)
+    seen = places[:, 0] - ground.terrain_origins[:, 0, None]
+    assert ((seen[..., 0] >= -0.3) & (seen[..., 0] <= 0.9) & (seen[..., 1].abs() <= 0.5)).all()
+    for angle in torch.arange(10) * 2 * torch.pi / 10:
+        rim = places[:, 0, :, :2] + 0.1 * torch.stack((angle.cos(), angle.sin()))
+        torch.testing.assert_close(ground.height_at(rim), places[:, 0, :, 2], atol=1e-5, rtol=0)
+    assert torch.equal(places[:, 1], ground.terrain_origins[:, 1, None].expand(4, 20, 3))
+
+
+def test_a_tile_that_is_nowhere_flat_is_told():
+    rough = noise(flat_patches={"goal": FlatPatches(num_patches=1, patch_radius=0.2, max_height_diff=0.001)})
+    with pytest.raises(
+        ConfigError, match=r"sub_terrains\.n\.flat_patches\.goal: 0 of 1 flat places .*smaller patch_radius"
+    ):
+        placed({"n": rough}, difficulty_range=[1, 1])
+
+
+NODE = {
+    "_target_": TERRAIN + "TerrainGenerator",
+    "size": [2.0, 2.0],
+    "num_rows": 3,
+    "num_cols": 2,
+    "border_width": 1.0,
+    "horizontal_scale": 0.1,
+    "vertical_scale": 0.001,
+    "curriculum": True,
+    "difficulty_range": [1.0, 1.0],
+    "static_friction": 0.5,
+    "dynamic_friction": 0.4,
+    "restitution": 0.0,
+    "sub_terrains": {
+        "stairs": {
+            "_target_": TERRAIN + "PyramidStairs",
+            "proportion": 1.0,
+            "step_height_range": [0.0, 0.1],
+            "step_width": 0.2,
+            "platform_width": 1.0,
+        },
+        "gone": None,
+    },
+}
+
+
+def test_a_robot_stands_on_its_tile(make_env):
+    high, level = make_env("block", scene={"terrain": NODE}), make_env("block")
+    for env in (high, level):
+        env.reset()
+        for _ in range(60):
+            env.step(torch.zeros(4, 1))
+    data = high.scene.robot.data
+    ground = high.scene.terrain.height_at(data.root_pos_w[:, :2])
+    torch.testing.assert_close(ground, torch.full((4,), 0.3), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        data.root_pos_w[:, 2] - ground, level.scene.robot.data.root_pos_w[:, 2], atol=2e-3, rtol=0
+    )
+
+
+def test_levels_and_places_are_saved_with_the_environment(make_env):
+    env, other = (make_env("block", seed=s, scene={"terrain": {**NODE, "seed": 4}}) for s in (1, 2))
+    every = torch.ones(4, dtype=torch.bool)
+    for _ in range(2):
+        env.scene.terrain.update_env_origins(torch.arange(4), every, ~every)
+    other.load_state_dict(env.state_dict())
+    assert torch.equal(env.scene.env_origins, other.scene.env_origins)
+    assert torch.equal(env.scene.terrain.terrain_levels, other.scene.terrain.terrain_levels)
+    for ground in (env.scene.terrain, other.scene.terrain):
+        ground.update_env_origins(torch.arange(4), every, ~every)
+    assert torch.equal(env.scene.terrain.terrain_levels, other.scene.terrain.terrain_levels)
+
+
+def test_the_model_tells_grounds_apart(make_env):
+    nodes = [{**NODE, "seed": s, "sub_terrains": {"n": NOISE}} for s in (1, 2, 1)]
+    digests = [make_env("block", scene={"terrain": node}).scene.model_digest() for node in nodes]
+    assert digests[0] == digests[2] != digests[1]
+
+
+NOISE = {"_target_": TERRAIN + "UniformNoise", "proportion": 1.0, "amplitude_range": [0.0, 0.01]}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"size": [1.0]}, r"size.*2 finite numbers"),
+        ({"num_rows": 0}, r"num_rows.*at least 1"),
+        ({"difficulty_range": [0.0, 2.0]}, r"difficulty_range.*at most 1"),
+        ({"sub_terrains": {"n": {**NOISE, "proportion": 0.0}}}, r"sub_terrains.*no sub-terrain has a share"),
+        ({"sub_terrains": {"n": {**NOISE, "amplitud": 1}}}, r"sub_terrains\.n\.amplitud"),
+        ({"sub_terrains": {"n": {**NOISE, "border_width": 1.0}}}, r"n\.border_width.*less than half a tile's edge, 1"),
+        ({"sub_terrains": {"n": {**NOISE, "border_width": -1.0}}}, r"n\.border_width.*at least 0"),
+        ({"horizontal_scale": 1e-7}, r"horizontal_scale.*cells of the ground"),
+    ],
+)
+def test_wrong_settings_are_told_by_their_key(make_env, change, message):
+    with pytest.raises(ConfigError, match=message):
+        make_env("block", scene={"terrain": {**NODE, **change}})
+
+
+@pytest.mark.usefixtures("allow_test_terms")
+def test_a_kind_of_tile_of_a_users_own(make_env):
+    ramp = {"_target_": "sim.terrain.tiles.Ramp", "proportion": 1.0}
+    ground = make_env("block", scene={"terrain": {**NODE, "sub_terrains": {"ramp": ramp}}}).scene.terrain
+    assert isinstance(ground, TerrainGenerator)
+    assert ground.height_at(torch.tensor([0.5, 1.0])) == pytest.approx(1.5)

@@ -1,0 +1,161 @@
+"""Each kind of tile against its formula, worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim.terrain.tiles import grid
+from wheelleg_exp.sim.terrain import (
+    Box,
+    DiscreteObstacles,
+    Flat,
+    Gap,
+    Pit,
+    PyramidSlope,
+    PyramidStairs,
+    Rails,
+    RandomGrid,
+    RandomUniform,
+    SteppingStones,
+    UniformNoise,
+    Waves,
+)
+
+CELLS, CORNERS = grid((2.0, 2.0), 0.1, boxes=True), grid((2.0, 2.0), 0.1, boxes=False)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def profile(heights: np.ndarray) -> list[float]:
+    """Return the heights along x through the middle."""
+    return np.round(heights[:, heights.shape[1] // 2], 9).tolist()
+
+
+def test_level_ground_is_level():
+    assert not Flat(proportion=1).heights(1.0, CELLS, rng()).any()
+
+
+def test_stairs_rise_a_step_every_width_up_to_the_platform():
+    stairs = PyramidStairs(proportion=1, step_height_range=[0.1, 0.3], step_width=0.2, platform_width=0.7)
+    half = [0, 0, 0.2, 0.2, 0.4, 0.4, 0.6, 0.6, 0.8, 0.8]  # 4 steps: 2 - 8 * 0.2 = 0.4 is the first edge below 0.7
+    assert profile(stairs.heights(0.5, CELLS, rng())) == pytest.approx(half + half[::-1])
+    stairs.inverted = True
+    assert profile(stairs.heights(0.0, CELLS, rng())) == pytest.approx([-h / 2 for h in half + half[::-1]])
+    corner = stairs.heights(0.0, CELLS, rng())[:10, :10]
+    assert np.allclose(corner, np.minimum.outer(range(10), range(10)) // 2 * -0.1)
+
+
+def test_a_slope_has_its_angle_on_every_face():
+    slope = PyramidSlope(proportion=1, slope_range=[0.0, 0.4], platform_width=0.4)
+    heights = slope.heights(0.5, CORNERS, rng())
+    rise_x, rise_y = np.gradient(heights, 0.1)
+    assert rise_x[2:8, 10] == pytest.approx(np.tan(0.2))
+    assert rise_y[10, 13:18] == pytest.approx(-np.tan(0.2))
+    assert heights.max() == pytest.approx(np.tan(0.2) * 0.8, abs=1e-6)
+    assert (heights[8:13, 8:13] == heights.max()).all()
+    slope.inverted = True
+    assert np.array_equal(slope.heights(0.5, CORNERS, rng()), -heights)
+
+
+def test_waves_follow_their_formula():
+    found = Waves(proportion=1, amplitude_range=[0.0, 0.2], num_waves=2).heights(0.5, CORNERS, rng())
+    # A = 0.1 and k = 2 pi 2 / 2 m: a quarter of a wave is 0.25 m
+    for i, j, expected in [(0, 0, 0.05), (5, 0, 0.05), (10, 5, -0.05), (0, 10, 0.05)]:
+        assert found[i, j] == pytest.approx(expected, abs=1e-9)
+    assert found[2, 3] == pytest.approx(0.05 * (np.cos(0.6 * np.pi) + np.sin(0.4 * np.pi)))
+
+
+def test_noise_in_steps_has_the_range_and_no_difficulty():
+    noise = RandomUniform(proportion=1, noise_range=[-0.02, 0.04], noise_step=0.02)
+    found = noise.heights(0.0, CORNERS, rng())
+    assert np.unique(found.round(9)).tolist() == pytest.approx([-0.02, 0.0, 0.02, 0.04])
+    assert np.array_equal(found, noise.heights(1.0, CORNERS, rng()))
+
+
+def test_noise_by_difficulty_is_uniform_and_grows():
+    noise = UniformNoise(proportion=1, amplitude_range=[0.0, 0.3])
+    fine = grid((2.0, 2.0), 0.01, boxes=False)
+    for difficulty, a in [(0.0, 0.0), (1 / 3, 0.1), (1.0, 0.3)]:
+        found = noise.heights(difficulty, fine, rng())
+        assert found.std() == pytest.approx(a / np.sqrt(3), rel=0.02)
+        assert np.abs(found).max() <= a
+
+
+def test_between_drawn_points_noise_is_straight():
+    noise = UniformNoise(proportion=1, amplitude_range=[0.1, 0.1], downsampled_scale=0.4, platform_width=0.2)
+    found = noise.heights(0.0, CORNERS, rng())
+    outside = np.diff(found[:, 0], n=2)
+    assert np.abs(outside[[0, 1, 2, 4, 5, 6]]).max() < 1e-12
+    assert np.abs(outside[[3, 7]]).min() > 1e-4
+    assert (found[9:12, 9:12] == 0).all()
+
+
+def test_squares_of_a_grid_are_level_and_grow():
+    squares = RandomGrid(proportion=1, grid_width=0.4, grid_height_range=[0.1, 0.5], platform_width=0.4)
+    found = squares.heights(1.0, CELLS, rng()).reshape(5, 4, 5, 4)
+    assert np.ptp(found, axis=(1, 3)).max() == 0
+    assert found[2, 0, 2, 0] == 0
+    assert 0.3 < np.abs(found).max() <= 0.5
+    assert np.allclose(squares.heights(0.0, CELLS, rng()), found.reshape(20, 20) / 5)
+
+
+def test_obstacles_have_their_heights_and_leave_the_middle_free():
+    obstacles = DiscreteObstacles(
+        proportion=1,
+        obstacle_width_range=[0.3, 0.6],
+        obstacle_height_range=[0, 0.2],
+        num_obstacles=30,
+        platform_width=0.6,
+    )
+    found = obstacles.heights(1.0, CELLS, rng())
+    assert set(np.unique(found)) == {-0.2, -0.1, 0.0, 0.1, 0.2}
+    assert not found[7:13, 7:13].any()
+    obstacles.obstacle_height_mode = "fixed"
+    assert set(np.unique(obstacles.heights(0.5, CELLS, rng()))) == {0.0, 0.1}
+
+
+def test_stones_have_their_width_and_distance():
+    stones = SteppingStones(
+        proportion=1,
+        stone_height_max=0.05,
+        stone_width_range=[0.2, 0.4],
+        stone_distance_range=[0.0, 0.1],
+        platform_width=0.4,
+        holes_depth=-1.0,
+    )
+    fine = grid((2.0, 2.0), 0.01, boxes=True)
+    easy, hard = stones.heights(0.0, fine, rng()), stones.heights(1.0, fine, rng())
+    assert easy.min() >= -0.05  # no distance, no holes
+    # Rows of 0.2 m with 0.1 m between them, and the same along a row.
+    between = [k for start in range(20, 200, 30) for k in range(start, start + 10)]
+    assert np.flatnonzero((hard[:80] == -1).all(axis=0)).tolist() == between
+    holes = np.flatnonzero(np.diff((hard[:, 5] == -1).astype(int)))
+    assert set(np.diff(holes).tolist()) == {10, 20}
+    assert not hard[81:119, 81:119].any()
+
+
+def test_a_gap_lies_around_the_platform():
+    gap = Gap(proportion=1, gap_width_range=[0.1, 0.3], gap_depth=0.5, platform_width=0.8)
+    level, down = [0.0], [-0.5]
+    assert profile(gap.heights(0.5, CELLS, rng())) == level * 4 + down * 2 + level * 8 + down * 2 + level * 4
+
+
+def test_rails_stand_where_isaac_labs_do():
+    rails = Rails(proportion=1, rail_thickness_range=[0.1, 0.2], rail_height_range=[0.1, 0.3], platform_width=0.8)
+    # The outer rail's inner edge is at 0.8 + 0.6 * (2 - 0.8) = 1.52, so cells 0 to 2 of ten half ones: 0.8 to 0.96.
+    half = [0, 0.2, 0.2, 0, 0, 0.2, 0, 0, 0, 0]
+    found = profile(rails.heights(0.5, CELLS, rng()))
+    assert found[3:17] == pytest.approx((half + half[::-1])[3:17])
+    assert found[1] == 0.2
+
+
+def test_boxes_and_pits_have_one_step_or_two():
+    box = Box(proportion=1, box_height_range=[0.1, 0.3], platform_width=0.4)
+    assert profile(box.heights(0.0, CELLS, rng())) == [0] * 8 + [0.1] * 4 + [0] * 8
+    box.double_box = True  # the lower one's edge is 0.4 + 0.6 * 1.6 = 1.36
+    assert profile(box.heights(0.5, CELLS, rng())) == [0] * 3 + [0.2] * 5 + [0.4] * 4 + [0.2] * 5 + [0] * 3
+    pit = Pit(proportion=1, pit_depth_range=[0.1, 0.3], platform_width=0.4, double_pit=True)
+    assert np.array_equal(pit.heights(0.5, CELLS, rng()), -box.heights(0.5, CELLS, rng()))

@@ -1,0 +1,137 @@
+"""A ground of tiles that are generated: one kind a column, harder from row to row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any, cast
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import (
+    Broken,
+    Count,
+    Length,
+    Natural,
+    Node,
+    NonNegative,
+    NotEmpty,
+    Ordered,
+    Positive,
+    Seed,
+    Share,
+    relation,
+)
+from wheelleg_exp.memory import require_memory
+from wheelleg_exp.sim.terrain.base import GROUND, TERRAIN_KEY, TerrainBase
+from wheelleg_exp.sim.terrain.cache import cached_relief
+from wheelleg_exp.sim.terrain.geoms import add_box, add_tile
+from wheelleg_exp.sim.terrain.height_map import HeightMap
+from wheelleg_exp.sim.terrain.relief import Layout
+from wheelleg_exp.sim.terrain.sub_terrain import SubTerrain
+
+_BYTES = 40  # a cell, in numpy, torch and MuJoCo
+
+
+def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
+    parts = [node for node in given["sub_terrains"].values() if node is not None]
+    if not any((node["proportion"] if isinstance(node, Mapping) else node.proportion) for node in parts):
+        yield Broken("sub_terrains", "no sub-terrain has a share of the tiles", "one with a proportion above 0")
+
+
+@relation(_some_share)
+class TerrainGenerator(TerrainBase):
+    """Tiles in rows along x and columns along y, around the world's origin.
+
+    With ``curriculum`` a column is of one kind, by the kinds' proportions, and the difficulty of row i is
+    ``low + (high - low) (i + U(0, 1)) / rows``. Else kind and difficulty of each tile are drawn.
+
+    Args:
+        size: edges of a tile along x and y, m.
+        num_rows: tiles along x: the levels of a curriculum.
+        num_cols: tiles along y.
+        border_width: of the level ground around all tiles, at height 0, m.
+        horizontal_scale: edge of a cell, m; it is fitted to the tile.
+        vertical_scale: heights are whole multiples of it, m.
+        curriculum: whether rows are levels.
+        difficulty_range: the easiest and the hardest, of 0 to 1.
+        sub_terrains: kinds of tiles by name; null takes one away.
+        static_friction: the ground's coefficient at rest.
+        dynamic_friction: the ground's coefficient in motion.
+        restitution: the ground's coefficient of restitution.
+        seed: of all chance in the ground; null takes the run's.
+        max_init_terrain_level: highest row in which an environment begins; null is the last.
+        origin_window: edge of the window in a tile's middle whose highest point is the origin's height, as a share
+            of the tile's edge.
+    """
+
+    def __init__(
+        self,
+        size: Annotated[Sequence[Positive], Length(2)],
+        num_rows: Count,
+        num_cols: Count,
+        border_width: NonNegative,
+        horizontal_scale: Positive,
+        vertical_scale: Positive,
+        curriculum: bool,
+        difficulty_range: Annotated[Sequence[Share], Ordered()],
+        sub_terrains: Annotated[Mapping[str, Node | None], NotEmpty()],
+        static_friction: NonNegative,
+        dynamic_friction: NonNegative,
+        restitution: Share,
+        seed: Seed | None = None,
+        max_init_terrain_level: Natural | None = None,
+        origin_window: Share = 0.25,
+    ) -> None:
+        super().__init__(static_friction, dynamic_friction, restitution)
+        self.size = (float(size[0]), float(size[1]))
+        self.max_init_terrain_level = max_init_terrain_level
+        self.border_width = border_width
+        self._seed = seed
+        self._cells = (size[0] / horizontal_scale) * (size[1] / horizontal_scale) * num_rows * num_cols
+        self.layout = Layout(
+            size=self.size,
+            num_rows=num_rows,
+            num_cols=num_cols,
+            horizontal_scale=horizontal_scale,
+            vertical_scale=vertical_scale,
+            curriculum=curriculum,
+            difficulty_range=(difficulty_range[0], difficulty_range[1]),
+            origin_window=origin_window,
+            sub_terrains={name: cast(SubTerrain, part) for name, part in sub_terrains.items() if part is not None},
+        )
+
+    def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
+        """Make the ground, or take it from the cache, and find where the environments begin."""
+        key = f"{TERRAIN_KEY}.horizontal_scale"
+        require_memory(int(_BYTES * self._cells), key, f"{self._cells:,.0f} cells of the ground")
+        seed = stream().initial_seed() if self._seed is None else self._seed
+        self.layout = replace(self.layout, seed=seed)
+        self.relief = cached_relief(self.layout)
+        self._map = HeightMap(self.relief.tiles, self.layout.num_rows, self.size, device)
+        self.terrain_origins = torch.as_tensor(self.relief.origins, dtype=torch.float32, device=device)
+        self.flat_patches = {
+            name: torch.as_tensor(places, dtype=torch.float32, device=device)
+            for name, places in self.relief.patches.items()
+        }
+        super().place(num_envs, spacing, device, stream)
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add the tiles, ``ground/<row>_<column>``, and the border."""
+        origins = self.relief.origins.reshape(-1, 3)
+        for number, (tile, origin) in enumerate(zip(self.relief.tiles, origins, strict=True)):
+            row, col = divmod(number, self.layout.num_cols)
+            name = f"{GROUND}/{row}_{col}"
+            add_tile(spec, name, self.dynamic_friction, tile, (origin[0], origin[1]), self.size)
+        x, y = (self.size[0] * self.layout.num_rows / 2, self.size[1] * self.layout.num_cols / 2)
+        width, depth = self.border_width, 0.1 * min(self.size)
+        sides = ((-x - width, x + width, y, y + width), (-x - width, x + width, -y - width, -y))
+        ends = ((x, x + width, -y, y), (-x - width, -x, -y, y))
+        for number, (x0, x1, y0, y1) in enumerate((*sides, *ends) if width else ()):
+            name = f"{GROUND}/border/{number}"
+            add_box(spec, name, self.dynamic_friction, (x0, y0, -depth), (x1, y1, 0.0))
+
+    def height_at(self, xy: torch.Tensor) -> torch.Tensor:
+        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 beside the tiles."""
+        return self._map.height_at(xy)

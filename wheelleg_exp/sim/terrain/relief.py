@@ -1,0 +1,153 @@
+"""What a generated ground looks like: the kind and the difficulty of each tile, its origin and its flat places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.terrain.base import TERRAIN_KEY
+from wheelleg_exp.sim.terrain.height_map import HeightMap, Tile
+from wheelleg_exp.sim.terrain.sub_terrain import Array, Grid, SubTerrain
+
+_MARGIN = 0.001  # by which a share has to reach beyond a column, as in Isaac Lab
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a ground is made of tiles (the arguments of ``TerrainGenerator``)."""
+
+    size: tuple[float, float]
+    num_rows: int
+    num_cols: int
+    horizontal_scale: float
+    vertical_scale: float
+    curriculum: bool
+    difficulty_range: tuple[float, float]
+    origin_window: float
+    sub_terrains: Mapping[str, SubTerrain]
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Relief:
+    """A ground that has been made.
+
+    Attributes:
+        tiles: row by row.
+        kinds: number of each tile's sub-terrain, (rows, cols).
+        difficulties: of each tile, (rows, cols).
+        origins: where one begins on each tile, seen from the ground's middle, m, (rows, cols, 3).
+        patches: flat places by name, seen from the ground's middle, m, (rows, cols, P, 3).
+    """
+
+    tiles: Sequence[Tile]
+    kinds: npt.NDArray[np.int64]
+    difficulties: Array
+    origins: Array
+    patches: Mapping[str, Array]
+
+
+def make_relief(layout: Layout) -> Relief:
+    """Return the ground; equal for equal arguments.
+
+    Raises:
+        ConfigError: a tile has not enough flat places, or its border covers it.
+    """
+    rng = np.random.default_rng(layout.seed)
+    shape = (layout.num_rows, layout.num_cols)
+    names, parts = list(layout.sub_terrains), list(layout.sub_terrains.values())
+    kinds, difficulties, origins = np.zeros(shape, dtype=np.int64), np.zeros(shape), np.zeros((*shape, 3))
+    origins[..., :2] = _centres(layout)
+    patches = _no_patches(layout, origins)
+    tiles: dict[tuple[int, int], Tile] = {}
+    for row, col in _order(layout):
+        kind, difficulty = _chosen(layout, row, col, rng)
+        part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
+        tile = _tile(layout, part, difficulty, rng, key)
+        kinds[row, col], difficulties[row, col], tiles[row, col] = kind, difficulty, tile
+        origins[row, col, 2] = _highest(tile, layout.origin_window)
+        alone = HeightMap([tile], 1, layout.size, torch.device("cpu"))
+        origin = np.array([0.0, 0.0, origins[row, col, 2]])
+        for name in patches:
+            patches[name][row, col] = origins[row, col]
+        for name, wanted in part.flat_patches.items():
+            found = wanted.find(_asking(alone), origin, layout.size, rng, f"{key}.flat_patches.{name}")
+            patches[name][row, col] += found
+    ordered = [tiles[index] for index in np.ndindex(shape)]
+    return Relief(ordered, kinds, difficulties, origins, patches)
+
+
+def _order(layout: Layout) -> list[tuple[int, int]]:
+    """Return the tiles in the order in which they are made: a curriculum goes column by column."""
+    if layout.curriculum:
+        return [(row, col) for col in range(layout.num_cols) for row in range(layout.num_rows)]
+    return [(row, col) for row in range(layout.num_rows) for col in range(layout.num_cols)]
+
+
+def _chosen(layout: Layout, row: int, col: int, rng: np.random.Generator) -> tuple[int, float]:
+    """Return kind and difficulty of a tile: by column and row in a curriculum, else drawn."""
+    shares = np.array([part.proportion for part in layout.sub_terrains.values()])
+    shares = shares / shares.sum()
+    low, high = layout.difficulty_range
+    if not layout.curriculum:
+        return int(rng.choice(len(shares), p=shares)), float(rng.uniform(low, high))
+    beyond = np.flatnonzero(col / layout.num_cols + _MARGIN < np.cumsum(shares))
+    kind = int(beyond[0]) if len(beyond) else len(shares) - 1
+    return kind, float(low + (high - low) * (row + rng.uniform()) / layout.num_rows)
+
+
+def _tile(layout: Layout, part: SubTerrain, difficulty: float, rng: np.random.Generator, key: str) -> Tile:
+    scale, size = part.horizontal_scale or layout.horizontal_scale, layout.size
+    cells = [max(1, round(edge / scale)) for edge in size]
+    half = (size[0] / 2 - part.border_width, size[1] / 2 - part.border_width)
+    if min(half) <= 0:
+        expected = f"less than half a tile's edge, {min(size) / 2:g}"
+        raise ConfigError("nothing is left between the borders", key=f"{key}.border_width", expected=expected)
+    x, y = (
+        (np.arange(count) + 0.5) * edge / count - edge / 2
+        if part.boxes
+        else np.linspace(-edge / 2, edge / 2, count + 1)
+        for count, edge in zip(cells, size, strict=True)
+    )
+    grid = Grid(x[:, None], y[None, :], half)
+    heights = np.broadcast_to(part.heights(difficulty, grid, rng), (len(x), len(y)))
+    heights = np.where(grid.to_edge >= 0, heights, 0.0) if part.border_width else heights
+    return Tile((np.rint(heights / layout.vertical_scale) * layout.vertical_scale).astype(np.float32), part.boxes)
+
+
+def _highest(tile: Tile, share: float) -> float:
+    """Return the greatest height in a window around the middle whose edges are a share of the tile's."""
+    windows = []
+    for count in tile.heights.shape:
+        reach = max(0.5, share * count / 2)
+        windows.append(slice(int(np.floor(count / 2 - reach)), int(np.ceil(count / 2 + reach))))
+    return float(tile.heights[tuple(windows)].max())
+
+
+def _centres(layout: Layout) -> Array:
+    rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
+    cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
+    return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
+
+
+def _no_patches(layout: Layout, origins: Array) -> dict[str, Array]:
+    """Return room for the flat places of each name; a tile that has none of a name will show its origin."""
+    counts: dict[str, int] = {}
+    for name, part in layout.sub_terrains.items():
+        for patch, wanted in part.flat_patches.items():
+            if counts.setdefault(patch, wanted.num_patches) != wanted.num_patches:
+                raise ConfigError(
+                    f"'{patch}' has {counts[patch]} places on another sub-terrain and {wanted.num_patches} here",
+                    key=f"{TERRAIN_KEY}.sub_terrains.{name}.flat_patches.{patch}.num_patches",
+                    expected="one number for all that share a name",
+                )
+    return {name: np.zeros((*origins.shape[:2], count, 3)) for name, count in counts.items()}
+
+
+def _asking(height_map: HeightMap) -> Callable[[Array], Array]:
+    return lambda points: height_map.height_at(torch.from_numpy(points)).numpy()
