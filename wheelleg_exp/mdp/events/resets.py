@@ -1,0 +1,128 @@
+"""Where episodes begin."""
+
+from __future__ import annotations
+
+import torch
+
+from wheelleg_exp.constraints import Interval
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
+from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
+from wheelleg_exp.sim import rotation
+
+_ROBOT = SceneEntityCfg("robot")
+
+
+class reset_root_state_uniform(TermBase):
+    """Place the root at its default, the environment's origin and a uniform offset.
+
+    ``quat = default * euler_xyz(U)``, in body axes; the velocity is of the CoM in world axes.
+
+    Args:
+        env: the environment.
+        pose_range: ``x``, ``y``, ``z`` in m; ``roll``, ``pitch``, ``yaw`` in rad.
+        velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
+        generator: the term's random stream.
+        asset_cfg: the robot.
+    """
+
+    settings = ("_low", "_high")
+
+    def __init__(
+        self,
+        env: Env,
+        pose_range: PoseRange,
+        velocity_range: PoseRange,
+        generator: torch.Generator,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        low, high = bounds(pose_range, POSE, "pose_range", env.device)
+        low_v, high_v = bounds(velocity_range, POSE, "velocity_range", env.device)
+        self._low, self._high = torch.cat((low, low_v)), torch.cat((high, high_v))
+        self._generator = generator
+        self._robot = env.scene[asset_cfg.name]
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        """Place the roots of ``env_ids``."""
+        ids = all_ids(env, env_ids)
+        robot = self._robot
+        u = rotation.uniform(self._low, self._high, len(ids), self._generator)
+        position = robot.default_root_pos + env.scene.env_origins[ids] + u[:, 0:3]
+        robot.write_root_pose(ids, position, self.orientation(u[:, 3:6]))
+        robot.write_root_com_velocity(ids, u[:, 6:9], u[:, 9:12])
+
+    def orientation(self, euler: torch.Tensor) -> torch.Tensor:
+        """Return the orientations (n, 4) for drawn angles (n, 3)."""
+        turn = rotation.quat_from_euler_xyz(*euler.unbind(dim=1))
+        return rotation.quat_mul(self._robot.default_root_quat.expand_as(turn), turn)
+
+
+class reset_root_state_with_random_orientation(reset_root_state_uniform):
+    """As ``reset_root_state_uniform``, with an orientation uniform on SO(3)."""
+
+    def orientation(self, euler: torch.Tensor) -> torch.Tensor:
+        """Return random orientations (n, 4)."""
+        return rotation.random_quat(len(euler), self._generator)
+
+
+def reset_joints_by_scale(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    position_range: Interval,
+    velocity_range: Interval,
+    generator: torch.Generator,
+    asset_cfg: SceneEntityCfg = _ROBOT,
+) -> None:
+    """Set joints to their defaults times U(range), within soft limits; a default of 0 stays 0."""
+    _reset_joints(env, env_ids, position_range, velocity_range, generator, asset_cfg, scale=True)
+
+
+def reset_joints_by_offset(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    position_range: Interval,
+    velocity_range: Interval,
+    generator: torch.Generator,
+    asset_cfg: SceneEntityCfg = _ROBOT,
+) -> None:
+    """Set joints to their defaults plus U(range) (rad, rad/s), within soft limits."""
+    _reset_joints(env, env_ids, position_range, velocity_range, generator, asset_cfg, scale=False)
+
+
+def _reset_joints(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    position_range: Interval,
+    velocity_range: Interval,
+    generator: torch.Generator,
+    asset_cfg: SceneEntityCfg,
+    *,
+    scale: bool,
+) -> None:
+    ids = all_ids(env, env_ids)
+    robot = env.scene[asset_cfg.name]
+    data, joints = robot.data, asset_cfg.joint_ids
+    pos, vel = data.default_joint_pos[ids][:, joints], data.default_joint_vel[ids][:, joints]
+    u = torch.rand(2, *pos.shape, generator=generator, device=pos.device)
+    low, high = position_range
+    drawn_pos = low + (high - low) * u[0]
+    low, high = velocity_range
+    drawn_vel = low + (high - low) * u[1]
+    pos, vel = (pos * drawn_pos, vel * drawn_vel) if scale else (pos + drawn_pos, vel + drawn_vel)
+    lowest, highest = data.soft_joint_pos_limits[ids][:, joints].unbind(dim=2)
+    fastest = data.soft_joint_vel_limits[ids][:, joints]
+    robot.write_joint_state(ids, pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints)
+
+
+def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
+    """Put the robot back to its default root and joint state; targets only when asked for."""
+    ids = all_ids(env, env_ids)
+    robot = env.scene.robot
+    data = robot.data
+    position = robot.default_root_pos + env.scene.env_origins[ids]
+    robot.write_root_pose(ids, position, robot.default_root_quat.expand(len(ids), 4))
+    still = torch.zeros(len(ids), 3, device=env.device)
+    robot.write_root_com_velocity(ids, still, still)
+    robot.write_joint_state(ids, data.default_joint_pos[ids], data.default_joint_vel[ids])
+    if reset_joint_targets:
+        data.joint_pos_target[ids] = data.default_joint_pos[ids]
+        data.joint_vel_target[ids] = data.default_joint_vel[ids]
