@@ -106,7 +106,6 @@ WRONG: dict[tuple[str, str], tuple[Any, str, str]] = {
     ("terminations", "a column"): (lambda _: torch.ones(N, 1).bool(), "shape (4, 1)", f"{FLAGS}: value.squeeze(1)"),
     ("terminations", "nothing"): (lambda _: None, "returns nothing", FLAGS),
     ("observations", "one a robot"): (lambda _: torch.ones(N), "shape (4,)", f"{ROWS}: value.unsqueeze(1)"),
-    ("observations", "matrices"): (lambda _: torch.ones(N, 2, 3), "shape (4, 2, 3)", f"{ROWS}: value.flatten(1)"),
     ("observations", "no column"): (lambda _: torch.ones(N, 0), "shape (4, 0)", ROWS),
     ("observations", "doubles"): (lambda _: torch.ones(N, 2).double(), "float64 numbers", f"{ROWS}: value.float()"),
     ("observations", "flags"): (lambda _: torch.ones(N, 2).bool(), "bool numbers", f"{ROWS}: value.float()"),

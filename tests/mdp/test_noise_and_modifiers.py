@@ -73,6 +73,21 @@ def test_a_bias_stays_between_resets_and_is_fresh_after_one():
     assert len(stacked[:, 1].unique()) > 590
 
 
+def test_a_bias_may_be_one_for_all_components():
+    generator = gen()
+    model = noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(), noise.UniformNoise(operation="abs"), False)
+    first = model(torch.zeros(3, 4), generator).clone()
+    assert torch.equal(first, first[:, :1].expand(3, 4))
+    assert len(first[:, 0].unique()) == 3
+    model.reset(T([1]), generator)
+    later = model(torch.ones(3, 4), generator) - 1.0
+    torch.testing.assert_close(later[[0, 2]], first[[0, 2]])
+    assert (later[1] != first[1]).all()
+    assert (later[1] == later[1, 0]).all()
+    picture = noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(), noise.UniformNoise(operation="abs"), False)
+    assert len(picture(torch.zeros(3, 4, 5, 2), generator).unique()) == 3
+
+
 def test_a_bias_comes_on_top_of_the_noise():
     model = noise.NoiseModelWithAdditiveBias(noise.ConstantNoise(10.0), noise.ConstantNoise(0.5, "abs"))
     assert model(T([[1.0]]), gen()).item() == 11.5

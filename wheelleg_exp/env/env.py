@@ -132,7 +132,9 @@ class ManagerBasedRLEnv(Kept):
         self.action_manager.process_action(action)
         self.recorder_manager.record_pre_step()
         self.scene.robot.data.begin_control_step()
-        for _ in range(self.decimation):
+        for substep in range(self.decimation):
+            if substep:
+                self.observation_manager.sample_between()
             self.action_manager.apply_action()
             self.scene.write_data_to_sim()
             self.scene.sim.step()

@@ -51,8 +51,7 @@ def _require_concatenated(env: ManagerBasedRLEnv) -> None:
 
 def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
     """Return the space of one environment's observations: unbounded float32 vectors by group."""
-    widths = env.observation_manager.group_obs_term_dim
-    shapes = {group: (*parts[0][:-1], sum(part[-1] for part in parts)) for group, parts in widths.items()}
+    shapes: dict[str, Any] = env.observation_manager.group_obs_dim
     return gymnasium.spaces.Dict(
         {group: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for group, shape in shapes.items()}
     )

@@ -11,14 +11,13 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistory
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import table
+from wheelleg_exp.managers.observation_layout import Group, GroupLayout
 from wheelleg_exp.managers.observation_term import ObservationTerm, Values
 from wheelleg_exp.managers.term import Term, bind_terms
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.sections import read_section
-
-Group = torch.Tensor | dict[str, torch.Tensor]
 
 
 class ObservationManager(Kept):
@@ -31,11 +30,12 @@ class ObservationManager(Kept):
 
     def __init__(self, nodes: Mapping[str, Any], env: Env) -> None:
         self._groups: dict[str, dict[str, ObservationTerm]] = {}
-        self._concatenate: dict[str, bool] = {}
+        self._layouts: dict[str, GroupLayout] = {}
         self._rows: dict[str, RowHistory] = {}
         for group, node in nodes.items():
             if node is not None:
                 self._add_group(group, node, env)
+        self._late = [t for terms in self._groups.values() for t in terms.values() if t.delay is not None]
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
@@ -58,7 +58,7 @@ class ObservationManager(Kept):
     @property
     def group_obs_concatenate(self) -> dict[str, bool]:
         """Whether a group is one tensor."""
-        return dict(self._concatenate)
+        return {group: layout.concatenated for group, layout in self._layouts.items()}
 
     @property
     def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:
@@ -68,25 +68,34 @@ class ObservationManager(Kept):
     @property
     def group_obs_dim(self) -> dict[str, tuple[int, ...] | list[tuple[int, ...]]]:
         """Shape of each group: one shape where it is concatenated, else one a term."""
-        dims: dict[str, tuple[int, ...] | list[tuple[int, ...]]] = {}
-        for group, shapes in self.group_obs_term_dim.items():
-            width = sum(shape[-1] for shape in shapes)
-            dims[group] = (*shapes[0][:-1], width) if self._concatenate[group] else shapes
-        return dims
+        return {group: layout.shape for group, layout in self._layouts.items()}
+
+    def term_parts(self, group: str) -> dict[str, list[slice]]:
+        """Return where each term of a concatenated group lies along the joined dimension.
+
+        One slice a term; where histories stand step by step (``history_order: time``), one for each step, oldest first.
+        """
+        return dict(self._layouts[group].parts)
 
     def term_slices(self, group: str) -> dict[str, slice]:
-        """Return where each term of a concatenated group lies in the last dimension."""
-        slices, start = {}, 0
-        for name, term in self._groups[group].items():
-            slices[name] = slice(start, start + term.shape[-1])
-            start += term.shape[-1]
-        return slices
+        """Return where each term of a concatenated group lies; ValueError where a term is not in one piece."""
+        parts = self.term_parts(group)
+        if any(len(found) > 1 for found in parts.values()):
+            raise ValueError(f"the histories of group '{group}' stand step by step: a term is not one slice")
+        return {name: found[0] for name, found in parts.items()}
+
+    def part(self, group: str, term: str, value: Group) -> torch.Tensor:
+        """Return one term's observation from its group's, for the environments that are in it."""
+        return self._layouts[group].part(term, value)
 
     def split(self, group: str, value: Group) -> dict[str, torch.Tensor]:
         """Return a group's observation term by term."""
-        if not isinstance(value, torch.Tensor):
-            return value
-        return {name: value[..., part] for name, part in self.term_slices(group).items()}
+        return {name: self.part(group, name, value) for name in self._groups[group]}
+
+    def sample_between(self) -> None:
+        """Take up samples between two physics steps of a control step, of terms that are seen late."""
+        for term in self._late:
+            term.sample_between()
 
     def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
         """Return every group's observation; advances noise, modifiers and histories.
@@ -118,8 +127,8 @@ class ObservationManager(Kept):
                 continue
             for name, term in terms.items():
                 if isinstance(term.history, HistoryBuffer):
-                    shown[name] = term.shown(term.history.appended(shown[name], first))
-            found[group] = self._joined(group, shown)
+                    shown[name] = self._layouts[group].shown(term, term.history.appended(shown[name], first))
+            found[group] = self._layouts[group].join(shown)
         return found
 
     def _first_ids(self) -> torch.Tensor | None:
@@ -154,7 +163,6 @@ class ObservationManager(Kept):
         terms = bind_terms("observations", f"{path}.terms", options.terms, env)
         if not terms:
             raise ConfigError("the group has no terms", key=f"{path}.terms", expected="at least one term")
-        self._concatenate[group] = options.concatenate_terms
         self._groups[group] = {}
         for name, term in terms.items():
             length, flatten = options.history_length, options.flatten_history_dim
@@ -162,13 +170,7 @@ class ObservationManager(Kept):
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
             self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
-        shapes = {t.shape[:-1] for t in self._groups[group].values()}
-        if self._concatenate[group] and len(shapes) > 1:
-            raise ConfigError(
-                f"terms with histories of different shape {sorted(shapes)} cannot stand in one vector",
-                key=f"{path}.terms",
-                expected="one history_length and flatten_history_dim for all, or concatenate_terms: false",
-            )
+        self._layouts[group] = GroupLayout(self._groups[group], options, path)
         self._add_histories(group, env)
         others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
         for one in self._groups[group].values():
@@ -176,8 +178,9 @@ class ObservationManager(Kept):
 
     def _add_histories(self, group: str, env: Env) -> None:
         """Make the histories: one row for all terms where the group is one, else a buffer for each term."""
-        terms = list(self._groups[group].values())
-        if self._concatenate[group] and all(len(term.shape) == 1 for term in terms):
+        terms, layout = list(self._groups[group].values()), self._layouts[group]
+        plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms)
+        if layout.concatenated and plain and not layout.by_time:
             widths, lengths = [term.width for term in terms], [term.history_length for term in terms]
             row = self._rows[group] = RowHistory(env.num_envs, widths, lengths, env.device)
             for index, term in enumerate(terms):
@@ -185,7 +188,7 @@ class ObservationManager(Kept):
             return
         for term in terms:
             if term.history_length:
-                shape = torch.Size((term.width,))
+                shape = torch.Size(term.sample_shape)
                 term.history = HistoryBuffer(env.num_envs, term.history_length, shape, env.device)
 
     def _computed(self, group: str, first: torch.Tensor | None, values: Values) -> Group:
@@ -198,12 +201,9 @@ class ObservationManager(Kept):
         for name, term in terms.items():
             shown[name] = term.sample(values)
             if isinstance(term.history, HistoryBuffer):
-                shown[name] = term.shown(term.history.append(shown[name], first))
+                shown[name] = self._layouts[group].shown(term, term.history.append(shown[name], first))
             shown[name] = shown[name].clone()
-        return self._joined(group, shown)
-
-    def _joined(self, group: str, values: dict[str, torch.Tensor]) -> Group:
-        return torch.cat(list(values.values()), dim=-1) if self._concatenate[group] else values
+        return self._layouts[group].join(shown)
 
     def __str__(self) -> str:
         parts = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -10,6 +11,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistoryPart
+from wheelleg_exp.managers.delay import made_delay
 from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.failures import failure, require_form
@@ -22,7 +24,7 @@ Values = dict["ObservationTerm", torch.Tensor]
 
 
 class ObservationTerm(Kept):
-    """One term of a group: ``func -> modifiers -> noise -> clip -> scale -> history``.
+    """One term of a group: ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
     Args:
         term: the bound term.
@@ -45,9 +47,10 @@ class ObservationTerm(Kept):
         self._clip = None if clip is None else (float(clip[0]), float(clip[1]))
         self._require_callables()
         self._flatten = flatten
-        term.form = row_form(env.num_envs, env.device)
+        term.form = row_form(env.num_envs, env.device, deep=True)
         sample = term(env)
-        self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[1])
+        self._scale = self._scale_tensor(term.fields.get("scale"), sample.shape[-1])
+        self.delay = made_delay(term, sample, env)
         for number, modifier in enumerate(self._modifiers):
             modifier.start(sample)
             made(modifier, f"{term.path}.modifiers[{number}]")
@@ -57,16 +60,15 @@ class ObservationTerm(Kept):
         self.history: HistoryBuffer | RowHistoryPart | None = None
         self.same_as: ObservationTerm | None = None
         self.history_length = history_length
-        self.width = int(sample.shape[1])
+        self.sample_shape = tuple(sample.shape[1:])
+        self.width = math.prod(self.sample_shape)
         self._part_forms = {
-            name: dataclasses.replace(term.form, width=self.width)
+            name: dataclasses.replace(term.form, width=sample.shape[-1])
             for name in ("noise", *(f"modifiers[{number}]" for number in range(len(self._modifiers))))
         }
-        self.shape = (
-            (self.width,)
-            if not history_length
-            else ((self.width * history_length,) if flatten else (history_length, self.width))
-        )
+        self.shape = self.sample_shape
+        if history_length:
+            self.shape = (self.width * history_length,) if flatten else (history_length, *self.sample_shape)
 
     def share(self, others: Iterable[ObservationTerm]) -> None:
         """Take what a term of another group computes, if one calls the same function with the same parameters.
@@ -83,19 +85,28 @@ class ObservationTerm(Kept):
                 return
 
     def sample(self, values: Values) -> torch.Tensor:
-        """Return the step's sample (N, width) before history; draws noise and advances modifiers.
+        """Return the step's sample (N, ...) before history; draws noise and advances delay and modifiers.
 
         Args:
             values: what terms have computed in this step.
         """
-        return self._processed(self._computed(values), draw=True)
+        value = self._computed(values)
+        if self.delay is not None:
+            value = self.delay.push(value)
+        return self._processed(value, draw=True)
+
+    def sample_between(self) -> None:
+        """Take up a sample between two physics steps of a control step, for what is to be seen late."""
+        if self.delay is not None:
+            self.delay.push(self.term(self._env))
 
     def peek(self) -> torch.Tensor:
         """Return the sample without noise and without changing any state."""
         owners = [*self._modifiers, *([self.term.stateful] if self.term.stateful is not None else [])]
         kept = [owner.state_dict() for owner in owners]
         stream = None if self.term.generator is None else self.term.generator.get_state()
-        value = self._processed(self.term(self._env), draw=False).clone()
+        value = self.term(self._env)
+        value = self._processed(value if self.delay is None else self.delay.peek(value), draw=False).clone()
         for owner, state in zip(owners, kept, strict=True):
             owner.load_state_dict(state)
         if self.term.generator is not None and stream is not None:
@@ -103,7 +114,7 @@ class ObservationTerm(Kept):
         return value
 
     def shown(self, history: torch.Tensor) -> torch.Tensor:
-        """Return a history (N, H, width) of the term's own as the observation shows it."""
+        """Return a history (N, H, ...) of the term's own as the observation shows it."""
         return history.flatten(1) if self._flatten else history
 
     def parts(self) -> dict[str, Any]:
@@ -112,13 +123,15 @@ class ObservationTerm(Kept):
         return found | ({} if self._noise is None else {"noise": self._noise})
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the term object, modifiers and noise of ``env_ids``; histories refill with the next sample."""
+        """Reset the term object, modifiers, noise and delay of ``env_ids``; histories refill with the next sample."""
         if self.term.stateful is not None:
             self.term.stateful.reset(env_ids)
         for modifier in self._modifiers:
             modifier.reset(env_ids)
         if hasattr(self._noise, "reset"):
             self._noise.reset(env_ids, self._generator)
+        if self.delay is not None:
+            self.delay.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of everything that survives a step."""
@@ -129,6 +142,8 @@ class ObservationTerm(Kept):
         }
         if self.history is not None:
             state["history"] = self.history.state_dict()
+        if self.delay is not None:
+            state["delay"] = self.delay.state_dict()
         return state
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -139,6 +154,8 @@ class ObservationTerm(Kept):
         self._noise_state.load_state_dict(saved["noise"])
         if self.history is not None:
             self.history.load_state_dict(saved["history"])
+        if self.delay is not None:
+            self.delay.load_state_dict(saved["delay"])
 
     def _computed(self, values: Values) -> torch.Tensor:
         """Return what the term's function gives in this step, to whichever group has asked first."""

@@ -32,6 +32,7 @@ class TensorForm:
         device: where it has to be.
         dtype: its type of numbers; None is any real one.
         width: None for shape (N,), 0 for (N, width) of any width that stays the same, else its width.
+        deep: whether a row may have further dimensions, as images have.
         what: one row in words.
     """
 
@@ -40,6 +41,7 @@ class TensorForm:
     dtype: torch.dtype | None = None
     width: int | None = None
     what: str = "number"
+    deep: bool = False
     _shape: torch.Size | None = field(default=None, init=False)
 
     @property
@@ -78,7 +80,8 @@ class TensorForm:
     def _has_shape(self, shape: torch.Size) -> bool:
         if self.width is None:
             return shape == (self.rows,)
-        return len(shape) == 2 and shape[0] == self.rows and shape[1] >= 1 and self.width in (0, shape[1])
+        fits = len(shape) >= 2 if self.deep else len(shape) == 2
+        return fits and shape[0] == self.rows and min(shape[1:]) >= 1 and self.width in (0, shape[-1])
 
     def _reshaped(self, shape: torch.Size) -> str:
         if self._shape is not None:
@@ -90,9 +93,9 @@ class TensorForm:
         return "value.flatten(1)" if len(shape) > 2 and shape[0] == self.rows else ""
 
 
-def row_form(rows: int, device: torch.device) -> TensorForm:
-    """Return the form of (N, width): rows of numbers, as observations and commands have them."""
-    return TensorForm(rows, device, torch.get_default_dtype(), width=0, what="row of numbers")
+def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorForm:
+    """Return the form of (N, width): rows of numbers, as observations and commands have them, or (N, ..., width)."""
+    return TensorForm(rows, device, torch.get_default_dtype(), width=0, what="row of numbers", deep=deep)
 
 
 @dataclass

@@ -58,6 +58,10 @@ class Clip(Modifier):
         return value.clip(*self._bounds)
 
 
+# Isaac Lab's names of the three.
+scale, bias, clip = Scale, Bias, Clip
+
+
 class DigitalFilter(Modifier):
     """y_i = sum_{j>=0} B_j x_{i-j} - sum_{k>=1} A_k y_{i-k}.
 

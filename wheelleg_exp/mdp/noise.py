@@ -82,22 +82,25 @@ def _bias_does_not_add_up(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_bias_does_not_add_up)
 class NoiseModelWithAdditiveBias:
-    """Noise plus a bias per component that is drawn anew at each reset.
+    """Noise plus a bias that is drawn anew at each reset.
 
     Args:
         noise_cfg: the noise of every step.
         bias_noise_cfg: what the bias is drawn from; its operation must be ``abs``, so that biases do not add up
             over resets.
+        sample_bias_per_component: draw a bias for each component, else one for all components of an environment.
     """
 
-    def __init__(self, noise_cfg: Noise, bias_noise_cfg: Noise) -> None:
+    def __init__(self, noise_cfg: Noise, bias_noise_cfg: Noise, sample_bias_per_component: bool = True) -> None:
         self._noise, self._bias_noise = noise_cfg, bias_noise_cfg
+        self._per_component = sample_bias_per_component
         self._bias: torch.Tensor | None = None
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Return the value with noise and bias."""
         if self._bias is None:
-            self._bias = self._bias_noise(torch.zeros_like(value), generator)
+            shape = value.shape if self._per_component else (len(value), *[1] * (value.ndim - 1))
+            self._bias = self._bias_noise(value.new_zeros(shape), generator)
         return self._noise(value, generator) + self._bias
 
     def reset(self, env_ids: torch.Tensor, generator: torch.Generator) -> None:

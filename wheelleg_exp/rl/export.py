@@ -66,10 +66,11 @@ def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int
     robot = env.scene.robot
     offset, observations = 0, []
     for group in groups:
-        for name, part in env.observation_manager.term_slices(group).items():
-            observations.append(
-                {"group": group, "term": name, "start": offset + part.start, "stop": offset + part.stop}
-            )
+        for name, parts in env.observation_manager.term_parts(group).items():
+            for age, part in zip(reversed(range(len(parts))), parts, strict=True):
+                steps = {"age_steps": age} if len(parts) > 1 else {}  # of histories that stand step by step
+                place = {"start": offset + part.start, "stop": offset + part.stop}
+                observations.append({"group": group, "term": name, **place, **steps})
         offset += sum(shape[-1] for shape in env.observation_manager.group_obs_term_dim[group])
     start, actions = 0, []
     for name, width in zip(env.action_manager.active_terms, env.action_manager.action_term_dim, strict=True):

@@ -23,7 +23,7 @@ _HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hyd
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
     "actions": ("delay",),
-    "observations": ("modifiers", "noise", "clip", "scale", "history_length", "flatten_history_dim"),
+    "observations": ("modifiers", "noise", "clip", "scale", "history_length", "flatten_history_dim", "delay"),
     "events": ("mode", "interval_range_s", "is_global_time", "min_step_count_between_reset"),
     "rewards": ("weight",),
     "terminations": ("time_out",),

@@ -64,6 +64,8 @@ class ObservationGroup:
     enable_corruption: bool = False
     history_length: Natural | None = None
     flatten_history_dim: bool = True
+    concatenate_dim: int = -1
+    history_order: Literal["term", "time"] = "term"
 
 
 _Options = TypeVar("_Options", bound="DataclassInstance")

@@ -5,6 +5,7 @@ The environment itself is asked, so that nothing can drift apart: it is built wi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ class TermShape:
         width: components of one sample.
         history: control steps kept; 0 is the present alone.
         shape: shape of one environment's part.
-        start: first index in the joined vector; None where the group's terms are not joined.
+        start: first index in the joined vector; None where the term is not in one piece.
         stop: index after the last.
         joints: of an action, the joints that it drives, in its order.
     """
@@ -90,13 +91,13 @@ def shapes_of(env: ManagerBasedRLEnv) -> Shapes:
 def _group(env: ManagerBasedRLEnv, group: str) -> GroupShape:
     manager = env.observation_manager
     dims = manager.group_obs_dim[group]
-    slices = manager.term_slices(group) if isinstance(dims, tuple) else {}
-    terms = tuple(_observation(name, term, slices.get(name)) for name, term in manager.terms(group).items())
+    parts = manager.term_parts(group) if isinstance(dims, tuple) else {}
+    terms = tuple(_observation(name, term, parts.get(name, ())) for name, term in manager.terms(group).items())
     return GroupShape(terms, dims if isinstance(dims, tuple) else None)
 
 
-def _observation(name: str, term: ObservationTerm, place: slice | None) -> TermShape:
-    start, stop = (None, None) if place is None else (place.start, place.stop)
+def _observation(name: str, term: ObservationTerm, places: Sequence[slice]) -> TermShape:
+    start, stop = (places[0].start, places[0].stop) if len(places) == 1 else (None, None)
     return TermShape(name, term.term.target, term.width, term.history_length, tuple(term.shape), start, stop)
 
 

@@ -57,11 +57,11 @@ def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
     """The observation that led to the recorded action, term by term; NaN before the first one is computed."""
     manager, found = env.observation_manager, []
     for group, terms in manager.active_terms.items():
-        joined = manager.group_obs_concatenate[group]
-        slices = manager.term_slices(group)
         for term, shape in zip(terms, manager.group_obs_term_dim[group], strict=True):
+            if len(shape) > 2:  # pictures are not recorded number by number
+                continue
             names = _labels(term, shape)
-            read = _observation(env, env_id, group, slices[term] if joined else term, len(names))
+            read = _observation(env, env_id, group, term, len(names))
             key = ("observations", group, term)
             found.append(one("/".join(key), paths.data(*key), names, read))
     return found
@@ -74,16 +74,16 @@ def _labels(term: str, shape: tuple[int, ...]) -> list[str]:
     return [f"{term}[{i}]@{h}" for h in range(shape[0]) for i in range(shape[1])]
 
 
-def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, part: slice | str, width: int) -> Callable[[], Any]:
-    nothing = np.full(width, np.nan)
+def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, width: int) -> Callable[[], Any]:
+    manager, nothing = env.observation_manager, np.full(width, np.nan)
 
     def read() -> Any:
-        value: Any = env.observation_manager.obs_buf.get(group)
+        value = manager.obs_buf.get(group)
         if value is None:
             return nothing
-        if isinstance(part, str):
-            return host_copy(value[part][env_id]).ravel()
-        return host_copy(value[env_id][..., part]).ravel()
+        mine = value[env_id : env_id + 1] if isinstance(value, torch.Tensor) else value
+        part = manager.part(group, term, mine)
+        return host_copy(part[0 if mine is not value else env_id]).ravel()
 
     return read
 

@@ -1,0 +1,235 @@
+"""Observations that come late, stand step by step, are joined along another dimension, or are pictures."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from managers import spies
+from wheelleg_exp.errors import ConfigError
+
+O = "wheelleg_exp.mdp.observations."
+M = "wheelleg_exp.mdp.modifiers."
+STILL = torch.zeros(4, 4)
+
+
+def _value(key="x", **fields):
+    spies.VALUES.setdefault(key, 1.0)
+    return {"_target_": spies.HERE + "column", "key": key, **fields}
+
+
+def _env(make_env, terms, *, num_envs=4, seed=0, **group):
+    return make_env(observations={"policy": {"terms": terms, **group}}, num_envs=num_envs, seed=seed)
+
+
+def _series(env, key, *values):
+    out = None
+    for number in values:
+        spies.VALUES[key] = number
+        out = env.observation_manager.compute()["policy"]
+    return out
+
+
+# ---- delay ----
+
+
+def _counting(make_env, **fields):
+    """Return an environment that observes the number of physics steps that it has taken, and its rollout."""
+    counted = {"n": 0}
+    spies.VALUES["x"] = lambda env: torch.full((env.num_envs,), float(counted["n"]))
+    sections = {name: fields.pop(name) for name in ("num_envs", "seed") if name in fields}
+    env = _env(make_env, {"x": _value(**fields)}, **sections)
+    step = env.scene.sim.step
+
+    def counting():
+        counted["n"] += 1
+        step()
+
+    env.scene.sim.step = counting
+    return env
+
+
+def test_a_delay_counts_physics_steps_and_not_control_steps(make_env):
+    """At two physics steps a control step, what is three steps old falls between two observations."""
+    env = _counting(make_env, delay=[3, 3])
+    seen = [float(env.reset()[0]["policy"][0])] + [float(env.step(STILL)[0]["policy"][0]) for _ in range(4)]
+    assert seen == [0, 0, 1, 3, 5]  # of 0, 2, 4, 6 and 8 steps; before the first there is the first
+
+
+def test_without_a_delay_there_is_nothing_to_remember(make_env):
+    for delay in (None, [0, 0]):
+        env = _counting(make_env, delay=delay)
+        env.reset()
+        assert float(env.step(STILL)[0]["policy"][0]) == 2
+        saved = env.observation_manager.state_dict()["groups"]["policy"]["x"]
+        assert "delay" not in saved
+        assert "env.observations.policy.terms.x.delay" not in env.streams.state_dict()["generators"]
+
+
+def test_delays_are_drawn_at_the_reset_of_an_environment(make_env):
+    env = _counting(make_env, delay=[1, 3], num_envs=300)
+    env.reset()
+    (term,) = env.observation_manager.terms("policy").values()
+    lags = term.delay.lag
+    before = lags.clone()
+    assert sorted(before.unique().tolist()) == [1, 2, 3]
+    for _ in range(3):
+        shown = env.step(torch.zeros(300, 4))[0]["policy"][:, 0]
+    assert torch.equal(shown, 6.0 - before)
+    env.reset(env_ids=torch.arange(100))
+    assert torch.equal(lags[100:], before[100:])
+    assert not torch.equal(lags[:100], before[:100])
+    shown = env.observation_manager.obs_buf["policy"][:, 0]
+    assert (shown[:100] == 6).all()  # a new episode sees nothing of the last
+    assert torch.equal(shown[100:], 6.0 - before[100:])
+
+
+def test_what_is_late_is_modified_clipped_scaled_and_kept_when_it_arrives(make_env):
+    env = _counting(
+        make_env,
+        delay=[2, 2],
+        modifiers=[{"_target_": M + "Bias", "value": 10.0}],
+        clip=[0.0, 13.0],
+        scale=2.0,
+        history_length=2,
+    )
+    env.reset()
+    for _ in range(3):
+        shown = env.step(STILL)[0]["policy"][0].tolist()
+    assert shown == [24.0, 26.0]  # (2 + 10) * 2, and 4 + 10 cut to 13
+
+
+def test_a_peek_at_something_late_changes_nothing(make_env):
+    env = _counting(make_env, delay=[3, 3])
+    env.reset()
+    for expected, ahead in ((0, 0), (1, 2), (3, 4), (5, 6)):
+        assert env.step(STILL)[0]["policy"][0].item() == expected
+        for _ in range(3):  # as if the same were observed once more, which makes everything one sample older
+            assert env.observation_manager.peek()["policy"][0].item() == ahead
+
+
+def test_two_groups_of_one_term_may_be_late_differently(make_env):
+    node = {"_target_": O + "joint_pos"}
+    groups = {"late": {"terms": {"q": {**node, "delay": [2, 2]}}}, "now": {"terms": {"q": node}}}
+    env = make_env(observations=groups)
+    before, _ = env.reset()
+    after, *_ = env.step(torch.ones(4, 4))
+    assert torch.equal(after["late"], before["now"])
+    assert not torch.equal(after["now"], before["now"])
+
+
+def test_what_is_late_goes_on_where_it_was_saved(make_env):
+    terms = {"q": {"_target_": O + "joint_pos", "delay": [0, 5]}}
+    first, second = (_env(make_env, terms, seed=seed) for seed in (0, 6))
+    first.reset()
+    for _ in range(3):
+        first.step(torch.ones(4, 4))
+    second.load_state_dict(first.state_dict())
+    for _ in range(4):
+        expected, *_ = first.step(-torch.ones(4, 4))
+        got, *_ = second.step(-torch.ones(4, 4))
+        assert torch.equal(got["policy"], expected["policy"])
+
+
+@pytest.mark.parametrize("delay", [[2, 1], [-1, 2], [0.5, 1], 3])
+def test_a_wrong_delay_names_its_key(make_env, delay):
+    with pytest.raises(ConfigError) as caught:
+        _env(make_env, {"x": _value(delay=delay)})
+    assert caught.value.key == "env.observations.policy.terms.x.delay"
+
+
+# ---- histories step by step ----
+
+
+def test_histories_may_stand_step_by_step(make_env):
+    terms = {"x": _value("x"), "q": {"_target_": O + "joint_pos"}}
+    env = _env(make_env, terms, history_length=2, history_order="time")
+    manager, robot = env.observation_manager, env.scene.robot
+    assert manager.group_obs_dim["policy"] == (10,)
+    robot.write_joint_state(torch.arange(4), torch.arange(4.0).expand(4, 4), STILL)
+    _series(env, "x", 7.0)
+    robot.write_joint_state(torch.arange(4), 10 + torch.arange(4.0).expand(4, 4), STILL)
+    expected = [7, 0, 1, 2, 3, 8, 10, 11, 12, 13]
+    spies.VALUES["x"] = 8.0
+    assert manager.peek()["policy"][0].tolist() == expected
+    out = manager.compute()["policy"]
+    assert out[0].tolist() == expected
+    assert {n: v[0].tolist() for n, v in manager.split("policy", out).items()} == {
+        "x": [7, 8],
+        "q": [0, 1, 2, 3, 10, 11, 12, 13],
+    }
+    assert manager.term_parts("policy")["q"] == [slice(1, 5), slice(6, 10)]
+    with pytest.raises(ValueError, match="step by step"):
+        manager.term_slices("policy")
+    manager.reset(torch.tensor([1]))
+    assert _series(env, "x", 9.0)[1].tolist() == [9, 10, 11, 12, 13] * 2
+
+
+@pytest.mark.parametrize(
+    "group", [{}, {"history_length": 2, "flatten_history_dim": False}, {"concatenate_terms": False}]
+)
+def test_only_flattened_histories_stand_step_by_step(make_env, group):
+    with pytest.raises(ConfigError) as caught:
+        _env(make_env, {"x": _value()}, history_order="time", **group)
+    assert caught.value.key == "env.observations.policy.history_order"
+
+
+# ---- dimensions ----
+
+
+def test_terms_may_be_joined_along_their_steps(make_env):
+    terms = {"x": _value("x"), "y": _value("y")}
+    group = {"history_length": 3, "flatten_history_dim": False, "concatenate_dim": 0}
+    env = _env(make_env, terms, **group)
+    spies.VALUES["y"] = 5.0
+    out = _series(env, "x", 1.0, 2.0)
+    assert out.shape == (4, 6, 1)
+    assert out[0].flatten().tolist() == [1, 1, 2, 5, 5, 5]
+    manager = env.observation_manager
+    assert manager.group_obs_dim["policy"] == (6, 1)
+    assert manager.split("policy", out)["y"][0].tolist() == [[5], [5], [5]]
+
+
+def test_a_dimension_that_is_not_there_is_refused(make_env):
+    with pytest.raises(ConfigError, match="from -1 to 0") as caught:
+        _env(make_env, {"x": _value()}, concatenate_dim=1)
+    assert caught.value.key == "env.observations.policy.concatenate_dim"
+
+
+def _picture(key, **fields):
+    return {"_target_": "managers.test_observation_options.picture", "key": key, **fields}
+
+
+def picture(env, key):
+    """Return pictures of 2 rows, 3 columns and one channel, all of ``VALUES[key]``."""
+    return spies.VALUES[key] * torch.arange(6.0).view(2, 3, 1).expand(env.num_envs, 2, 3, 1)
+
+
+def test_pictures_are_joined_like_isaac_labs(make_env):
+    spies.VALUES.update(a=1.0, b=10.0)
+    terms = {"a": _picture("a", clip=[0.0, 4.0]), "b": _picture("b", scale=2.0)}
+    env = _env(make_env, terms)
+    out = env.observation_manager.compute()["policy"]
+    assert out.shape == (4, 2, 3, 2)  # channels, by default
+    assert out[0, 1, 2].tolist() == [4.0, 100.0]
+    env = _env(make_env, terms, concatenate_dim=0)
+    assert env.observation_manager.compute()["policy"].shape == (4, 4, 3, 1)
+    assert env.observation_manager.group_obs_dim["policy"] == (4, 3, 1)
+
+
+def test_pictures_have_histories(make_env):
+    spies.VALUES["a"] = 1.0
+    for flatten, shape in ((False, (3, 2, 3, 1)), (True, (18,))):
+        env = _env(make_env, {"a": _picture("a")}, history_length=3, flatten_history_dim=flatten)
+        for number in (1.0, 2.0):
+            spies.VALUES["a"] = number
+            out = env.observation_manager.compute()["policy"]
+        assert out.shape == (4, *shape)
+        assert out.view(4, 3, 6)[0, :, 5].tolist() == [5, 5, 10]
+
+
+def test_a_picture_among_vectors_is_refused_with_what_to_do(make_env):
+    spies.VALUES["a"] = 1.0
+    with pytest.raises(ConfigError, match=r"x \(1,\), a \(2, 3, 1\).*value\.flatten\(1\)") as caught:
+        _env(make_env, {"x": _value(), "a": _picture("a")})
+    assert caught.value.key == "env.observations.policy.terms"
