@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.delay import made_delay
+from wheelleg_exp.managers.buffers import made_delay
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.failures import code_place, require_form
 from wheelleg_exp.managers.manager_base import ManagerBase, table

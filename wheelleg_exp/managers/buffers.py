@@ -1,4 +1,4 @@
-"""Histories of the last samples, oldest first.
+"""Histories of the last samples, oldest first, and delays.
 
 A history makes a new tensor of each sample instead of writing into the old one, so that what was handed out before
 never changes. The first sample of an episode fills every slot, as in Isaac Lab.
@@ -10,6 +10,11 @@ import itertools
 from collections.abc import Sequence
 
 import torch
+
+from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.managers.term import Term
+from wheelleg_exp.memory import require_memory
+from wheelleg_exp.sim.delay import DelayBuffer
 
 
 class HistoryBuffer:
@@ -128,3 +133,13 @@ class RowHistoryPart:
         """Restore what ``state_dict`` returned."""
         self._row.values = self._row.values.clone()  # one term after the other; what was handed out stays
         self._row.values[:, self._span] = saved["samples"].flatten(1)
+
+
+def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
+    """Return what delays samples (N, ...) of a term by its field ``delay``, or None where nothing does."""
+    low, high = term.fields.get("delay") or (0, 0)
+    if high == 0:
+        return None
+    key = f"{term.path}.delay"
+    require_memory(4 * sample.numel() * (high + 1), key, f"{high + 1} samples of {env.num_envs} environments")
+    return DelayBuffer(sample, (low, high), env.streams.get(key))

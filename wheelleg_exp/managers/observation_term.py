@@ -10,8 +10,7 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistoryPart
-from wheelleg_exp.managers.delay import made_delay
+from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistoryPart, made_delay
 from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.failures import failure, require_form

@@ -8,5 +8,5 @@
 | `actuators` | joint targets become controls |
 | `sensors`, `terrain` | members of the scene, also a user's own |
 | `options` | what may stand in `env.sim`, `env.scene` and `env.robot` |
-| `names`, `rotation`, `ids` | expressions, quaternions and masks |
+| `names`, `rotation`, `ids`, `delay` | expressions, quaternions, masks, late samples |
 """

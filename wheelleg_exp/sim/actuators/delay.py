@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
+from wheelleg_exp.sim.delay import DelayBuffer
 from wheelleg_exp.sim.layout import JointTargets
 from wheelleg_exp.state import Stateful
 
@@ -23,36 +24,29 @@ class TargetDelay(Stateful):
         generator: the group's random stream.
     """
 
-    settings = ("_ids", "_rows")
+    settings = ("_ids",)
 
     def __init__(
         self, bounds: Sequence[int], joint_ids: torch.Tensor, shape: tuple[int, int], generator: torch.Generator
     ) -> None:
         device = joint_ids.device
-        self._low, self._high = bounds
         self._ids = joint_ids
-        self._generator = generator
-        self._rows = torch.arange(shape[0], device=device)
-        self.lag = torch.zeros(shape[0], dtype=torch.long, device=device)
-        self._is_first = torch.ones(shape[0], 1, 1, 1, dtype=torch.bool, device=device)
-        self._past = torch.zeros(shape[0], self._high + 1, 3, len(joint_ids), device=device)
+        self._past = DelayBuffer(torch.zeros(shape[0], 3, len(joint_ids), device=device), bounds, generator)
         self._seen = torch.zeros(shape[0], 3, shape[1], device=device)
         self.targets = JointTargets(*self._seen.unbind(dim=1))
 
+    @property
+    def lag(self) -> torch.Tensor:
+        """The lag of each environment, physics steps, (N,)."""
+        return self._past.lag
+
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget the targets of ``env_ids`` and draw their lags."""
-        size = (len(env_ids),)
-        self.lag[env_ids] = torch.randint(
-            self._low, self._high + 1, size, generator=self._generator, device=env_ids.device
-        )
-        self._is_first[env_ids] = True
+        self._past.reset(env_ids)
 
     def push(self, targets: JointTargets) -> JointTargets:
         """Take the targets of a physics step, and return those that act in it; other joints' are not kept."""
         ids = self._ids
-        now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1).unsqueeze(1)
-        earlier = torch.where(self._is_first, now, self._past[:, :-1])
-        self._past.copy_(torch.cat((now, earlier), dim=1))
-        self._is_first.fill_(False)
-        self._seen[:, :, ids] = self._past[self._rows, self.lag]
+        now = torch.stack((targets.pos[:, ids], targets.vel[:, ids], targets.effort[:, ids]), dim=1)
+        self._seen[:, :, ids] = self._past.push(now)
         return self.targets

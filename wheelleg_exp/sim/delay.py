@@ -1,28 +1,14 @@
-"""Delays: samples that arrive some physics steps late, by a lag of each environment's own."""
+"""Samples that arrive some physics steps late, by a lag of each environment's own."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 
-from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.term import Term
-from wheelleg_exp.memory import require_memory
-from wheelleg_exp.state import Kept
 
-
-def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
-    """Return what delays samples (N, ...) of a term by its field ``delay``, or None where nothing does."""
-    low, high = term.fields.get("delay") or (0, 0)
-    if high == 0:
-        return None
-    key = f"{term.path}.delay"
-    require_memory(4 * sample.numel() * (high + 1), key, f"{high + 1} samples of {env.num_envs} environments")
-    return DelayBuffer(sample, (low, high), env.streams.get(key))
-
-
-class DelayBuffer(Kept):
+class DelayBuffer:
     """The last samples of each environment, of which it hands out the one of age ``lag``.
 
     The first sample after a reset stands for all before it, so that the age is ``min(lag, samples - 1)``, as in Isaac
@@ -34,7 +20,7 @@ class DelayBuffer(Kept):
         generator: what lags are drawn from.
     """
 
-    def __init__(self, sample: torch.Tensor, lags: tuple[int, int], generator: torch.Generator) -> None:
+    def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator) -> None:
         self._range, self._generator = lags, generator
         self._samples = torch.zeros(len(sample), lags[1] + 1, *sample.shape[1:], device=sample.device)
         self._rows = torch.arange(len(sample), device=sample.device)
