@@ -215,16 +215,18 @@ def test_tracking_in_level_axes():
     close(rewards.track_ang_vel_z_world_exp(env, std=2.0, command_name="v"), [math.exp(-0.25 / 4)])
 
 
-def test_tracking_height_and_pitch():
-    """Turned by 0.3 about y, the front goes down, and gravity has a part sin 0.3 along x."""
+def test_tracking_height_and_tilt():
+    """Turned by 0.3 about y, the front goes down, and gravity has a part sin 0.3 along x; by 0.2 about x, along -y."""
+    gravity = [[math.sin(0.3), 0.0, -math.cos(0.3)], [0.0, -math.sin(0.2), -math.cos(0.2)], [-1.0000001, 0.0, -0.0]]
     env = fake_env(
-        data_root_pos_w=T([[0.0, 0.0, 0.35], [0.0, 1.0, 1.3]]),
-        data_projected_gravity_b=T([[math.sin(0.3), 0.0, -math.cos(0.3)], [-1.0000001, 0.0, 0.0]]),
+        data_root_pos_w=T([[0.0, 0.0, 0.35], [0.0, 1.0, 1.3], [0.0, 0.0, 0.0]]),
+        data_projected_gravity_b=T(gravity),
         ground=lambda xy: xy[..., 1],
-        commands={"h": T([[0.25], [0.3]]), "p": T([[0.1], [-math.pi / 2]])},
+        commands={"p": T([[0.25, 0.0, 0.1], [0.3, 0.5, 0.4], [0.0, 0.0, -math.pi / 2]])},
     )
-    close(rewards.track_base_height_exp(env, std=0.2, command_name="h"), [math.exp(-0.25), 1])
-    close(rewards.track_pitch_exp(env, std=0.4, command_name="p"), [math.exp(-0.25), 1])
+    close(rewards.track_base_height_exp(env, std=0.2, command_name="p"), [math.exp(-0.25), 1, 1])
+    expected = [math.exp(-0.04 / 0.16), math.exp(-0.25 / 0.16), 1]
+    close(rewards.track_base_tilt_exp(env, std=0.4, command_name="p"), expected)
 
 
 def test_isaac_labs_names_are_kept():

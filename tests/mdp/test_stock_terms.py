@@ -11,7 +11,12 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.paths import configs_dir
 
 SECTIONS = {"reward": "rewards", "termination": "terminations", "curriculum": "curriculum"}
-TIMED = "env.scene.sensors.contact_forces.track_air_time=true"
+CHANGES = (
+    "env.num_envs=4",
+    "env.episode_length_s=0.2",
+    "env.scene.sensors.contact_forces.track_air_time=true",
+    "+command@env.commands=base_pose",
+)
 
 
 def _nodes(group):
@@ -21,7 +26,7 @@ def _nodes(group):
 
 @pytest.fixture(scope="module")
 def env():
-    config = compose(["task=stand", "env.num_envs=4", "env.episode_length_s=0.2", TIMED]).config
+    config = compose(["task=stand", *CHANGES]).config
     for group, section in SECTIONS.items():
         config["env"][section] = {**_nodes(group), **config["env"][section]}
     for node in config["env"]["rewards"].values():

@@ -6,6 +6,7 @@
 | `pose` | places to go to, and poses of a body |
 | `base_pose` | height and tilt of the base |
 | `null` | no command |
+| `ranges` | ranges that a curriculum may change |
 """
 
 from wheelleg_exp.mdp.commands.base_pose import UniformBasePoseCommand

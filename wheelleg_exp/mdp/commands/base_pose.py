@@ -8,7 +8,8 @@ from typing import Any, Literal, get_args
 import torch
 
 from wheelleg_exp.constraints import Broken, Interval, PositiveInterval, relation
-from wheelleg_exp.managers import CommandTerm, Env, bounds, member
+from wheelleg_exp.managers import Env, member
+from wheelleg_exp.mdp.commands.ranges import RangedCommand
 
 _Axis = Literal["height", "roll", "pitch"]
 
@@ -19,7 +20,7 @@ def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 
 @relation(_height_is_given)
-class UniformBasePoseCommand(CommandTerm):
+class UniformBasePoseCommand(RangedCommand):
     """Height of the base above the ground, m, and its roll and pitch, rad, uniform in their ranges.
 
     What legs with wheels can do while they drive; ``errors`` says how the three are measured, so that rewards can
@@ -43,9 +44,7 @@ class UniformBasePoseCommand(CommandTerm):
     ) -> None:
         super().__init__(env, resampling_time_range, [f"error_{axis}" for axis in get_args(_Axis)], generator)
         self.robot = member(env.scene, asset_name, "asset_name")
-        low, high = bounds(ranges, get_args(_Axis), "ranges", env.device)
-        # A tuple: tensors among the attributes are state.
-        self._ranges = (low, high)
+        self.take_ranges(ranges, get_args(_Axis))
         self._command = torch.zeros(env.num_envs, 3, device=env.device)
 
     @property
@@ -66,6 +65,6 @@ class UniformBasePoseCommand(CommandTerm):
 
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw heights and tilts."""
-        low, high = self._ranges
+        low, high = self.bounds()
         u = torch.rand(len(env_ids), 3, generator=self._generator, device=self._command.device)
         self._command[env_ids] = low + (high - low) * u

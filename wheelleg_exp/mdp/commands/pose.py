@@ -9,7 +9,8 @@ import torch
 
 from wheelleg_exp.constraints import Broken, Interval, PositiveInterval, relation
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers import CommandTerm, Env, bounds, member
+from wheelleg_exp.managers import Env, member
+from wheelleg_exp.mdp.commands.ranges import RangedCommand
 from wheelleg_exp.sim import rotation
 
 _Place = Literal["pos_x", "pos_y", "heading"]
@@ -22,7 +23,7 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 
 @relation(_heading_has_a_range)
-class UniformPose2dCommand(CommandTerm):
+class UniformPose2dCommand(RangedCommand):
     """A place around the environment's origin and a heading there, in the base's yaw axes: (x, y, z) in m, rad.
 
     The place is at the height of the robot's default state. The command is turned into the base's axes from the first
@@ -51,9 +52,7 @@ class UniformPose2dCommand(CommandTerm):
     ) -> None:
         super().__init__(env, resampling_time_range, ("error_pos_2d", "error_heading"), generator)
         self.robot = member(env.scene, asset_name, "asset_name")
-        named = {axis: pair for axis, pair in ranges.items() if pair is not None}
-        # A tuple: tensors among the attributes are state.
-        self._ranges = bounds(named, get_args(_Place), "ranges", env.device)
+        self.take_ranges(ranges, get_args(_Place))
         self._simple_heading = simple_heading
         n, device = env.num_envs, env.device
         self.pos_command_w = torch.zeros(n, 3, device=device)
@@ -83,7 +82,7 @@ class UniformPose2dCommand(CommandTerm):
 
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw places and headings."""
-        drawn = rotation.uniform(*self._ranges, len(env_ids), self._generator)
+        drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
         self.pos_command_w[env_ids] = self._places(env_ids, drawn[:, :2])
         self.pos_command_w[env_ids, 2] += self.robot.default_root_pos[2]
         self.heading_command_w[env_ids] = self._way(env_ids) if self._simple_heading else drawn[:, 2]
@@ -155,7 +154,7 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
         return patches[terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids], chosen]
 
 
-class UniformPoseCommand(CommandTerm):
+class UniformPoseCommand(RangedCommand):
     """A pose of one body in the root link's frame: (x, y, z) in m and (w, x, y, z), uniform in ranges.
 
     Its metrics are the last errors: distance, m, and angle, rad, between the body and its commanded pose.
@@ -188,8 +187,7 @@ class UniformPoseCommand(CommandTerm):
         if len(found) != 1:
             raise ConfigError(f"matches {', '.join(names)}", key="body_name", expected="one body")
         self._body = found[0]
-        # A tuple: tensors among the attributes are state.
-        self._ranges = bounds(ranges, get_args(_Pose), "ranges", env.device)
+        self.take_ranges(ranges, get_args(_Pose))
         self._unique = make_quat_unique
         self.pose_command_b = torch.zeros(env.num_envs, 7, device=env.device)
         self.pose_command_b[:, 3] = 1.0
@@ -213,7 +211,7 @@ class UniformPoseCommand(CommandTerm):
 
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw poses."""
-        drawn = rotation.uniform(*self._ranges, len(env_ids), self._generator)
+        drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
         quat = rotation.quat_from_euler_xyz(*drawn[:, 3:].unbind(dim=1))
         if self._unique:
             quat = torch.where(quat[:, :1] < 0.0, -quat, quat)

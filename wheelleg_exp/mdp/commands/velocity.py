@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal, get_args
 import torch
 
 from wheelleg_exp.constraints import Broken, Interval, Length, NonNegative, PositiveInterval, Share, relation
-from wheelleg_exp.managers import CommandTerm, Env, bounds, member
+from wheelleg_exp.managers import Env, member
+from wheelleg_exp.mdp.commands.ranges import RangedCommand
 from wheelleg_exp.sim.rotation import wrap_to_pi
 
 _Axis = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"]
@@ -21,7 +22,7 @@ def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 
 @relation(_heading_has_a_range)
-class UniformVelocityCommand(CommandTerm):
+class UniformVelocityCommand(RangedCommand):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
     Standing environments get zero. With ``heading_command`` some environments follow a target heading instead,
@@ -56,10 +57,7 @@ class UniformVelocityCommand(CommandTerm):
         self.robot = member(env.scene, asset_name, "asset_name")
         if ranges.get("heading") is not None and not heading_command:
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
-        named = {axis: pair for axis, pair in ranges.items() if pair is not None}
-        low, high = bounds(named, get_args(_Axis), "ranges", env.device)
-        # A tuple: tensors among the attributes are state.
-        self._ranges = (low, high)
+        self.take_ranges(ranges, get_args(_Axis))
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
         self._stiffness = heading_control_stiffness
@@ -89,7 +87,7 @@ class UniformVelocityCommand(CommandTerm):
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw velocities, headings and who stands."""
         u = torch.rand(len(env_ids), 6, generator=self._generator, device=self._command.device)
-        low, high = self._ranges
+        low, high = self.bounds()
         drawn = low + (high - low) * u[:, :4]
         self._command[env_ids] = drawn[:, :3]
         if self._has_heading:
@@ -101,7 +99,8 @@ class UniformVelocityCommand(CommandTerm):
         """Steer towards headings, then stop those that stand."""
         if self._has_heading:
             error = wrap_to_pi(self.heading_target - self.robot.data.heading_w)
-            steered = torch.clamp(self._stiffness * error, self._ranges[0][2], self._ranges[1][2])
+            low, high = self.bounds()
+            steered = torch.clamp(self._stiffness * error, low[2], high[2])
             self._command[:, 2] = torch.where(self.is_heading_env, steered, self._command[:, 2])
         self._command.masked_fill_(self.is_standing_env.unsqueeze(1), 0.0)
 

@@ -57,9 +57,9 @@ from wheelleg_exp.mdp.rewards.tracking import (
     track_ang_vel_z_exp,
     track_ang_vel_z_world_exp,
     track_base_height_exp,
+    track_base_tilt_exp,
     track_lin_vel_xy_exp,
     track_lin_vel_xy_yaw_frame_exp,
-    track_pitch_exp,
 )
 from wheelleg_exp.mdp.rewards.wheels import wheel_slip, wheel_spin_in_air_l1
 
@@ -103,9 +103,9 @@ __all__ = [
     "track_ang_vel_z_exp",
     "track_ang_vel_z_world_exp",
     "track_base_height_exp",
+    "track_base_tilt_exp",
     "track_lin_vel_xy_exp",
     "track_lin_vel_xy_yaw_frame_exp",
-    "track_pitch_exp",
     "undesired_contacts",
     "upward",
     "wheel_slip",

@@ -55,14 +55,22 @@ def track_ang_vel_z_world_exp(
 def track_base_height_exp(
     env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
-    """exp(-(command - h)^2 / std^2), h the root link's height above the ground straight below, m. Not in Isaac Lab."""
+    """exp(-(height command - h)^2 / std^2), h of the root link above the ground straight below, m. Not in Isaac Lab.
+
+    The command's first component is the height, as ``UniformBasePoseCommand`` has it.
+    """
     command = env.command_manager.get_command(command_name)[:, 0]
     error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
     return torch.exp(-error / std**2)
 
 
-def track_pitch_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """exp(-(command - pitch)^2 / std^2), pitch of the root, rad, positive with the front down. Not in Isaac Lab."""
-    command = env.command_manager.get_command(command_name)[:, 0]
-    pitch = torch.asin(env.scene[asset_cfg.name].data.projected_gravity_b[:, 0].clamp(-1.0, 1.0))
-    return torch.exp(-(command - pitch).square() / std**2)
+def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
+
+    The command is height, roll and pitch, as ``UniformBasePoseCommand`` has it.
+    """
+    command = env.command_manager.get_command(command_name)
+    x, y, z = env.scene[asset_cfg.name].data.projected_gravity_b.unbind(dim=1)
+    roll, pitch = torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
+    error = (command[:, 1] - roll).square() + (command[:, 2] - pitch).square()
+    return torch.exp(-error / std**2)
