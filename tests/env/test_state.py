@@ -20,7 +20,10 @@ from wheelleg_exp.mdp import terminations as terminations_module
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.sensors import ContactSensor, RayCaster
 
+C = "wheelleg_exp.mdp.curriculums."
 M = "wheelleg_exp.mdp.modifiers."
+R = "wheelleg_exp.mdp.rewards."
+T = "wheelleg_exp.mdp.terminations."
 N = "wheelleg_exp.mdp.noise."
 A = "wheelleg_exp.mdp.actions."
 HIPS = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": [".*_hip"]}
@@ -61,6 +64,9 @@ DERIVED = frozenset(
         ".sensors['scan']._outdated",
         ".robot.data.motion_at_start",  # read within a control step alone
         ".command_manager.step_errors",  # of the step alone
+        ".robot.data._acc_valid",  # of accelerations that nobody has asked for yet
+        ".reward_manager._factors",  # taken anew where a curriculum has changed a weight
+        ".reward_manager._weights",
     }
 )
 
@@ -119,7 +125,23 @@ def everything() -> dict:
     sections["robot"] = {"actuators": copy.deepcopy(env_config()["robot"]["actuators"])}
     sections["robot"]["actuators"]["axles"]["_target_"] = ACTUATORS + "IdealPDActuator"
     sections["scene"] = {"sensors": {"contact": env_config()["scene"]["sensors"]["contact"], **SENSORS}}
-    sections["rewards"]["ended"] = {"_target_": "wheelleg_exp.mdp.rewards.is_terminated_term", "weight": -1.0}
+    for name in ("is_terminated_term", "action_acceleration_l2", "joint_vel_rate_l2"):
+        sections["rewards"][name] = {"_target_": R + name, "weight": -1.0}
+    stuck = {"_target_": T + "stuck", "command_name": "v", "distance": 0.01, "time": 0.3}
+    sections["terminations"] = {**sections.get("terminations", {}), "stuck": stuck}
+    schedule = {"modify_fn": "wheelleg_exp.mdp.schedules.linear"}
+    schedule["modify_params"] = {"start": 1.0, "end": 2.0, "num_steps": 50}
+    sections["curriculum"] = {
+        **sections.get("curriculum", {}),
+        "levels": {
+            "_target_": C + "command_range_levels",
+            "reward_term_name": "is_terminated_term",
+            "command_name": "v",
+            "limit_ranges": {"lin_vel_x": [-9.0, 9.0]},
+        },
+        "setting": {"_target_": C + "modify_term_cfg", "address": "rewards.joint_vel_rate_l2.weight", **schedule},
+        "anything": {"_target_": C + "modify_env_param", "address": "max_episode_length_s", **schedule},
+    }
     return sections
 
 
@@ -379,7 +401,7 @@ def test_a_setting_that_the_config_changes_is_not_undone_by_loading(make):
     other = make(**sections)
     other.load_state_dict(env.state_dict())
     assert other.event_manager.get_term("push").func._high[0] == 9.0
-    assert other.command_manager.get_command_term("v")._ranges[0][0] == 5.0
+    assert other.command_manager.get_command_term("v").bounds()[0][0] == 5.0
     assert other.action_manager.get_action_term("position")._scale[0] == pytest.approx(0.7)
 
 

@@ -24,7 +24,8 @@ def fake_env(**fields: Any) -> Any:
     """Return an environment: ``data_<name>`` goes to the robot's data, the rest to the environment.
 
     ``contact_norm`` and ``first_contact`` are what the sensor ``contact`` says, ``contact`` its data by name;
-    ``commands`` are commands by name, and ``ground`` is the ground's height at points.
+    ``commands`` are commands by name, ``ground`` is the ground's height at points, and ``terrain``
+    what else the ground says.
     """
     data = {k[5:]: v for k, v in fields.items() if k.startswith("data_")}
     robot = SimpleNamespace(data=SimpleNamespace(**data))
@@ -43,7 +44,7 @@ def fake_env(**fields: Any) -> Any:
     scene = Scene(members)
     scene.robot = robot
     ground = fields.pop("ground", lambda xy: torch.zeros_like(xy[..., 0]))
-    scene.terrain = SimpleNamespace(height_at=ground)
+    scene.terrain = SimpleNamespace(height_at=ground, **fields.pop("terrain", {}))
     commands = fields.pop("commands", {})
     fields.setdefault("command_manager", SimpleNamespace(get_command=commands.__getitem__))
     scene.env_origins = fields.pop("env_origins", None)

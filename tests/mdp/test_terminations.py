@@ -51,6 +51,40 @@ def test_height():
     assert terminations.root_height_below_minimum(env, 0.2).tolist() == [True, False]
 
 
+def test_height_over_the_ground_below():
+    env = fake_env(data_root_pos_w=T([[0.5, 0.0, 0.6], [1.0, 0.0, 1.3]]), ground=lambda xy: xy[..., 0])
+    assert terminations.root_height_over_ground_below_minimum(env, 0.2).tolist() == [True, False]
+
+
+def test_the_edge_of_the_tiles():
+    """3 x 2 tiles of 4 m x 5 m and a border of 1 m: from -7 to 7 m along x, from -6 to 6 m along y."""
+    position = T([[5.9, 0, 0], [-6.1, 0, 0], [0, 4.9, 0], [0, -5.1, 0], [6.1, 5.1, 0]])
+    terrain = {"terrain_origins": torch.zeros(3, 2, 3), "size": (4.0, 5.0), "border_width": 1.0}
+    env = fake_env(data_root_pos_w=position, terrain=terrain)
+    assert terminations.terrain_out_of_bounds(env, distance_buffer=1.0).tolist() == [False, True, False, True, True]
+    assert terminations.terrain_out_of_bounds(env).tolist() == [True] * 5
+    plane = fake_env(data_root_pos_w=position * 1e6, terrain={"terrain_origins": None})
+    assert terminations.terrain_out_of_bounds(plane).tolist() == [False] * 5
+
+
+def test_stuck():
+    """One drives, one stays, one stays and is told to, one leaves after two steps; 0.05 s are three steps."""
+    command = T([[0.5, 0.0, 0.0], [0.0, -0.5, 0.0], [0.1, 0.0, 9.0], [0.3, 0.4, 0.0]])
+    env = fake_env(num_envs=4, device=torch.device("cpu"), step_dt=0.02, commands={"v": command})
+    term = terminations.stuck(env, "v", distance=0.1, time=0.05)
+    walk = [[0.0, 0.06, 0.12, 0.18, 0.24], [5.0] * 5, [0.0] * 5, [0.0, 0.05, 0.11, 0.2, 0.2]]
+    fired = []
+    for step in range(5):
+        env.scene.robot.data = SimpleNamespace(root_pos_w=T([[line[step], 1.0, 0.1 * step] for line in walk]))
+        fired.append(term(env).tolist())
+    assert [row[0] for row in fired] == [False] * 5
+    assert [row[1] for row in fired] == [False, False, False, True, True]
+    assert [row[2] for row in fired] == [False] * 5
+    assert [row[3] for row in fired] == [False] * 5
+    term.reset(T([1]))
+    assert [term(env)[1].item() for _ in range(4)] == [False, False, False, True]
+
+
 JOINTS = {
     "data_joint_pos": T([[0.5, 0.0], [0.2, -2.0], [0.0, 0.0]]),
     "data_joint_vel": T([[3.0, 0.0], [0.0, -1.5], [1.0, 0.0]]),

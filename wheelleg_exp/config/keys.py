@@ -35,7 +35,12 @@ _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnn
 _READ_BESIDE: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
 # Parameters that name a term of another section, by the section of the term that has them ("" is any).
-_NAMES = {("", "command_name"): "commands", ("", "action_name"): "actions", ("curriculum", "term_name"): "rewards"}
+_NAMES = {
+    ("", "command_name"): "commands",
+    ("", "action_name"): "actions",
+    ("curriculum", "term_name"): "rewards",
+    ("curriculum", "reward_term_name"): "rewards",
+}
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,11 @@ class RewardManager(ManagerBase):
             self.non_finite[env_id] = [name for name, flag in zip(self._terms, bad, strict=True) if flag]
         self.step_reward[:, env_ids] = 0.0
 
+    def episode_sums(self, name: str) -> torch.Tensor:
+        """Return what a term has added to the rewards of the present episodes, (N,)."""
+        self.get_term(name)
+        return self._episode_sums[self.active_terms.index(name)]
+
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Episode_Reward/<term>``: mean of the episode sums over the longest episode's seconds."""
         means = self._episode_sums[:, env_ids].mean(dim=1) / self._env.max_episode_length_s

@@ -16,7 +16,7 @@ from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.failures import failure, placed, require_form
 from wheelleg_exp.managers.returned import Form
-from wheelleg_exp.state import Kept, Settings, Stateful, made
+from wheelleg_exp.state import Kept, Settings, Stateful, adopt, made
 from wheelleg_exp.terms.binding import TARGET, TermNode, resolve_target, split_node, target_arguments, walk_nodes
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 from wheelleg_exp.user_code import ending_as, in_words
@@ -46,6 +46,7 @@ class Term(Kept):
         func: the function, or the term object.
         params: the keyword arguments of every call; empty for term objects.
         fields: the manager's own settings.
+        arguments: of a term object, what the config made it with; ``take_arguments`` takes up what has changed.
         generator: the term's random stream, where it draws.
         form: what it has to return, where the manager needs something.
     """
@@ -56,10 +57,13 @@ class Term(Kept):
     func: Callable[..., Any]
     params: dict[str, Any] = field(default_factory=dict)
     fields: dict[str, Any] = field(default_factory=dict)
+    arguments: dict[str, Any] = field(default_factory=dict)
     generator: torch.Generator | None = None
     settings: Settings | None = field(default=None, init=False)
     form: Form | None = field(default=None, init=False)
     _has_worked: bool = field(default=False, init=False)
+    _make: Callable[[], TermBase] | None = field(default=None, init=False)
+    _made_with: dict[str, Any] = field(default_factory=dict, init=False)
 
     def __call__(self, *args: Any) -> Any:
         """Call the term with the environment (and ids), and hold what it returns against ``form``.
@@ -98,6 +102,7 @@ class Term(Kept):
         """Restore what ``state_dict`` returned."""
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
+        self.take_arguments()
         if self.stateful is not None:
             self.stateful.load_state_dict(saved["object"])
 
@@ -109,8 +114,28 @@ class Term(Kept):
     def bound(self) -> None:
         """Note the settings that the config gave: what differs from them later is state."""
         if self.settings is None:
-            groups = {"fields": self.fields, "params": self.params}
-            self.settings = Settings(groups, self.path, skip=_STATEFUL_FIELDS)
+            params = self.params if self.stateful is None else self.arguments
+            self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=_STATEFUL_FIELDS)
+
+    def take_arguments(self) -> None:
+        """Let a term object be what its arguments say now, where they have changed; its state stays.
+
+        Raises:
+            ConfigError: they are not what they may be.
+        """
+        if self._make is None or self.arguments == self._made_with:
+            return
+        assert self.stateful is not None
+        adopt(self.stateful, self._make(), self.path)
+        self._made_with = copy.deepcopy(self.arguments)
+
+    def made_by(self, make: Callable[[], TermBase]) -> None:
+        """Make the term object, and know how to make another."""
+        self._make, self._made_with = make, copy.deepcopy(self.arguments)
+        term_object = make()
+        made(term_object, self.path)
+        self.func, self.params = cast(Any, term_object), {}
+        self.bound()
 
 
 def bind_terms(
@@ -144,16 +169,22 @@ def bind_term(kind: str, node: TermNode, env: Env) -> Term:
     target = resolve_target(node.target, node.path)
     for error in (*field_errors(kind, node), *parameter_errors(kind, node, target)):
         raise error
-    params = {name: build(value, f"{node.path}.{name}") for name, value in node.params.items()}
-    for name, value in params.items():
-        if isinstance(value, SceneEntityCfg):
-            value.resolve(env.scene, f"{node.path}.{name}")
     fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
-    term = Term(node.name, node.path, node.target, target, params, fields)
+    term = Term(node.name, node.path, node.target, target, {}, fields)
     if "generator" in inspect.signature(target).parameters:
         term.generator = env.streams.get(node.path)
-        term.params["generator"] = term.generator
+    term.params = _params(term, node.params, env)
+    term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
     return term
+
+
+def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any]:
+    """Return what a target is called with: nodes built, entities resolved, and the term's random stream."""
+    params = {name: build(value, f"{term.path}.{name}") for name, value in arguments.items()}
+    for name, value in params.items():
+        if isinstance(value, SceneEntityCfg):
+            value.resolve(env.scene, f"{term.path}.{name}")
+    return params if term.generator is None else {**params, "generator": term.generator}
 
 
 def instantiate_term(term: Term, env: Env) -> None:
@@ -168,11 +199,16 @@ def instantiate_term(term: Term, env: Env) -> None:
             key=term.path,
             expected="a subclass of TermBase or a function",
         )
-    with term.blamed():
-        term_object: Any = cast(Any, kind)(env=env, **term.params)
-    made(term_object, term.path)
-    term.func, term.params = term_object, {}
-    term.bound()
+
+    def make() -> TermBase:
+        node = TermNode(term.name, term.path, term.target, {}, term.arguments)
+        for error in parameter_errors("commands", node, kind):  # a section without fields of its manager's
+            raise error
+        with term.blamed():
+            made_object: TermBase = cast(Any, kind)(env=env, **_params(term, term.arguments, env))
+        return made_object
+
+    term.made_by(make)
 
 
 def build(value: Any, path: str) -> Any:

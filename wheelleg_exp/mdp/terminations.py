@@ -8,7 +8,8 @@ from typing import Annotated
 import torch
 
 from wheelleg_exp.constraints import Above, AtMost, Bounds, Count, NonNegative, Positive
-from wheelleg_exp.managers import Env, SceneEntityCfg
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.mdp.ground import height_over_ground
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
@@ -37,6 +38,74 @@ def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _RO
 def root_height_below_minimum(env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """The root link is below ``minimum_height`` (m) in the world; for flat ground."""
     return env.scene[asset_cfg.name].data.root_pos_w[:, 2] < minimum_height
+
+
+def root_height_over_ground_below_minimum(
+    env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """The root link is less than ``minimum_height`` (m) above the ground straight below. Not in Isaac Lab."""
+    return height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w) < minimum_height
+
+
+def terrain_out_of_bounds(
+    env: Env, asset_cfg: SceneEntityCfg = _ROBOT, distance_buffer: NonNegative = 3.0
+) -> torch.Tensor:
+    """The root link is less than ``distance_buffer`` (m) from an edge of the ground's tiles and their border.
+
+    Never on ground without tiles.
+    """
+    terrain, position = env.scene.terrain, env.scene[asset_cfg.name].data.root_pos_w
+    if terrain.terrain_origins is None:
+        return torch.zeros_like(position[:, 0], dtype=torch.bool)
+    beyond = [
+        position[:, axis].abs() > 0.5 * count * terrain.size[axis] + terrain.border_width - distance_buffer
+        for axis, count in enumerate(terrain.terrain_origins.shape[:2])
+    ]
+    return beyond[0] | beyond[1]
+
+
+class stuck(TermBase):
+    """The robot is told to drive, and has stayed within ``distance`` for ``time``. Not in Isaac Lab.
+
+    Both begin anew where the commanded planar velocity is not above ``command_threshold``.
+
+    Args:
+        env: the environment.
+        command_name: what tells it to drive.
+        distance: in the plane, m.
+        time: s.
+        command_threshold: m/s.
+        asset_cfg: the robot.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        command_name: str,
+        distance: Positive,
+        time: Positive,
+        command_threshold: NonNegative = 0.1,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        self._command, self._threshold = command_name, command_threshold
+        self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
+        self._asset = asset_cfg.name
+        self._from = torch.zeros(env.num_envs, 2, device=env.device)
+        self._stayed = torch.full((env.num_envs,), -1, device=env.device)  # control steps; -1 before the first
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        """Count the steps that each robot has stayed."""
+        position = env.scene[self._asset].data.root_pos_w[:, :2]
+        speed = torch.linalg.vector_norm(env.command_manager.get_command(self._command)[:, :2], dim=1)
+        left = torch.linalg.vector_norm(position - self._from, dim=1) > self._distance
+        anew = left | (speed <= self._threshold) | (self._stayed < 0)
+        self._stayed.add_(1).masked_fill_(anew, 0)
+        self._from.copy_(torch.where(anew.unsqueeze(1), position, self._from))
+        return self._stayed >= self._steps
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Begin anew with ``env_ids``."""
+        self._stayed[env_ids] = -1
 
 
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -14,7 +14,7 @@
 from wheelleg_exp.state.memory import Memory
 from wheelleg_exp.state.outside import Outside
 from wheelleg_exp.state.rows import merged
-from wheelleg_exp.state.saved_or_refused import Stateful, made, restore, save, stateful
+from wheelleg_exp.state.saved_or_refused import Stateful, adopt, made, restore, save, stateful
 from wheelleg_exp.state.settings import Settings
 from wheelleg_exp.state.values import Kept, NamedStream, cloned, same
 
@@ -25,6 +25,7 @@ __all__ = [
     "Outside",
     "Settings",
     "Stateful",
+    "adopt",
     "cloned",
     "made",
     "merged",

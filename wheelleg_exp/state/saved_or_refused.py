@@ -96,6 +96,19 @@ def restore(value: Any, saved: Mapping[str, Any]) -> None:
             vars(value)[name] = made_again(item, present)
 
 
+def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
+    """Let an object be as one of its class that was made with other settings, but for its state; tensors stay in place.
+
+    Raises:
+        ConfigError: the other keeps something whose state cannot be saved.
+    """
+    state = value.state_dict()
+    for name, item in attributes(made_anew).items():
+        vars(value)[name] = made_again(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
+    made(value, key)
+    value.load_state_dict(state)
+
+
 def attributes(value: Any) -> dict[str, Any]:
     """Return an object's own attributes by name."""
     return {name: item for name, item in vars(value).items() if name != _BASE}

@@ -1,4 +1,4 @@
-"""Curriculum terms; each returns the state that is logged."""
+"""Weights of rewards that change."""
 
 from __future__ import annotations
 

@@ -1,0 +1,313 @@
+"""Curricula: levels of ground and of commands, and settings by their address."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from mdp.fakes import fake_env
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.mdp import curriculums, schedules
+from wheelleg_exp.mdp.curriculums import address
+
+T = torch.tensor
+STILL = torch.zeros(4, 4)
+HERE = "mdp.test_curriculums."
+C = "wheelleg_exp.mdp.curriculums."
+ALIVE = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 1.0}
+VELOCITY = {
+    "_target_": "wheelleg_exp.mdp.commands.UniformVelocityCommand",
+    "resampling_time_range": [1.0, 1.0],
+    "ranges": {"lin_vel_x": [-0.2, 0.3], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0]},
+}
+
+
+def later(env, env_ids, old_value, add):
+    """Add at each reset after the first."""
+    del env_ids
+    return old_value + add if env.common_step_counter else curriculums.modify_env_param.NO_CHANGE
+
+
+@pytest.fixture
+def one(make_env, allow_test_terms):
+    """Return an environment with one curriculum."""
+
+    def make(**node):
+        noise = {"_target_": "wheelleg_exp.mdp.noise.UniformNoise", "n_min": -0.1, "n_max": 0.1}
+        terms = {"q": {"_target_": "wheelleg_exp.mdp.observations.joint_pos", "noise": noise}}
+        return make_env(
+            commands={"v": VELOCITY},
+            rewards={"alive": ALIVE, "low": HEIGHT},
+            observations={"policy": {"terms": terms, "enable_corruption": True}},
+            events={"push": PUSH},
+            curriculum={"c": node},
+        )
+
+    return make
+
+
+HEIGHT = {"_target_": "wheelleg_exp.mdp.rewards.base_height_l2", "weight": -1.0, "target_height": 0.1}
+PUSH = {
+    "_target_": "wheelleg_exp.mdp.events.push_by_setting_velocity",
+    "mode": "interval",
+    "interval_range_s": [1.0, 2.0],
+    "velocity_range": {"x": [-0.5, 0.5]},
+}
+
+
+def _pass(env, steps=1):
+    """Let time pass, and every episode end; return what the curriculum logs."""
+    for _ in range(steps):
+        env.step(STILL)
+    return env.reset()[1]["log"].get("Curriculum/c")
+
+
+# ---- levels ----
+
+
+def test_levels_follow_the_way_that_was_made():
+    """Tiles of 4 m, 10 s: up beyond 2 m; down below half of speed times 10 s, unless it goes up."""
+    moved = {}
+    terrain = {
+        "size": (4.0, 99.0),
+        "terrain_levels": T([0, 1, 2, 3, 4]),
+        "update_env_origins": lambda ids, up, down: moved.update(ids=ids, up=up.tolist(), down=down.tolist()),
+    }
+    env = fake_env(
+        data_root_pos_w=T([[11.2, 20.0, 5.0], [9.9, 0, 0], [10.0, 21.9, 0], [12.0, 20.0, 0], [10.0, 17.9, 0]]),
+        env_origins=T([[10.0, 20.0, 1.0]] * 5),
+        commands={"base_velocity": T([[0.22, 0.0, 9.0], [9.0, 0, 0], [0.3, 0.4, 0], [0.5, 0.0, 0.0], [0.0, 0.8, 0]])},
+        max_episode_length_s=10.0,
+        terrain=terrain,
+    )
+    mean = curriculums.terrain_levels_vel(env, T([0, 2, 3, 4]))
+    assert moved["ids"].tolist() == [0, 2, 3, 4]
+    assert moved["up"] == [False, False, False, True]  # 1.2, 1.9, 2.0 and 2.1 m
+    assert moved["down"] == [False, True, True, False]  # against 1.1, 2.5, 2.5 and 4 m
+    assert float(mean) == 2.0
+
+
+LEVELS = {
+    "_target_": C + "lin_vel_cmd_levels",
+    "reward_term_name": "alive",
+    "command_name": "v",
+    "limit_ranges": {"lin_vel_x": [-0.25, 0.55], "lin_vel_y": [-0.1, 0.1]},
+    "step": 0.1,
+}
+
+
+def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
+    """Being alive is worth 2 s of 2 s (100 steps); 0.9 of it is enough, and then what is half of that is not."""
+    env = one(**LEVELS)
+    v = env.command_manager.get_command_term("v")
+    for _ in range(96):
+        env.step(STILL)
+    env.reset()
+    assert v.ranges["lin_vel_x"] == [-0.2, 0.3]
+    for _ in range(96):
+        env.step(STILL)
+    _, extras = env.reset()
+    assert v.ranges == {"lin_vel_x": [-0.25, 0.4], "lin_vel_y": [-0.1, 0.1], "ang_vel_z": [-1.0, 1.0]}
+    assert extras["log"]["Curriculum/c/lin_vel_x"] == 0.4
+    assert float(v.command[:, 0].min()) >= -0.25
+    for _ in range(3):
+        for _ in range(50):
+            env.step(STILL)
+        env.reset()
+    assert v.ranges["lin_vel_x"] == [-0.25, 0.4]
+
+
+def test_drawn_commands_lie_in_the_new_range(one):
+    env = one(**LEVELS)
+    v = env.command_manager.get_command_term("v")
+    v.ranges["lin_vel_x"] = [5.0, 6.0]
+    env.reset()
+    assert ((v.command[:, 0] >= 5.0) & (v.command[:, 0] <= 6.0)).all()
+    assert (v.command[:, 2].abs() <= 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"limit_ranges": {"lin_vel_z": [-1.0, 1.0]}}, "limit_ranges.lin_vel_z"),
+        ({"limit_ranges": {"lin_vel_x": [-0.1, 1.0]}}, "limit_ranges.lin_vel_x"),
+    ],
+)
+def test_limits_have_to_be_around_the_ranges_that_there_are(one, change, key):
+    with pytest.raises(ConfigError) as caught:
+        one(**LEVELS | change)
+    assert caught.value.key == f"env.curriculum.c.{key}"
+
+
+# ---- settings by address ----
+
+
+def _modify(address, value, *, term=True):
+    return {
+        "_target_": C + ("modify_term_cfg" if term else "modify_env_param"),
+        "address": address,
+        "modify_fn": "wheelleg_exp.mdp.schedules.override_value",
+        "modify_params": {"value": value, "num_steps": 2},
+    }
+
+
+def _reward(env, name):
+    return env.reward_manager.get_term(name)
+
+
+def _push(env):
+    return env.event_manager.get_term("push")
+
+
+def _ranges(env):
+    return env.command_manager.get_command_term("v").ranges
+
+
+def _noise(env):
+    return env.observation_manager.terms("policy")["q"].term.fields["noise"]
+
+
+PLACES = [
+    (True, "rewards.alive.weight", 5.0, lambda env: _reward(env, "alive").fields["weight"]),
+    (True, "rewards.low.target_height", 0.3, lambda env: _reward(env, "low").params["target_height"]),
+    (True, "rewards.low.params.target_height", 0.3, lambda env: _reward(env, "low").params["target_height"]),
+    (True, "commands.v.ranges.lin_vel_x", [0, 2], lambda env: _ranges(env)["lin_vel_x"]),
+    (True, "commands.v.ranges.lin_vel_x[1]", 2.0, lambda env: _ranges(env)["lin_vel_x"][1]),
+    (True, "commands.v.func.ranges.lin_vel_x[1]", 2.0, lambda env: _ranges(env)["lin_vel_x"][1]),
+    (True, "events.push.velocity_range.x[0]", -2.0, lambda env: _push(env).func._low[0].item()),
+    (True, "events.push.interval_range_s", [3.0, 4.0], lambda env: _push(env).fields["interval_range_s"]),
+    (True, "observations.policy.q.noise.n_max", 0.7, lambda env: _noise(env).n_max),
+    (True, "observations.policy.terms.q.noise.n_max", 0.7, lambda env: _noise(env).n_max),
+    (False, "reward_manager.cfg.alive.weight", 5.0, lambda env: _reward(env, "alive").fields["weight"]),
+    (False, "event_manager.cfg.push.params.velocity_range", {"y": [0, 7]}, lambda env: _push(env).func._high),
+    (True, "actions.axles.scale", 0.5, lambda env: env.action_manager.get_action_term("axles")._scale),
+    (False, "max_episode_length_s", 7.0, lambda env: env.max_episode_length_s),
+]
+MEANT = {"actions.axles.scale": [0.5, 0.5], "event_manager.cfg.push.params.velocity_range": [0, 7, 0, 0, 0, 0]}
+
+
+def _plain(value):
+    return value.tolist() if isinstance(value, torch.Tensor) else value
+
+
+@pytest.mark.parametrize(("term", "place", "value", "read"), PLACES, ids=[p[1] for p in PLACES])
+def test_a_value_changes_where_it_stands_and_goes_round(one, term, place, value, read):
+    """Strictly after ``num_steps``; another environment takes it from the saved state, and goes back with an older."""
+    first = one(**_modify(place, value, term=term))
+    first.reset()
+    before, early = _plain(read(first)), first.state_dict()
+    wanted = MEANT.get(place, value)
+    assert wanted != before
+    _pass(first, 2)
+    assert _plain(read(first)) == before
+    logged = _pass(first, 1)
+    assert _plain(read(first)) == wanted
+    assert logged == (float(value) if isinstance(value, float) else None)
+    second = one(**_modify(place, value, term=term))
+    second.load_state_dict(first.state_dict())
+    assert _plain(read(second)) == wanted
+    first.load_state_dict(early)
+    assert _plain(read(first)) == before
+
+
+def ones(env, env_ids, old_value):
+    """Return as many ones, once time has passed."""
+    return torch.ones_like(old_value) if env.common_step_counter else curriculums.modify_env_param.NO_CHANGE
+
+
+def test_a_tensor_anywhere_below_the_environment_goes_round(one):
+    node = {"_target_": C + "modify_env_param", "modify_fn": HERE + "ones"}
+    first, second = (one(**node, address="scene.robot.data.default_joint_vel") for _ in range(2))
+    first.reset()
+    early = first.state_dict()
+    assert _pass(first) is None
+    second.load_state_dict(first.state_dict())
+    assert (second.scene.robot.data.default_joint_vel == 1.0).all()
+    first.load_state_dict(early)
+    assert (first.scene.robot.data.default_joint_vel == 0.0).all()
+
+
+def test_a_term_object_keeps_its_state_and_its_tensors_when_an_argument_changes(one):
+    env = one(**_modify("commands.v.resampling_time_range", [7.0, 7.0]))
+    v = env.command_manager.get_command_term("v")
+    env.reset()
+    v.ranges["lin_vel_x"], tensor = [5.0, 6.0], v.time_left
+    for _ in range(3):
+        env.step(STILL)
+    env.reset(env_ids=T([0]))
+    assert v.time_left is tensor
+    assert v.time_left.tolist() == pytest.approx([7.0, 0.94, 0.94, 0.94])
+    assert v.ranges["lin_vel_x"] == [5.0, 6.0]
+    assert float(v.command[0, 0]) >= 5.0
+
+
+def test_an_argument_of_a_wrong_kind_is_told(one):
+    env = one(**_modify("actions.axles.scale", "fast"))
+    with pytest.raises(ConfigError) as caught:
+        _pass(env, 3)
+    assert caught.value.key == "env.actions.axles.scale"
+
+
+def test_a_tuple_is_made_anew():
+    holder = SimpleNamespace(pairs=[(1.0, 2.0), (3.0, 4.0)])
+    address.write(holder, address.parse("pairs[1][0]"), 9.0)
+    assert holder.pairs == [(1.0, 2.0), (9.0, 4.0)]
+
+
+def test_a_function_of_the_users_own_sees_the_present_value(one):
+    env = one(
+        _target_=C + "modify_term_cfg",
+        address="rewards.alive.weight",
+        modify_fn=HERE + "later",
+        modify_params={"add": 2},
+    )
+    assert env.reset()[1]["log"]["Curriculum/c"] == 1.0
+    assert [_pass(env), _pass(env)] == [3.0, 5.0]
+
+
+@pytest.mark.parametrize(
+    ("node", "key", "nearest"),
+    [
+        (_modify("rewards.alife.weight", 1.0), "address", "alive"),
+        (_modify("reward.alive.weight", 1.0), "address", "rewards"),
+        (_modify("rewards.low.target_hight", 1.0), "address", "target_height"),
+        (_modify("commands.v.ranges.lin_vel_x[2]", 1.0), "address", None),
+        (_modify("commands.v.ranges.ang_vel", 1.0), "address", "ang_vel_z"),
+        (_modify("rewards..weight", 1.0), "address", None),
+        (_modify("events.push.mode", "reset"), "address", None),
+        (_modify("max_episode_lenght_s", 1.0, term=False), "address", "max_episode_length_s"),
+        (
+            _modify("rewards.alive.weight", 1.0) | {"modify_params": {"valu": 1.0, "num_steps": 1}},
+            "modify_params",
+            None,
+        ),
+        (_modify("rewards.alive.weight", 1.0) | {"modify_fn": "os.getcwd"}, "modify_fn._target_", None),
+        (_modify("rewards.alive.weight", 1.0) | {"modify_fn": 3}, "modify_fn", None),
+    ],
+)
+def test_what_is_wrong_is_told_when_the_environment_is_made(one, node, key, nearest):
+    with pytest.raises(ConfigError) as caught:
+        one(**node)
+    assert caught.value.key == f"env.curriculum.c.{key}"
+    assert caught.value.nearest == nearest
+
+
+# ---- schedules ----
+
+
+@pytest.mark.parametrize(("step", "share"), [(0, 0.0), (10, 0.0), (15, 0.25), (30, 1.0), (99, 1.0)])
+def test_linear(step, share):
+    env = SimpleNamespace(common_step_counter=step)
+    got = schedules.linear(env, None, None, {"x": [0.0, 1.0]}, {"x": [4.0, -1.0]}, num_steps=20, first_step=10)
+    assert got == {"x": [4.0 * share, 1.0 - 2.0 * share]}
+    assert math.isclose(schedules.linear(env, None, None, 1.0, 2.0, num_steps=20, first_step=10), 1.0 + share)
+
+
+def test_override():
+    def at(step):
+        return schedules.override_value(SimpleNamespace(common_step_counter=step), None, 1.0, value=2.0, num_steps=5)
+
+    assert [at(6), at(5) is curriculums.modify_env_param.NO_CHANGE] == [2.0, True]

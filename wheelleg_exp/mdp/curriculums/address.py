@@ -1,0 +1,131 @@
+"""Values by their address, such as ``rewards.alive.weight`` or ``commands.base_velocity.ranges.lin_vel_x[1]``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers import ObservationManager, Term
+from wheelleg_exp.managers.manager_base import ManagerBase
+
+Part = str | int
+_KEY = "address"
+# Of a manager's own settings those that it reads anew each time.
+_READ_ANEW = ("weight", "interval_range_s", "min_step_count_between_reset")
+
+
+def parse(address: str) -> tuple[Part, ...]:
+    """Split an address into names and indices: ``a.b[2].c`` is a, b, 2, c.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    parts: list[Part] = []
+    for text in address.split("."):
+        found = re.fullmatch(r"(\w+)((?:\[\d+\])*)", text)
+        if found is None:
+            raise ConfigError(f"'{address}' is no address", key=_KEY, expected="names and indices, as in a.b[2].c")
+        parts += [found[1], *(int(index) for index in re.findall(r"\d+", found[2]))]
+    return tuple(parts)
+
+
+def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
+    """Return the value at an address below ``root``.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    for part in parts:
+        root = _below(root, part)
+    return root
+
+
+def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
+    """Return whether an address lies within a bound term, which saves what changes in it."""
+    return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
+
+
+def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
+    """Set the value at an address; a tuple around it is made anew, and a term object takes up its new arguments.
+
+    Raises:
+        ConfigError: there is none, or nothing that is set there would be read.
+    """
+    _set(root, parts, value)
+    for length in range(1, len(parts)):
+        found = look_up(root, parts[:length])
+        if isinstance(found, Term):
+            found.take_arguments()
+
+
+def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
+    last: Any = parts[-1]
+    holder = look_up(root, parts[:-1])
+    if isinstance(holder, Term):
+        holder = _holder(holder, last, to_write=True)
+    if isinstance(holder, tuple):
+        _set(root, parts[:-1], (*holder[:last], value, *holder[last + 1 :]))
+    elif isinstance(holder, (dict, list, torch.Tensor)):
+        holder[last] = value
+    else:
+        setattr(holder, last, value)
+
+
+def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
+    """Raise ConfigError where there is nothing at an address, or nothing that is set there would be read."""
+    look_up(root, parts)
+    holder = look_up(root, parts[:-1])
+    if isinstance(holder, Term):
+        _holder(holder, parts[-1], to_write=True)
+
+
+def _below(holder: Any, part: Part) -> Any:
+    if isinstance(holder, Term):
+        if part in ("func", "params"):  # Isaac Lab's: there they are apart
+            return holder
+        holder = _holder(holder, part)
+    elif isinstance(holder, ObservationManager) and part in holder.active_terms:
+        terms = {name: term.term for name, term in holder.terms(str(part)).items()}
+        return {"terms": terms, **terms}
+    elif isinstance(holder, ManagerBase) and part in holder.active_terms:
+        return holder.get_term(str(part))
+    if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
+        return holder  # the terms are its settings
+    try:
+        return holder[part] if isinstance(part, int) or isinstance(holder, Mapping) else getattr(holder, part)
+    except (KeyError, IndexError, AttributeError, TypeError):
+        raise _absent(holder, part) from None
+
+
+def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
+    """Return what holds a part of a bound term: its manager's settings, its parameters, or the term object itself."""
+    if part in term.fields:
+        if to_write and part not in _READ_ANEW:
+            raise ConfigError(
+                f"'{part}' of '{term.name}' is read once, when the environment is made",
+                key=_KEY,
+                expected="a parameter, or one of " + ", ".join(_READ_ANEW),
+            )
+        return term.fields
+    if term.stateful is None:
+        return term.params
+    return term.stateful if hasattr(term.stateful, str(part)) else term.arguments
+
+
+def _absent(holder: Any, part: Part) -> ConfigError:
+    names: list[str] = []
+    if isinstance(holder, Mapping):
+        names = [str(name) for name in holder]
+    elif isinstance(holder, (ManagerBase, ObservationManager)):
+        names = list(holder.active_terms)
+    elif not isinstance(holder, (list, tuple, torch.Tensor)):
+        names = [name for name in vars(holder) if not name.startswith("_")] if hasattr(holder, "__dict__") else []
+    what = f"of {len(holder)}" if isinstance(holder, (list, tuple)) else f"in a {type(holder).__name__}"
+    expected = "one of " + ", ".join(names) if names else None
+    return ConfigError(
+        f"there is no '{part}' {what}", key=_KEY, expected=expected, nearest=nearest_name(str(part), names)
+    )
