@@ -38,7 +38,17 @@ HOST = {
 }
 GROUNDS = {
     f"sim/terrain/{name}.py": "makes the ground before it is compiled"
-    for name in ("cache", "flat_patches", "geoms", "height_map", "relief", "smooth", "stepped", "sub_terrain")
+    for name in (
+        "cache",
+        "flat_patches",
+        "geoms",
+        "height_map",
+        "from_file",
+        "relief",
+        "smooth",
+        "stepped",
+        "sub_terrain",
+    )
 }
 
 
@@ -111,7 +121,7 @@ def _uses_state_rows(tree: ast.Module) -> Iterator[int]:
 
 RULES = {
     "a tensor is made without env.device": (_without_a_device, {}),
-    "a step branches on a tensor's value": (_branches, {}),
+    "a step branches on a tensor's value": (_branches, GROUNDS),
     "a step reads a tensor's value": (_reads, GROUNDS),
     "a tensor goes through numpy": (_bridges, {**HOST, **GROUNDS}),
     "a number is taken for a float64": (_assumes_doubles, GROUNDS),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.asset import CachedConversion, convert_cached
-from wheelleg_exp.asset.networks import find_networks
+from wheelleg_exp.asset.beside import find_beside
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.paths import cache_dir, find_asset
@@ -25,9 +25,9 @@ def prepare_asset(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")
-    networks = find_networks(robot, asset_roots)
+    beside = find_beside(config["env"], asset_roots)
     try:
-        return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets", networks=networks)
+        return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets", beside=beside)
     except AssetError as error:
         raise error.of("env.robot.asset") from error
 

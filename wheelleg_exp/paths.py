@@ -8,7 +8,8 @@ from pathlib import Path
 
 from wheelleg_exp.errors import AssetError, nearest_name
 
-NETWORKS = "networks"  # beside a robot's MJCF: the networks of its actuators, by their names in the config
+# Beside a robot's MJCF, by their names in the config: the networks of its actuators, and the ground's own file.
+NETWORKS, GROUND = "networks", "ground"
 
 _PACKAGE = Path(__file__).resolve().parent
 

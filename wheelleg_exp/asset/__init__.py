@@ -8,7 +8,7 @@ that the USD stage is made of.
 | `conversion` | a USD or URDF file becomes an MJCF |
 | `cache` | conversions kept by the content of what they were made of |
 | `description` | a robot as plain data |
-| `networks` | files of learned actuators, which lie beside the MJCF |
+| `beside` | files of learned actuators and of the ground, which lie beside the MJCF |
 | `usd`, `urdf` | read a robot |
 | `mjcf` | writes it |
 | `report` | what was read, assumed and left out |

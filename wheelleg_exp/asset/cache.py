@@ -21,7 +21,7 @@ from wheelleg_exp.asset.urdf.robot import source_files
 from wheelleg_exp.asset.usd.stage import open_stage
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.files import sha256
-from wheelleg_exp.paths import NETWORKS
+from wheelleg_exp.paths import GROUND, NETWORKS
 from wheelleg_exp.reading import json_value
 
 MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
@@ -48,17 +48,18 @@ class CachedConversion:
         return tuple(sorted(self.output.parent.glob(f"{self.output.stem}_meshes/*")))
 
     @property
-    def networks(self) -> tuple[Path, ...]:
-        """Return the networks of actuators that lie beside the MJCF."""
-        return tuple(sorted(path for path in self.output.parent.glob(f"{NETWORKS}/**/*") if path.is_file()))
+    def beside(self) -> tuple[Path, ...]:
+        """Return the networks of actuators and the ground's file, which lie beside the MJCF."""
+        folders = (self.output.parent / name for name in (NETWORKS, GROUND))
+        return tuple(sorted(path for folder in folders for path in folder.glob("**/*") if path.is_file()))
 
 
 def source_digest(
-    source: Path, variants: Mapping[str, str] | None = None, networks: Mapping[str, Path] | None = None
+    source: Path, variants: Mapping[str, str] | None = None, beside: Mapping[str, Path] | None = None
 ) -> dict[str, str]:
     """Return the sha256 of every file that the robot is made of, by path as seen from the source's folder.
 
-    These are the layers of a USD stage, or a URDF and its meshes; and networks of actuators.
+    These are the layers of a USD stage, or a URDF and its meshes; and what lies beside (``beside.find_beside``).
 
     Raises:
         AssetError: the source cannot be read.
@@ -66,7 +67,7 @@ def source_digest(
     source, chosen = Path(source), variants or {}
     with bounded_memory(source):
         files = source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers
-    return {**files, **{f"{NETWORKS}/{name}": sha256(path) for name, path in sorted((networks or {}).items())}}
+    return {**files, **{name: sha256(path) for name, path in sorted((beside or {}).items())}}
 
 
 def convert_cached(
@@ -75,24 +76,24 @@ def convert_cached(
     base: BaseMode = "auto",
     variants: Mapping[str, str] | None = None,
     cache_dir: Path,
-    networks: Mapping[str, Path] | None = None,
+    beside: Mapping[str, Path] | None = None,
 ) -> CachedConversion:
     """Return the conversion of ``source``, from the cache when nothing that went into it has changed.
 
     The key holds the bytes of every layer or mesh in use, the options, and this converter with the libraries that it
-    stands on. A damaged entry is made again; several processes may do this at once. ``networks``, files of actuators by
-    name, are laid beside the MJCF.
+    stands on. A damaged entry is made again; several processes may do this at once. ``beside``, files by
+    their paths, are laid beside the MJCF.
 
     Raises:
         AssetError: the source cannot be read or holds no robot, or the cache cannot be written.
     """
     source, chosen = Path(source), dict(variants or {})
-    sources = source_digest(source, chosen, networks)
+    sources = source_digest(source, chosen, beside)
     key = _key(source, sources, base, chosen)
     entry = Path(cache_dir) / key
     if (report := _read(entry)) is not None:
         return CachedConversion(entry / MODEL, report, sources, key, fresh=False)
-    report = _make(source, base, chosen, entry, networks or {})
+    report = _make(source, base, chosen, entry, beside or {})
     return CachedConversion(entry / MODEL, report, sources, key, fresh=True)
 
 
@@ -136,17 +137,15 @@ def _hashes(entry: Path) -> dict[str, str]:
     return {path.relative_to(entry).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def _make(
-    source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path, networks: Mapping[str, Path]
-) -> Report:
+def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path, beside: Mapping[str, Path]) -> Report:
     try:
         entry.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=entry.parent, prefix=".making.") as folder:
             draft = Path(folder) / "entry"
             report = convert(source, draft / MODEL, base=base, variants=variants).report
             (draft / REPORT).write_text(report.to_json(), encoding="utf-8")
-            for name, path in networks.items():
-                (target := draft / NETWORKS / name).parent.mkdir(parents=True, exist_ok=True)
+            for name, path in beside.items():
+                (target := draft / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(path, target)
             (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")
             _publish(draft, entry, Path(folder))

@@ -206,11 +206,11 @@ def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
 
 
 def _layers(composed: Composed) -> dict[str, str]:
+    from wheelleg_exp.asset.beside import find_beside
     from wheelleg_exp.asset.cache import source_digest
-    from wheelleg_exp.asset.networks import find_networks
 
     try:
-        robot, roots = composed.config["env"]["robot"], composed.asset_roots
-        return source_digest(find_asset(robot["asset"], roots), networks=find_networks(robot, roots))
+        env, roots = composed.config["env"], composed.asset_roots
+        return source_digest(find_asset(env["robot"]["asset"], roots), beside=find_beside(env, roots))
     except WheellegError:
         return {}

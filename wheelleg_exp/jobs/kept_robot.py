@@ -35,7 +35,7 @@ def keep_asset(directory: RunDirectory, asset: CachedConversion, source: str, mo
         model_sha256: digest of the compiled scene, the identity of all that physics reads.
     """
     directory.asset.mkdir(parents=True, exist_ok=True)
-    for part in (*asset.meshes, *asset.networks):
+    for part in (*asset.meshes, *asset.beside):
         target = directory.asset / part.relative_to(asset.output.parent)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(part, target)

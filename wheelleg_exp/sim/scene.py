@@ -69,6 +69,7 @@ class Scene(Kept):
             turn_root_frame(spec, root_name, robot.root_frame)
         _set_options(spec, sim)
         _set_self_collisions(spec, robot.self_collisions)
+        terrain.read_files(mjcf.parent)
         terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
         self.env_origins = terrain.env_origins
         terrain.add_to(spec)

@@ -117,7 +117,7 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
     if section_errors("env.robot", {name: robot[name] for name in ("asset", "base") if name in robot}, _Asset):
         return []
     try:
-        names = read_names(robot, asset_roots)
+        names = read_names({"robot": robot, "scene": scene}, asset_roots)
     except ConfigError as error:
         return [error]
     return check_robot(config, names)

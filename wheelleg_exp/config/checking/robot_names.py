@@ -23,31 +23,32 @@ class RobotNames:
     bodies: list[str]
 
 
-def converted(robot: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
+def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
     """Convert a robot, or take it from the cache, and return its MJCF.
 
     Args:
-        robot: the ``env.robot`` section.
+        env: the ``env`` section.
         asset_roots: folders of the user's own assets.
 
     Raises:
         ConfigError: the file is not there, or holds no robot.
     """
     from wheelleg_exp.asset import convert_cached
-    from wheelleg_exp.asset.networks import find_networks
+    from wheelleg_exp.asset.beside import find_beside
 
+    robot = env["robot"]
     try:
         source = find_asset(robot["asset"], asset_roots, key=ASSET_KEY)
-        networks, base = find_networks(robot, asset_roots), robot.get("base", "auto")
-        return convert_cached(source, base=base, cache_dir=cache_dir() / "assets", networks=networks).output
+        beside, base = find_beside(env, asset_roots), robot.get("base", "auto")
+        return convert_cached(source, base=base, cache_dir=cache_dir() / "assets", beside=beside).output
     except AssetError as error:
         told = error if str(error.key).startswith("env.") else error.of(ASSET_KEY)
         raise ConfigError(told.message, key=told.key, expected=told.expected, nearest=told.nearest) from error
 
 
-def read_names(robot: Mapping[str, Any], asset_roots: Sequence[Path]) -> RobotNames:
+def read_names(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> RobotNames:
     """Return the names of a robot; see ``converted``."""
-    return names_in_mjcf(converted(robot, asset_roots))
+    return names_in_mjcf(converted(env, asset_roots))
 
 
 def names_in_mjcf(file: Path) -> RobotNames:

@@ -182,7 +182,7 @@ def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, event
     from wheelleg_exp.jobs.kept_robot import kept_conversion, kept_mjcf
 
     workplace = Path(request.workplace)
-    made, why = _converted_again(run, config["env"]["robot"], request, workplace / "assets")
+    made, why = _converted_again(run, config["env"], request, workplace / "assets")
     kept = kept_mjcf(run).read_text(encoding="utf-8")
     if made is not None and made.output.read_text(encoding="utf-8") == kept:
         events.tell("asset", converted=True, note=None)
@@ -193,22 +193,22 @@ def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, event
 
 
 def _converted_again(
-    run: RunDirectory, robot: Mapping[str, Any], request: Request, cache: Path
+    run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
 ) -> tuple[CachedConversion | None, str | None]:
     """Return the conversion, or None and why there is none."""
+    from wheelleg_exp.asset.beside import find_beside
     from wheelleg_exp.asset.cache import convert_cached, source_digest
-    from wheelleg_exp.asset.networks import find_networks
     from wheelleg_exp.jobs.kept_robot import kept_sources
     from wheelleg_exp.paths import find_asset
 
     folders = [Path(folder) for folder in request.config_dirs]
-    roots = [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
+    robot, roots = env["robot"], [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
     try:
         source = find_asset(_moved(str(robot["asset"]), request.moved), roots, key="env.robot.asset")
-        networks = find_networks(robot, roots)
-        if source_digest(source, networks=networks) != kept_sources(run):
+        beside = find_beside(env, roots)
+        if source_digest(source, beside=beside) != kept_sources(run):
             return None, f"'{source.name}' or a file that it uses is not the recorded one"
-        return convert_cached(source, base=robot["base"], cache_dir=cache, networks=networks), None
+        return convert_cached(source, base=robot["base"], cache_dir=cache, beside=beside), None
     except WheellegError as error:
         return None, f"the robot cannot be converted again ({error})"
 

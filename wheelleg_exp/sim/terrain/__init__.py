@@ -5,6 +5,7 @@
 | `TerrainBase` | the base class of every ground, also of a user's own |
 | `Plane` | an infinite plane |
 | `TerrainGenerator` | tiles, generated, harder from row to row |
+| `HeightField`, `Mesh` | a user's own file |
 | `SubTerrain`, `Grid` | a kind of tile, also a user's own, and where it is asked for its heights |
 | `Flat`, `RandomUniform`, `UniformNoise`, `PyramidSlope`, `Waves` | level, rough and sloped tiles |
 | `PyramidStairs`, `RandomGrid`, `DiscreteObstacles`, `SteppingStones`, `Gap`, `Rails`, `Box`, `Pit` | with steps |
@@ -13,6 +14,7 @@
 
 from wheelleg_exp.sim.terrain.base import GROUND, GROUND_GROUP, TERRAIN_KEY, TerrainBase, grid_origins, is_ground
 from wheelleg_exp.sim.terrain.flat_patches import FlatPatches
+from wheelleg_exp.sim.terrain.from_file import HeightField, Mesh
 from wheelleg_exp.sim.terrain.generator import TerrainGenerator
 from wheelleg_exp.sim.terrain.plane import Plane
 from wheelleg_exp.sim.terrain.smooth import PyramidSlope, RandomUniform, UniformNoise, Waves
@@ -39,6 +41,8 @@ __all__ = [
     "FlatPatches",
     "Gap",
     "Grid",
+    "HeightField",
+    "Mesh",
     "Pit",
     "Plane",
     "PyramidSlope",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -65,6 +66,13 @@ class TerrainBase(Kept):
     def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
         """Return where the environments begin, m, (N, 3): a square grid, unless the ground has its own places."""
         return grid_origins(num_envs, spacing, device)
+
+    def read_files(self, folder: Path) -> None:
+        """Read the files that the ground is made of; called first.
+
+        Args:
+            folder: the robot's folder, in which they lie.
+        """
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
         """Find where the environments begin; called once, before ``add_to``.

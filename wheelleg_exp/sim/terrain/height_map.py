@@ -56,7 +56,7 @@ class HeightMap:
         """Return the heights (...) at points (..., 2), m; 0 beside the tiles."""
         place = xy / self._size.to(xy) + self._counts / 2
         tile = place.floor()
-        inside = ((tile >= 0) & (tile < self._counts)).all(dim=-1)
+        inside = ((place >= 0) & (place <= self._counts)).all(dim=-1)
         tile = tile.clamp(min=0).minimum(self._counts - 1)
         number = tile[..., 0].long() * self._counts[1] + tile[..., 1].long()
         cells = self._cells[number]

@@ -24,8 +24,8 @@ class Probe:
         self._add_to = add_to
         self._engine: Engine | None = None
 
-    def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the height of the ground at points (..., 2), m, (...); 0 where there is none."""
+    def height_at(self, xy: torch.Tensor, beside: float = 0.0) -> torch.Tensor:
+        """Return the height of the ground at points (..., 2), m, (...); ``beside`` where there is none."""
         if self._engine is None:
             spec = mujoco.MjSpec()
             self._add_to(spec)
@@ -34,4 +34,4 @@ class Probe:
         origins = torch.cat((xy, far), dim=-1).reshape(1, -1, 3)
         down = torch.tensor([0.0, 0.0, -1.0], device=xy.device).expand_as(origins)
         distance = self._engine.ray(origins, down).reshape(xy.shape[:-1])
-        return torch.where(distance < 0, 0.0, _FAR - distance).to(xy)
+        return torch.where(distance < 0, beside, _FAR - distance).to(xy)

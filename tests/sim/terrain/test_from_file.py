@@ -1,0 +1,110 @@
+"""Grounds out of a user's own file."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.image import imsave
+
+from sim.small_envs import ASSETS, env_config
+from sim.terrain.tiles import TERRAIN
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+
+MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0}
+
+
+@pytest.fixture
+def ground(tmp_path):
+    """Build the scene's ground from a file beside the robot."""
+    shutil.copy(ASSETS / "block.xml", tmp_path)
+    (tmp_path / "ground").mkdir()
+
+    def make(kind: str, **options):
+        node = {"_target_": TERRAIN + kind, **MATERIAL, **options}
+        env = ManagerBasedRLEnv(env_config("block", scene={"terrain": node}), tmp_path / "block.xml", 0)
+        return env.scene.terrain
+
+    make.folder = tmp_path / "ground"
+    return make
+
+
+def test_an_array_gives_heights_along_x_and_y(ground):
+    np.save(ground.folder / "hills.npy", np.array([[0, 0, 0], [0, 1, 2]], dtype=np.int16))
+    made = ground("HeightField", file="hills.npy", size=[2.0, 4.0], height_range=[0.1, 0.3])
+    points = torch.tensor([[-1.0, 0.0], [1.0, 0.0], [1.0, 2.0], [0.0, 0.0], [1.0, 1.0], [5.0, 0.0]])
+    torch.testing.assert_close(made.height_at(points), torch.tensor([0.1, 0.3, 0.5, 0.2, 0.4, 0.0]))
+    random = torch.rand(500, 2) * torch.tensor([2.0, 4.0]) - torch.tensor([1.0, 2.0])
+    torch.testing.assert_close(made.height_at(random), made._probe.height_at(random), atol=2e-6, rtol=0)
+
+
+def test_a_picture_is_a_map(ground):
+    picture = np.zeros((3, 5, 3))
+    picture[0, 4] = 1.0  # up and to the right
+    imsave(ground.folder / "map.png", picture)
+    made = ground("HeightField", file="map.png", size=[4.0, 2.0], height_range=[-0.1, 0.9])
+    corners = torch.tensor([[2.0, 1.0], [-2.0, 1.0], [2.0, -1.0], [-2.0, -1.0]])
+    torch.testing.assert_close(made.height_at(corners), torch.tensor([0.9, -0.1, -0.1, -0.1]))
+
+
+ROOF = """v 1 1 0\nv 5 1 0\nv 5 3 0\nv 1 3 0\nv 3 1 1\nv 3 3 1
+f 1 5 6\nf 1 6 4\nf 5 2 3\nf 5 3 6\n"""
+
+
+def test_a_mesh_is_seen_from_above_at_its_own_place(ground):
+    (ground.folder / "roof.obj").write_text(ROOF)
+    made = ground("Mesh", file="roof.obj", horizontal_scale=0.1, scale=0.5, start=[[1.5, 1.0], [1.0, 1.0]])
+    x, y = (torch.rand(400) * 2 + 0.5).clamp(0.51, 2.49), torch.rand(400) * 0.98 + 0.51
+    expected = 0.5 * (1 - (2 * x - 3).abs() / 2)
+    torch.testing.assert_close(made.height_at(torch.stack((x, y), dim=1)), expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        made.env_origins[:2], torch.tensor([[1.5, 1.0, 0.5], [1.0, 1.0, 0.25]]), atol=1e-5, rtol=0
+    )
+    assert torch.equal(made.env_origins[2:], made.env_origins[:2])
+    assert made.terrain_origins is None
+
+
+def test_flat_places_are_found_on_a_file_too(ground):
+    heights = np.zeros((21, 21))
+    heights[12:] = np.arange(9)[:, None]
+    np.save(ground.folder / "edge.npy", heights)
+    flat = {"_target_": TERRAIN + "FlatPatches", "num_patches": 50, "patch_radius": 0.1, "max_height_diff": 0.01}
+    made = ground("HeightField", file="edge.npy", size=[2.0, 2.0], height_range=None, flat_patches={"goal": flat})
+    places = made.flat_patches["goal"]
+    assert places.shape == (1, 1, 50, 3)
+    assert places[..., 0].max() < 0.1 + 0.01
+    assert places[..., 0].min() < -0.8
+    assert not places[..., 2].any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "file", "content", "words"),
+    [
+        ("HeightField", "a.npz", b"", r"'a.npz' is no such ground.*ends in .npy or .png.*'.npy'"),
+        ("HeightField", "a.npy", b"no", r"file: 'a.npy' is no array"),
+        ("HeightField", "a.png", b"no", r"file: 'a.png' is no picture"),
+        ("Mesh", "a.obj", b"v 0 0 0", r"file: 'a.obj' is no mesh"),
+    ],
+)
+def test_what_is_no_ground_is_told(ground, kind, file, content, words):
+    (ground.folder / file).write_bytes(content)
+    rest = {"size": [1.0, 1.0], "height_range": None} if kind == "HeightField" else {"horizontal_scale": 0.1}
+    with pytest.raises(ConfigError, match=words):
+        ground(kind, file=file, **rest)
+
+
+@pytest.mark.parametrize(
+    "values", [np.zeros(3), np.zeros((1, 5)), np.full((2, 2), np.nan), np.zeros((2, 2), dtype=complex)]
+)
+def test_values_that_are_no_heights_are_told(ground, values):
+    np.save(ground.folder / "a.npy", values)
+    with pytest.raises(ConfigError, match=r"file: 'a.npy' holds .*rows and columns of finite numbers"):
+        ground("HeightField", file="a.npy", size=[1.0, 1.0], height_range=None)
+
+
+def test_no_file_outside_the_folder_is_read(ground):
+    with pytest.raises(ConfigError, match="a file's path below a folder"):
+        ground("HeightField", file="../a.npy", size=[1.0, 1.0], height_range=None)
