@@ -186,3 +186,34 @@ def test_contacts_of_bodies_as_flags_forces_and_times():
     )
     close(observations.body_contact_forces(env, sensor_cfg=chosen), [[7.0, 8.0, 9.0, 1.0, 2.0, 3.0]])
     close(observations.body_air_time(env, sensor_cfg=chosen), [[0.3, 0.1]])
+
+
+def _camera(intrinsics=None, **output):
+    data = SimpleNamespace(output=output, intrinsic_matrices=intrinsics)
+    return SimpleNamespace(scene={"eye": SimpleNamespace(data=data)})
+
+
+def test_pictures_are_normalised_by_what_they_show():
+    """One row of two pixels; colours less their mean, distances without infinity, normals from 0 to 1."""
+    rgb = T([[[[0, 51, 255], [255, 51, 0]]]], dtype=torch.uint8)
+    far = T([[[[1.5], [math.inf]]]])
+    env = _camera(rgb=rgb, depth=far, normals=T([[[[-1.0, 0.0, 1.0]]]]))
+    eye = entity("eye")
+    close(observations.image(env, sensor_cfg=eye), [[[[-0.5, 0.0, 0.5], [0.5, 0.0, -0.5]]]])
+    close(observations.image(env, sensor_cfg=eye, normalize=False), rgb.float().tolist())
+    close(observations.image(env, sensor_cfg=eye, data_type="depth"), [[[[1.5], [0.0]]]])
+    close(observations.image(env, sensor_cfg=eye, data_type="depth", normalize=False), far.tolist())
+    close(observations.image(env, sensor_cfg=eye, data_type="normals"), [[[[0.0, 0.5, 1.0]]]])
+    assert rgb.tolist() == [[[[0, 51, 255], [255, 51, 0]]]]  # what the camera holds stays
+
+
+def test_distances_become_those_along_the_axis():
+    """A wall 2 m ahead of a camera with f = 2 px and 4 px about pixel (1, 0): each ray is longer than 2 m."""
+    columns, rows = T([-0.5, 0.0, 0.5]), T([0.0, 0.25])
+    slant = torch.sqrt(1 + columns.view(1, 3) ** 2 + rows.view(2, 1) ** 2)
+    intrinsics = T([[[2.0, 0.0, 1.0], [0.0, 4.0, 0.0], [0.0, 0.0, 1.0]]])
+    env = _camera(intrinsics, distance_to_camera=2.0 * slant.view(1, 2, 3, 1))
+    seen = observations.image(
+        env, sensor_cfg=entity("eye"), data_type="distance_to_camera", convert_perspective_to_orthogonal=True
+    )
+    close(seen, torch.full((1, 2, 3, 1), 2.0).tolist())

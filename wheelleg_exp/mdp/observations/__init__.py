@@ -5,7 +5,7 @@
 | `root` | place, orientation and motion of the root |
 | `joints` | positions, velocities and efforts of joints |
 | `bodies` | single bodies |
-| `sensors` | height scans, IMUs, contacts |
+| `sensors` | height scans, IMUs, contacts, pictures |
 | `task` | actions, commands, times, phases |
 """
 
@@ -39,6 +39,7 @@ from wheelleg_exp.mdp.observations.sensors import (
     body_contact_forces,
     body_contacts,
     height_scan,
+    image,
     imu_ang_vel,
     imu_lin_acc,
     imu_orientation,
@@ -67,6 +68,7 @@ __all__ = [
     "gait_phase",
     "generated_commands",
     "height_scan",
+    "image",
     "imu_ang_vel",
     "imu_lin_acc",
     "imu_orientation",
