@@ -130,13 +130,14 @@ def _cell(text: str) -> str:
 def _terms() -> str:
     parts = ["# The term library\n", NOTE, "Every term that a config may name, with what it takes. Those with a stock"]
     parts.append("file can be selected by its name; any other needs a YAML node of its own ([recipes](recipes.md)).\n")
-    stock: dict[str | None, list[str]] = {}
+    stock: dict[Any, list[str]] = {}  # by what is called: a term may have two names
     for entry in catalog.terms():
-        stock.setdefault(entry.target, []).append(f"`{entry.name}`")
+        stock.setdefault(resolve_target(str(entry.target), "docs"), []).append(f"`{entry.name}`")
     for section, terms in groupby(library(), key=lambda term: term.section):
         parts.append(f"## {section}\n\n| term | stock file | takes | what it is | limits |\n|---|---|---|---|---|")
         for term in terms:
-            name, files = term.target.removeprefix("wheelleg_exp.mdp."), ", ".join(stock.get(term.target, []))
+            name = term.target.removeprefix("wheelleg_exp.mdp.")
+            files = ", ".join(stock.get(resolve_target(term.target, "docs"), []))
             signature = f"`{_cell(term.signature)}`" if term.signature else ""
             limits = "; ".join(f"`{parameter}`: {_cell(words)}" for parameter, words in term.limits.items())
             parts.append(f"| `{name}` | {files} | {signature} | {_cell(term.help)} | {limits} |")
