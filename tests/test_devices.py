@@ -23,7 +23,7 @@ DTYPES = frozenset(["double", "float64"])
 # Functions that may, because no step calls them: they build, save, restore, or tell of what went wrong.
 NOT_IN_A_STEP = frozenset(
     """__init__ __str__ resolve connect bind exclude _end_failed failures evidence failure _tell_writes
-    load_state_dict state_dict restore save shape_ids set_external_force_and_torque
+    load_state_dict state_dict restore save shape_ids set_external_force_and_torque get_active_iterable_terms
     model_digest constant _plain _number set_permanent_body_wrench _read_limits _endings _finish_episodes""".split()  # noqa: SIM905
 )
 HOST = {

@@ -21,6 +21,7 @@ LAYERS = (
     ("sim",),
     ("managers",),
     ("mdp", "env"),
+    ("isaaclab",),
     ("build", "rl"),
     ("config",),
     ("lint", "project", "gym"),

@@ -144,7 +144,7 @@ def test_rewards_returned_do_not_change_later(make_env):
     env.reset()
     _, reward, *_ = env.step(STILL)
     kept = reward.clone()
-    env.reward_manager.get_term("alive").fields["weight"] = 7.0
+    env.reward_manager.get_term_cfg("alive").fields["weight"] = 7.0
     env.step(STILL)
     assert torch.equal(reward, kept)
 

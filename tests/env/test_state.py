@@ -245,7 +245,7 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
     "spoil",
     [
         lambda env: env.episode_length_buf.add_(1),
-        lambda env: env.command_manager.get_command_term("v").time_left.add_(0.1),
+        lambda env: env.command_manager.get_term("v").time_left.add_(0.1),
         lambda env: env.event_manager._last_step["wrench"].add_(1),
         lambda env: env.observation_manager._groups["policy"]["modified"]._modifiers[3]._integral.add_(1e-6),
         lambda env: env.scene.robot.data._qvel_before.add_(1e-12),
@@ -253,7 +253,7 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
         lambda env: env.scene.sensors["contact"].data.last_air_time.add_(1e-6),
         lambda env: env.streams.get("env.commands.v").manual_seed(1),
         lambda env: setattr(env, "common_step_counter", env.common_step_counter + 1),
-        lambda env: env.reward_manager.get_term("alive").fields.update(weight=1.5),
+        lambda env: env.reward_manager.get_term_cfg("alive").fields.update(weight=1.5),
     ],
 )
 def test_the_walk_notices_any_of_them(make, spoil):
@@ -369,25 +369,25 @@ def test_settings_that_a_curriculum_changed_are_state(make):
     """Of every manager: fields and parameters, a number in place of a number and a list changed in place."""
     env = make()
     env.reset()
-    env.reward_manager.get_term("track").params["std"] = 0.75
-    env.event_manager.get_term("joints").params["position_range"][1] = 0.2
-    env.termination_manager.get_term("tilt").params["limit_angle"] = 0.9
+    env.reward_manager.get_term_cfg("track").params["std"] = 0.75
+    env.event_manager.get_term_cfg("joints").params["position_range"][1] = 0.2
+    env.termination_manager.get_term_cfg("tilt").params["limit_angle"] = 0.9
     env.observation_manager.terms("policy")["c"].term.fields["scale"] = 3.0
     act(env, 5)
     other = restored(env, make)
     assert differing(Crawl(env, DERIVED | {".cfg"}), Crawl(other, DERIVED | {".cfg"})) == []
-    assert other.event_manager.get_term("joints").params["position_range"] == [-0.1, 0.2]
+    assert other.event_manager.get_term_cfg("joints").params["position_range"] == [-0.1, 0.2]
 
 
 def test_a_setting_that_the_config_changes_wins_over_one_that_a_curriculum_has_changed(make):
     env = make()
     env.reset()
-    env.reward_manager.get_term("track").fields["weight"] = 7.0
+    env.reward_manager.get_term_cfg("track").fields["weight"] = 7.0
     changed = everything()["rewards"]
     changed["track"]["weight"] = 3.0
     other = make(rewards=changed)
     other.load_state_dict(env.state_dict())
-    assert other.reward_manager.get_term("track").fields["weight"] == 3.0
+    assert other.reward_manager.get_term_cfg("track").fields["weight"] == 3.0
 
 
 def test_a_setting_that_the_config_changes_is_not_undone_by_loading(make):
@@ -400,9 +400,9 @@ def test_a_setting_that_the_config_changes_is_not_undone_by_loading(make):
     sections["actions"]["position"]["scale"] = 0.7
     other = make(**sections)
     other.load_state_dict(env.state_dict())
-    assert other.event_manager.get_term("push").func._high[0] == 9.0
-    assert other.command_manager.get_command_term("v").bounds()[0][0] == 5.0
-    assert other.action_manager.get_action_term("position")._scale[0] == pytest.approx(0.7)
+    assert other.event_manager.get_term_cfg("push").func._high[0] == 9.0
+    assert other.command_manager.get_term("v").bounds()[0][0] == 5.0
+    assert other.action_manager.get_term("position")._scale[0] == pytest.approx(0.7)
 
 
 def test_model_fields_that_were_edited_after_the_constants_were_derived_go_round(make):

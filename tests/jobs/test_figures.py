@@ -30,7 +30,7 @@ class FakeEnv:
         self.fired = fired
         self.termination_manager = _Terminations(fired)
         params = {name: SimpleNamespace(params=values) for name, values in terms}
-        self.reward_manager = SimpleNamespace(active_terms=list(params), get_term=params.__getitem__)
+        self.reward_manager = SimpleNamespace(active_terms=list(params), get_term_cfg=params.__getitem__)
 
     def set(self, heights=(0.3, 0.3, 0.3), pitches=(0.0, 0.0, 0.0), rewards=(0.0, 0.0, 0.0), out=(), fell=()):
         """One step later: heights in m, pitches in rad, who timed out and who fell."""
@@ -61,7 +61,7 @@ class _Terminations:
     def __init__(self, fired):
         self._fired = fired
 
-    def get_fired(self, name):
+    def get_term(self, name):
         return self._fired[name]
 
     def endings(self, ids):

@@ -23,7 +23,7 @@ def _position(**fields):
 def test_scale_comes_first_then_offset_then_clip(make_env):
     env = _env(make_env, a=_position(scale=2.0, offset=0.5, clip={".*": [-1.0, 3.0]}))
     env.action_manager.process_action(torch.tensor([[1.0, -2.0]] * 4))
-    term = env.action_manager.get_action_term("a")
+    term = env.action_manager.get_term("a")
     # 1*2 + .5 = 2.5; -2*2 + .5 = -3.5, cut to -1. Clipping the raw action would give -1.5 and 2.5.
     assert term.processed_actions[0].tolist() == [2.5, -1.0]
     assert term.raw_actions[0].tolist() == [1.0, -2.0]
@@ -41,7 +41,7 @@ def test_numbers_by_expression_leave_other_joints_alone(make_env):
     env = _env(make_env, a=node)
     env.action_manager.process_action(torch.full((4, 4), 2.0))
     # left_hip, right_hip, left_axle, right_axle
-    assert env.action_manager.get_action_term("a").processed_actions[0].tolist() == [2.25, 2.0, 6.0, 1.0]
+    assert env.action_manager.get_term("a").processed_actions[0].tolist() == [2.25, 2.0, 6.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_relative_action_takes_an_offset_only_without_zero_offset(make_env):
     for zero, expected in ((True, 0.0), (False, 0.3)):
         env = _env(make_env, a=node | {"use_zero_offset": zero})
         env.action_manager.process_action(torch.zeros(4, 2))
-        processed = env.action_manager.get_action_term("a").processed_actions
+        processed = env.action_manager.get_term("a").processed_actions
         assert processed[0].tolist() == pytest.approx([expected] * 2)
 
 
@@ -137,8 +137,8 @@ def test_terms_take_their_slices_in_the_order_of_the_config(make_env):
     assert env.action_manager.total_action_dim == 4
     assert env.action_manager.action_term_dim == [2, 2]
     env.action_manager.process_action(torch.tensor([[1.0, 2.0, 3.0, 4.0]] * 4))
-    assert env.action_manager.get_action_term("b").raw_actions[0].tolist() == [1, 2]
-    assert env.action_manager.get_action_term("a").raw_actions[0].tolist() == [3, 4]
+    assert env.action_manager.get_term("b").raw_actions[0].tolist() == [1, 2]
+    assert env.action_manager.get_term("a").raw_actions[0].tolist() == [3, 4]
 
 
 def test_the_last_two_raw_actions_are_kept_unclipped(make_env):
@@ -154,7 +154,7 @@ def test_a_reset_zeroes_the_actions_of_its_environments_and_leaves_processed_one
     for _ in range(2):
         env.action_manager.process_action(torch.ones(4, 2))
     env.action_manager.reset(torch.tensor([0, 3]))
-    manager, term = env.action_manager, env.action_manager.get_action_term("a")
+    manager, term = env.action_manager, env.action_manager.get_term("a")
     for kept in (manager.action, manager.prev_action, term.raw_actions):
         assert kept.sum(dim=1).tolist() == [0, 2, 2, 0]
     assert (term.processed_actions == 1).all()

@@ -26,7 +26,7 @@ def _env(make_env, steps_of=None, **changes):
     sections = {k: changes.pop(k) for k in ("num_envs", "episode_length_s", "seed") if k in changes}
     env = make_env(commands=_command(**changes), **sections)
     env.reset()
-    return env, env.command_manager.get_command_term("v")
+    return env, env.command_manager.get_term("v")
 
 
 def test_commands_are_uniform_in_their_ranges(make_env):

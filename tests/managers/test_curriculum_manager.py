@@ -69,6 +69,6 @@ def test_a_weight_changed_by_a_curriculum_goes_round_and_a_configured_one_does_n
     first.reset()
     second = make_env(rewards=rewards | {"other": ALIVE | {"weight": 7.0}}, curriculum={"c": CHANGE | {"num_steps": 0}})
     second.load_state_dict(first.state_dict())
-    assert second.reward_manager.get_term("alive").fields["weight"] == 3.0
-    assert second.reward_manager.get_term("other").fields["weight"] == 7.0
+    assert second.reward_manager.get_term_cfg("alive").fields["weight"] == 3.0
+    assert second.reward_manager.get_term_cfg("other").fields["weight"] == 7.0
     assert second.curriculum_manager.reset(torch.arange(4)) == {"Curriculum/c": 3.0}

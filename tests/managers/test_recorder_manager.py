@@ -142,7 +142,7 @@ def test_the_stock_recorders_note_what_the_environment_has(make):
     assert found["initial_state/articulation/robot/joint_position"].tolist() == start[2:3].tolist()
     assert found["actions"].shape == (1, 4)
     assert found["obs"].tolist() == led_to[2:3].tolist()  # as the policy saw it, with its noise
-    wide = sum(manager.get_action_term(name).processed_actions.shape[1] for name in manager.active_terms)
+    wide = sum(manager.get_term(name).processed_actions.shape[1] for name in manager.active_terms)
     assert found["processed_actions"].shape == (1, wide)
     assert found["states/articulation/robot/root_pose"].shape == (1, 7)
     assert not np.array_equal(found["states/articulation/robot/joint_position"][0], start[2].numpy())

@@ -44,7 +44,7 @@ def test_a_weight_set_to_zero_leaves_no_old_value_behind(make_env):
     env = make_env(rewards={"a": _reward("a", 1.0)})
     env.reset()
     env.step(STILL)
-    env.reward_manager.get_term("a").fields["weight"] = 0.0
+    env.reward_manager.get_term_cfg("a").fields["weight"] = 0.0
     assert env.step(STILL)[1].tolist() == [0.0] * 4
     assert env.reward_manager.step_reward.tolist() == [[0.0] * 4]
 

@@ -45,8 +45,8 @@ def test_terms_that_fired_can_be_asked_for(make_env):
     env = _env(make_env)
     spies.VALUES.update(hit=_at(2))
     env.termination_manager.compute()
-    assert env.termination_manager.get_fired("hit").tolist() == [False, False, True, False]
-    assert not env.termination_manager.get_fired("fall").any()
+    assert env.termination_manager.get_term("hit").tolist() == [False, False, True, False]
+    assert not env.termination_manager.get_term("fall").any()
 
 
 def _shares(env):

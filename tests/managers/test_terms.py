@@ -164,7 +164,7 @@ def test_an_error_inside_a_term_names_the_whole_key(make_env):
 def test_a_null_term_is_not_there(make_env):
     env = make_env(rewards={"gone": None, "alive": ALIVE}, events={"gone": None}, terminations={"gone": None})
     assert env.reward_manager.active_terms == ["alive"]
-    assert env.event_manager.active_terms == []
+    assert env.event_manager.active_terms == {}
     env.reset()
 
 
@@ -176,7 +176,7 @@ def test_terms_stand_in_the_order_of_the_config(make_env):
 def test_a_term_asked_for_by_a_wrong_name_names_the_nearest(make_env):
     env = make_env(rewards={"alive": ALIVE})
     with pytest.raises(ConfigError) as caught:
-        env.reward_manager.get_term("alve")
+        env.reward_manager.get_term_cfg("alve")
     assert caught.value.nearest == "alive"
 
 
@@ -190,7 +190,7 @@ def test_an_entity_finds_joints_in_the_robots_or_its_own_order(make_env):
     for preserve, expected in ((False, [0, 1, 3]), (True, [1, 3, 0])):
         cfg = _entity(name="robot", joint_names=names, preserve_order=preserve)
         env = make_env(rewards={"term": node | {"asset_cfg": cfg}})
-        assert env.reward_manager.get_term("term").params["asset_cfg"].joint_ids.tolist() == expected
+        assert env.reward_manager.get_term_cfg("term").params["asset_cfg"].joint_ids.tolist() == expected
 
 
 @pytest.mark.parametrize(

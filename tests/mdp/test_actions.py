@@ -14,7 +14,7 @@ HIPS = [".*_hip"]  # limits [-1, 1.5] rad: the middle is .25, half the range 1.2
 def _env(make_env, /, **node):
     env = make_env(actions={"a": {**node, "_target_": A + node["_target_"]}})
     env.reset()
-    return env, env.action_manager, env.action_manager.get_action_term("a")
+    return env, env.action_manager, env.action_manager.get_term("a")
 
 
 def _processed(manager, term, *raw):
@@ -176,7 +176,7 @@ def test_a_delay_counts_physics_steps(make_env):
     env.scene.write_data_to_sim = spy
     for action in (0.1, 0.2, 0.3, 0.4):
         env.step(torch.full((4, 2), action))
-        assert env.action_manager.get_action_term("a").processed_actions[0, 0].item() == pytest.approx(action)
+        assert env.action_manager.get_term("a").processed_actions[0, 0].item() == pytest.approx(action)
     #            steps      0    1    2    3    4    5    6    7
     assert seen == pytest.approx([0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2, 0.3])
 

@@ -38,7 +38,7 @@ def _env(make_env, kind, /, seed=0, num_envs=4, scene=None, **fields):
     node = {"_target_": C + kind, **fields}
     env = make_env(commands={"c": node}, seed=seed, num_envs=num_envs, **({"scene": scene} if scene else {}))
     env.reset()
-    return env, env.command_manager.get_command_term("c")
+    return env, env.command_manager.get_term("c")
 
 
 def _stand(env, position, yaw=0.0, pitch=0.0, roll=0.0):

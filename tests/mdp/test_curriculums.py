@@ -102,7 +102,7 @@ LEVELS = {
 def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
     """Being alive is worth 2 s of 2 s (100 steps); 0.9 of it is enough, and then what is half of that is not."""
     env = one(**LEVELS)
-    v = env.command_manager.get_command_term("v")
+    v = env.command_manager.get_term("v")
     for _ in range(96):
         env.step(STILL)
     env.reset()
@@ -122,7 +122,7 @@ def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
 
 def test_drawn_commands_lie_in_the_new_range(one):
     env = one(**LEVELS)
-    v = env.command_manager.get_command_term("v")
+    v = env.command_manager.get_term("v")
     v.ranges["lin_vel_x"] = [5.0, 6.0]
     env.reset()
     assert ((v.command[:, 0] >= 5.0) & (v.command[:, 0] <= 6.0)).all()
@@ -155,15 +155,15 @@ def _modify(address, value, *, term=True):
 
 
 def _reward(env, name):
-    return env.reward_manager.get_term(name)
+    return env.reward_manager.get_term_cfg(name)
 
 
 def _push(env):
-    return env.event_manager.get_term("push")
+    return env.event_manager.get_term_cfg("push")
 
 
 def _ranges(env):
-    return env.command_manager.get_command_term("v").ranges
+    return env.command_manager.get_term("v").ranges
 
 
 def _noise(env):
@@ -183,7 +183,7 @@ PLACES = [
     (True, "observations.policy.terms.q.noise.n_max", 0.7, lambda env: _noise(env).n_max),
     (False, "reward_manager.cfg.alive.weight", 5.0, lambda env: _reward(env, "alive").fields["weight"]),
     (False, "event_manager.cfg.push.params.velocity_range", {"y": [0, 7]}, lambda env: _push(env).func._high),
-    (True, "actions.axles.scale", 0.5, lambda env: env.action_manager.get_action_term("axles")._scale),
+    (True, "actions.axles.scale", 0.5, lambda env: env.action_manager.get_term("axles")._scale),
     (False, "max_episode_length_s", 7.0, lambda env: env.max_episode_length_s),
 ]
 MEANT = {"actions.axles.scale": [0.5, 0.5], "event_manager.cfg.push.params.velocity_range": [0, 7, 0, 0, 0, 0]}
@@ -232,7 +232,7 @@ def test_a_tensor_anywhere_below_the_environment_goes_round(one):
 
 def test_a_term_object_keeps_its_state_and_its_tensors_when_an_argument_changes(one):
     env = one(**_modify("commands.v.resampling_time_range", [7.0, 7.0]))
-    v = env.command_manager.get_command_term("v")
+    v = env.command_manager.get_term("v")
     env.reset()
     v.ranges["lin_vel_x"], tensor = [5.0, 6.0], v.time_left
     for _ in range(3):

@@ -40,7 +40,7 @@ MATERIAL = {
 
 def test_each_shape_gets_the_average_of_a_bucket_and_the_ground(make_env):
     env = make_env(events={"m": _event("randomize_rigid_body_material", **MATERIAL)}, num_envs=50)
-    term = env.event_manager.get_term("m").func
+    term = env.event_manager.get_term_cfg("m").func
     friction = torch.from_numpy(np.array(env.scene.sim.batch.expanded("geom_friction")))
     model = env.scene.model
     robot = [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0]
@@ -77,7 +77,7 @@ def test_dynamic_friction_may_exceed_static_unless_made_consistent(make_env):
     many = MATERIAL | {"num_buckets": 500}
     loose = make_env(events={"m": _event("randomize_rigid_body_material", **many)})
     tight = make_env(events={"m": _event("randomize_rigid_body_material", **many, make_consistent=True)})
-    loose, tight = (e.event_manager.get_term("m").func.buckets for e in (loose, tight))
+    loose, tight = (e.event_manager.get_term_cfg("m").func.buckets for e in (loose, tight))
     assert (loose[:, 1] > loose[:, 0]).any()
     assert (tight[:, 1] <= tight[:, 0]).all()
     assert torch.equal(loose[:, 0], tight[:, 0])

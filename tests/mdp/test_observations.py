@@ -86,7 +86,7 @@ def test_velocities_are_those_of_the_robot():
 
 def test_actions_of_all_terms_or_one():
     term = SimpleNamespace(raw_actions=T([[7.0]]))
-    manager = SimpleNamespace(action=T([[1.0, 2.0]]), get_action_term=lambda name: {"legs": term}[name])
+    manager = SimpleNamespace(action=T([[1.0, 2.0]]), get_term=lambda name: {"legs": term}[name])
     env = fake_env(action_manager=manager)
     close(observations.last_action(env), [[1.0, 2.0]])
     close(observations.last_action(env, action_name="legs"), [[7.0]])

@@ -24,7 +24,7 @@ def _ends(terminated, time_outs, **fired):
         terminated=T(terminated),
         time_outs=T(time_outs),
         active_terms=list(fired),
-        get_fired=lambda name: T(fired[name]),
+        get_term=lambda name: T(fired[name]),
     )
     return fake_env(termination_manager=manager)
 

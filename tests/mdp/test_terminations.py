@@ -22,7 +22,7 @@ def test_time_runs_out_at_the_longest_length():
 
 def test_a_command_about_to_be_redrawn():
     command = SimpleNamespace(time_left=T([0.01, 0.02, 0.03, 0.01]), command_counter=T([1, 1, 1, 2]))
-    env = fake_env(step_dt=0.02, command_manager=SimpleNamespace(get_command_term=lambda name: command))
+    env = fake_env(step_dt=0.02, command_manager=SimpleNamespace(get_term=lambda name: command))
     assert terminations.command_resample(env, "v").tolist() == [True, True, False, False]
     assert terminations.command_resample(env, "v", num_resamples=2).tolist() == [False, False, False, True]
 

@@ -82,7 +82,7 @@ class Account:
             self.rows.setdefault(name, []).append(value.clone().numpy())
         manager = env.termination_manager
         if manager.dones[i]:
-            fired = [name for name in manager.active_terms if manager.get_fired(name)[i]]
+            fired = [name for name in manager.active_terms if manager.get_term(name)[i]]
             self.ended.append((env.common_step_counter, fired, env.episode_length_buf[i].item() * env.step_dt))
 
 

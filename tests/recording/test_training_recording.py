@@ -84,7 +84,7 @@ def lived(env, env_id: int, until: int) -> list[Lived]:
 
     def watch() -> None:
         manager = env.termination_manager
-        fired = tuple(name for name in manager.active_terms if manager.get_fired(name)[env_id])
+        fired = tuple(name for name in manager.active_terms if manager.get_term(name)[env_id])
         rows.append((env.common_step_counter, float(env.reward_buf[env_id]), bool(manager.dones[env_id]), fired))
 
     env.observers.append(watch)

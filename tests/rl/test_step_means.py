@@ -21,7 +21,7 @@ def env():
     return SimpleNamespace(
         reward_manager=manager(active_terms=["early", "late"], step_reward=torch.zeros(2, 2)),
         termination_manager=manager(active_terms=["fell"], fired=torch.zeros(1, 2, dtype=torch.bool)),
-        command_manager=manager(step_errors={}, get_command_term=lambda name: term),
+        command_manager=manager(step_errors={}, get_term=lambda name: term),
     )
 
 

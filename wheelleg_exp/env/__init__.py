@@ -3,6 +3,7 @@
 | module | what it offers |
 |---|---|
 | `env` | the environment: build, step, reset, state |
+| `faces` | what Isaac Lab's environments have beside that |
 | `state_elsewhere` | what terms keep beside their own attributes: saved, or refused by name |
 | `host` | whole tensors brought to the host for whoever records them |
 """

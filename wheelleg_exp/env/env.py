@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import torch
 
+from wheelleg_exp.env.faces import Cfg, EnvFaces
 from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
     ActionManager,
@@ -27,7 +28,7 @@ from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
-from wheelleg_exp.state import Kept, cloned
+from wheelleg_exp.state import cloned
 from wheelleg_exp.terms.sections import Dataset, Env, read_section, read_value
 
 _LEAST_PER_ENV = 10_000  # bytes: state, outputs and observations of one small robot
@@ -37,7 +38,7 @@ AutoresetMode = Literal["same_step", "next_step", "disabled"]
 StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
-class ManagerBasedRLEnv(Kept):
+class ManagerBasedRLEnv(EnvFaces):
     """N environments under nine managers, after Isaac Lab's ``ManagerBasedRLEnv``.
 
     Args:
@@ -57,7 +58,7 @@ class ManagerBasedRLEnv(Kept):
     """
 
     def __init__(self, cfg: Mapping[str, Any], mjcf: Path, seed: int) -> None:
-        self.cfg = cfg
+        self.cfg = Cfg(cfg)
         self.seed = seed
         self.num_envs: int = read_value(Env, cfg, "env", "num_envs")
         require_memory(_LEAST_PER_ENV * self.num_envs, "env.num_envs", f"{self.num_envs:,} environments")

@@ -186,7 +186,7 @@ class ContactMeter:
 def target_height(env: ManagerBasedRLEnv) -> float | None:
     """Return the base height that the task rewards, or None where no reward names one."""
     for name in env.reward_manager.active_terms:
-        target = env.reward_manager.get_term(name).params.get("target_height")
+        target = env.reward_manager.get_term_cfg(name).params.get("target_height")
         if target is not None:
             return float(target)
     return None

@@ -22,7 +22,7 @@ from wheelleg_exp.managers.observation_manager import ObservationManager
 from wheelleg_exp.managers.recorder_manager import RecorderManager, RecorderTerm
 from wheelleg_exp.managers.reward_manager import RewardManager
 from wheelleg_exp.managers.scene_manager import SceneManager
-from wheelleg_exp.managers.term import Term, TermBase
+from wheelleg_exp.managers.term import ManagerTermBase, Term, TermBase
 from wheelleg_exp.managers.termination_manager import TerminationManager
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "CurriculumManager",
     "Env",
     "EventManager",
+    "ManagerTermBase",
     "ObservationManager",
     "RecorderManager",
     "RecorderTerm",

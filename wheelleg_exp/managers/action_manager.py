@@ -95,10 +95,16 @@ class ActionManager(ManagerBase):
         """Width of the action vector."""
         return sum(self.action_term_dim)
 
-    def get_action_term(self, name: str) -> ActionTerm:
+    def get_term(self, name: str) -> ActionTerm:
         """Return an action term by name."""
-        self.get_term(name)
+        self.get_term_cfg(name)
         return self._action_terms[name]
+
+    get_action_term = get_term  # the earlier name
+
+    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+        """Return the raw actions of one environment by term."""
+        return [(name, term.raw_actions[env_idx].tolist()) for name, term in self._action_terms.items()]
 
     def process_action(self, action: torch.Tensor) -> None:
         """Take up the raw action (N, total) of this control step; it is not clipped.

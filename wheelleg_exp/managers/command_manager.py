@@ -130,7 +130,7 @@ class CommandManager(ManagerBase):
 
     def get_command(self, name: str) -> torch.Tensor:
         """Return the present command of a term, (N, k)."""
-        found = self.get_command_term(name)
+        found = self.get_term(name)
         term = self._terms[name]
         with term.blamed():
             command = found.command
@@ -138,11 +138,17 @@ class CommandManager(ManagerBase):
         require_form(term.form, command, f"the command of '{term.target}'", term.path, term.func)
         return command
 
-    def get_command_term(self, name: str) -> CommandTerm:
+    def get_term(self, name: str) -> CommandTerm:
         """Return a command term by name."""
         if name not in self._command_terms:
-            self.get_term(name)
+            self.get_term_cfg(name)
         return self._command_terms[name]
+
+    get_command_term = get_term  # the earlier name
+
+    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+        """Return the commands of one environment by term."""
+        return [(name, term.command[env_idx].tolist()) for name, term in self._command_terms.items()]
 
     def compute(self, dt: float) -> None:
         """Advance every term by one control step."""

@@ -13,7 +13,7 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.terms.values import require_fit
 
-Ids = torch.Tensor | slice
+Ids = torch.Tensor | Sequence[int] | slice
 
 
 @dataclass
@@ -22,19 +22,29 @@ class SceneEntityCfg:
 
     Args:
         name: the member's name, ``robot``, ``terrain`` or a sensor's.
-        joint_names: joint expressions; null is all.
-        body_names: body expressions; null is all.
+        joint_names: joint expressions; null is all. Once resolved, the names.
+        joint_ids: indices of the joints, instead of names.
+        fixed_tendon_names: null: a robot's tendons are not read.
+        fixed_tendon_ids: none.
+        body_names: body expressions; null is all. Once resolved, the names.
+        body_ids: indices of the bodies, instead of names.
+        object_collection_names: null: there are no collections of objects.
+        object_collection_ids: none.
         preserve_order: order by expression (True) or by the asset (False).
     """
 
     name: str
     joint_names: Names | None = None
+    joint_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
+    fixed_tendon_names: Names | None = field(default=None, repr=False)
+    fixed_tendon_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
     body_names: Names | None = None
+    body_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
+    object_collection_names: Names | None = field(default=None, repr=False)
+    object_collection_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
     preserve_order: bool = False
-    joint_ids: Ids = field(default_factory=lambda: slice(None), init=False, repr=False)
-    body_ids: Ids = field(default_factory=lambda: slice(None), init=False, repr=False)
 
-    def resolve(self, scene: Scene, path: str) -> None:
+    def resolve(self, scene: Scene, path: str = "SceneEntityCfg") -> None:
         """Find the indices in the scene.
 
         Args:
@@ -51,12 +61,16 @@ class SceneEntityCfg:
             found = entity.find_joints(
                 _listed(self.joint_names), key=f"{path}.joint_names", preserve_order=self.preserve_order
             )
-            self.joint_ids = torch.tensor(found[0], device=scene.device)
+            self.joint_ids, self.joint_names = torch.tensor(found[0], device=scene.device), found[1]
         if self.body_names is not None:
             found = entity.find_bodies(
                 _listed(self.body_names), key=f"{path}.body_names", preserve_order=self.preserve_order
             )
-            self.body_ids = torch.tensor(found[0], device=scene.device)
+            self.body_ids, self.body_names = torch.tensor(found[0], device=scene.device), found[1]
+        self.joint_ids, self.body_ids = (_indices(ids, scene.device) for ids in (self.joint_ids, self.body_ids))
+        for name in ("fixed_tendon_names", "object_collection_names"):
+            if getattr(self, name) is not None:
+                raise ConfigError(f"'{self.name}' has none of these here", key=f"{path}.{name}", expected="null")
 
     def selects_as(self, other: SceneEntityCfg) -> bool:
         """Return whether another entity names the same joints and bodies in the same order."""
@@ -74,6 +88,10 @@ def member(scene: Scene, name: str, key: str) -> Any:
             nearest=nearest_name(name, scene),
         )
     return scene[name]
+
+
+def _indices(ids: Ids, device: torch.device) -> torch.Tensor | slice:
+    return ids if isinstance(ids, (torch.Tensor, slice)) else torch.tensor(list(ids), device=device)
 
 
 def _listed(names: str | Sequence[str]) -> list[str]:

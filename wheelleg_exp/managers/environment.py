@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 
@@ -24,6 +24,7 @@ class Env(Protocol):
     """The environment as terms see it; names and meanings are Isaac Lab's.
 
     Attributes:
+        cfg: the composed ``env`` section, by attribute or key.
         num_envs: number of environments, N.
         device: where all tensors are.
         physics_dt: physics step, s.
@@ -36,6 +37,7 @@ class Env(Protocol):
         streams: the named random streams.
     """
 
+    cfg: Any
     num_envs: int
     device: torch.device
     physics_dt: float

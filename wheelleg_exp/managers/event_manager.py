@@ -49,6 +49,11 @@ class EventManager(ManagerBase):
             self._note_asked(name)
 
     @property
+    def active_terms(self) -> dict[str, list[str]]:  # type: ignore[override]  # as in Isaac Lab
+        """Names of the terms by mode, in declaration order."""
+        return {mode: list(terms) for mode, terms in self._modes.items()}
+
+    @property
     def available_modes(self) -> list[str]:
         """Modes that some term has."""
         return list(self._modes)
@@ -166,6 +171,8 @@ class EventManager(ManagerBase):
         last[ids] = step
         once[ids] = True
         return ids
+
+    get_term = ManagerBase.get_term_cfg  # the earlier name
 
     def __str__(self) -> str:
         rows = [

@@ -14,6 +14,7 @@ from rich.table import Table
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.term import Term, bind_terms
+from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.state import Kept
 
 
@@ -39,12 +40,29 @@ class ManagerBase(Kept):
         return list(self._terms)
 
     @property
+    def term_names(self) -> list[str]:
+        """Names of the terms, in declaration order, whatever ``active_terms`` sorts them by."""
+        return list(self._terms)
+
+    @property
     def bound_terms(self) -> list[Term]:
         """The bound terms, in declaration order."""
         return list(self._terms.values())
 
-    def get_term(self, name: str) -> Term:
-        """Return the bound term; ConfigError when there is none of that name."""
+    def find_terms(self, name_keys: str | Sequence[str]) -> list[str]:
+        """Return the names of the terms that match expressions; ConfigError when one matches none."""
+        return match_names(name_keys, list(self._terms), key=f"env.{self.kind}", what="term")[1]
+
+    def set_term_cfg(self, name: str, cfg: Any) -> None:
+        """Let a term be what another config says: ``func``, ``params``, the manager's fields."""
+        self.get_term_cfg(name).take(cfg)
+
+    def get_term_cfg(self, name: str) -> Term:
+        """Return a term with ``func``, ``params`` and the manager's fields, to read and to change.
+
+        Raises:
+            ConfigError: there is none of that name.
+        """
         if name not in self._terms:
             raise ConfigError(
                 f"there is no term '{name}' in env.{self.kind}",

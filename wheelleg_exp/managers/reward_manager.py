@@ -22,11 +22,21 @@ class RewardManager(ManagerBase):
         self.step_reward = torch.zeros(len(self._terms), self._num_envs, device=env.device)
         for term in self._terms.values():
             term.form = TensorForm(self._num_envs, env.device)
-        self._episode_sums = torch.zeros_like(self.step_reward)
+        self._sums = torch.zeros_like(self.step_reward)
         self.failed = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
         self.non_finite: dict[int, list[str]] = {}
         self._raw_values = self.step_reward
         self._take_weights(self._present_weights())
+
+    @property
+    def _episode_sums(self) -> dict[str, torch.Tensor]:
+        """What the present episodes have summed up, (N,) by term; people's curricula read it of Isaac Lab's."""
+        return dict(zip(self._terms, self._sums.unbind(), strict=True))
+
+    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+        """Return this step's weighted values per second of one environment by term."""
+        values = self.step_reward[:, env_idx].tolist()
+        return [(name, [value]) for name, value in zip(self._terms, values, strict=True)]
 
     @property
     def raw_values(self) -> torch.Tensor:
@@ -53,7 +63,7 @@ class RewardManager(ManagerBase):
         reward = self.step_reward.sum(dim=0).mul_(dt)
         self.non_finite.clear()
         torch.logical_not(reward.isfinite(), out=self.failed)
-        self._episode_sums.add_(self.step_reward.masked_fill(self.failed, 0.0), alpha=dt)
+        self._sums.add_(self.step_reward.masked_fill(self.failed, 0.0), alpha=dt)
         return reward.masked_fill_(self.failed, 0.0)
 
     def _present_weights(self) -> list[float]:
@@ -79,13 +89,13 @@ class RewardManager(ManagerBase):
 
     def episode_sums(self, name: str) -> torch.Tensor:
         """Return what a term has added to the rewards of the present episodes, (N,)."""
-        self.get_term(name)
-        return self._episode_sums[self.active_terms.index(name)]
+        self.get_term_cfg(name)
+        return self._sums[self.active_terms.index(name)]
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Episode_Reward/<term>``: mean of the episode sums over the longest episode's seconds."""
-        means = self._episode_sums[:, env_ids].mean(dim=1) / self._env.max_episode_length_s
-        self._episode_sums[:, env_ids] = 0.0
+        means = self._sums[:, env_ids].mean(dim=1) / self._env.max_episode_length_s
+        self._sums[:, env_ids] = 0.0
         self._reset_terms(env_ids)
         return {f"Episode_Reward/{n}": v for n, v in zip(self._terms, means.unbind(), strict=True)}
 
@@ -93,7 +103,7 @@ class RewardManager(ManagerBase):
         """Return the episode sums, this step's values, and the terms' states."""
         return {
             **super().state_dict(),
-            "episode_sums": self._episode_sums.clone(),
+            "episode_sums": self._sums.clone(),
             "step_reward": self.step_reward.clone(),
             "non_finite": {env_id: list(terms) for env_id, terms in self.non_finite.items()},
         }
@@ -102,9 +112,11 @@ class RewardManager(ManagerBase):
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         self._take_weights(self._present_weights())
-        self._episode_sums.copy_(saved["episode_sums"])
+        self._sums.copy_(saved["episode_sums"])
         self.step_reward.copy_(saved["step_reward"])
         self.non_finite = {env_id: list(terms) for env_id, terms in saved["non_finite"].items()}
+
+    get_term = ManagerBase.get_term_cfg  # the earlier name
 
     def __str__(self) -> str:
         rows = [

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -53,3 +54,19 @@ class Streams(Kept):
         self.reseed(saved["seed"])  # a stream that had not been drawn from yet begins anew
         for path, state in saved["generators"].items():
             self.get(path).set_state(state)
+
+
+@contextmanager
+def lent(generator: torch.Generator | None) -> Iterator[None]:
+    """Make torch's global generator of a stream's device that stream, within the body."""
+    if generator is None:
+        yield
+        return
+    device = torch.cuda if generator.device.type == "cuda" else torch
+    outer = device.get_rng_state()
+    device.set_rng_state(generator.get_state())
+    try:
+        yield
+    finally:
+        generator.set_state(device.get_rng_state())
+        device.set_rng_state(outer)

@@ -16,8 +16,21 @@ from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.failures import failure, placed, require_form
 from wheelleg_exp.managers.returned import Form
+from wheelleg_exp.managers.streams import lent
 from wheelleg_exp.state import Kept, Settings, Stateful, adopt, made
-from wheelleg_exp.terms.binding import TARGET, TermNode, resolve_target, split_node, target_arguments, walk_nodes
+from wheelleg_exp.terms.binding import (
+    FIELD_TYPES,
+    TARGET,
+    TermNode,
+    cfg_class,
+    read_from,
+    resolve_target,
+    split_node,
+    takes_cfg,
+    target_arguments,
+    walk_nodes,
+    written_for_isaac_lab,
+)
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 from wheelleg_exp.user_code import ending_as, in_words
 
@@ -33,6 +46,29 @@ class TermBase(Stateful):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Reset the state of ``env_ids``."""
+
+
+class ManagerTermBase(TermBase):
+    """A class term as Isaac Lab writes it: made by ``(cfg, env)``, called with the environment and the parameters.
+
+    Args:
+        cfg: the term, with ``func``, ``params`` and the manager's fields.
+        env: the environment.
+    """
+
+    def __init__(self, cfg: Term, env: Env) -> None:
+        self.cfg = cfg
+        self._env = env
+
+    @property
+    def num_envs(self) -> int:
+        """Number of environments, N."""
+        return self._env.num_envs
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors are."""
+        return self._env.device
 
 
 @dataclass
@@ -64,6 +100,31 @@ class Term(Kept):
     _has_worked: bool = field(default=False, init=False)
     _make: Callable[[], TermBase] | None = field(default=None, init=False)
     _made_with: dict[str, Any] = field(default_factory=dict, init=False)
+    _keeps_params: bool = field(default=False, init=False)
+    lends: bool = field(default=False, init=False)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a field of the manager's by its name, as Isaac Lab's configs of terms have it."""
+        if name in FIELD_TYPES:
+            return vars(self).get("fields", {}).get(name)
+        raise AttributeError(f"a term has no '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in FIELD_TYPES:
+            self.fields[name] = value
+        else:
+            super().__setattr__(name, value)
+
+    def take(self, cfg: Any) -> None:
+        """Become what another config of a term says: its function, its parameters, its fields."""
+        if cfg is self:
+            return
+        if getattr(cfg, "func", None) is not None:
+            self.func = cfg.func
+        if getattr(cfg, "params", None) is not None:
+            self.params = dict(cfg.params)
+        for name in self.fields:
+            self.fields[name] = getattr(cfg, name, self.fields[name])
 
     def __call__(self, *args: Any) -> Any:
         """Call the term with the environment (and ids), and hold what it returns against ``form``.
@@ -73,7 +134,11 @@ class Term(Kept):
             SimulationFailure: it raises an error later.
         """
         try:
-            value = self.func(*args, **self.params)
+            if self.lends:
+                with lent(self.generator):
+                    value = self.func(*args, **self.params)
+            else:
+                value = self.func(*args, **self.params)
         except BaseException as error:
             raise self.failure(error) from error
         if self.form is not None:
@@ -89,9 +154,14 @@ class Term(Kept):
     def blamed(self) -> Iterator[None]:
         """Tell an error of a part of the term that is not called by ``__call__``."""
         try:
-            yield
+            with lent(self.generator if self.lends else None):
+                yield
         except BaseException as error:
             raise self.failure(error) from error
+
+    def lend(self, generator: torch.Generator) -> None:
+        """Let the term's code draw from a stream by torch's global generator, as code written for Isaac Lab does."""
+        self.generator, self.lends = generator, True
 
     def state_dict(self) -> dict[str, Any]:
         """Return the settings that have changed, and the term object's state."""
@@ -114,7 +184,7 @@ class Term(Kept):
     def bound(self) -> None:
         """Note the settings that the config gave: what differs from them later is state."""
         if self.settings is None:
-            params = self.params if self.stateful is None else self.arguments
+            params = self.params if self._make is None or self._keeps_params else self.arguments
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=_STATEFUL_FIELDS)
 
     def take_arguments(self) -> None:
@@ -123,18 +193,20 @@ class Term(Kept):
         Raises:
             ConfigError: they are not what they may be.
         """
-        if self._make is None or self.arguments == self._made_with:
+        if self._make is None or self._keeps_params or self.arguments == self._made_with:
             return
         assert self.stateful is not None
         adopt(self.stateful, self._make(), self.path)
         self._made_with = copy.deepcopy(self.arguments)
 
-    def made_by(self, make: Callable[[], TermBase]) -> None:
-        """Make the term object, and know how to make another."""
-        self._make, self._made_with = make, copy.deepcopy(self.arguments)
+    def made_by(self, make: Callable[[], TermBase], keeps_params: bool = False) -> None:
+        """Make the term object, and know how to make another; one that keeps its parameters is called with them."""
+        self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
         term_object = make()
         made(term_object, self.path)
-        self.func, self.params = cast(Any, term_object), {}
+        self.func = cast(Any, term_object)
+        if not keeps_params:
+            self.params = {}
         self.bound()
 
 
@@ -171,8 +243,10 @@ def bind_term(kind: str, node: TermNode, env: Env) -> Term:
         raise error
     fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
     term = Term(node.name, node.path, node.target, target, {}, fields)
-    if "generator" in inspect.signature(target).parameters:
+    if "generator" in inspect.signature(read_from(target)).parameters:
         term.generator = env.streams.get(node.path)
+    elif written_for_isaac_lab(target):
+        term.lend(env.streams.get(node.path))
     term.params = _params(term, node.params, env)
     term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
     return term
@@ -184,7 +258,15 @@ def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any
     for name, value in params.items():
         if isinstance(value, SceneEntityCfg):
             value.resolve(env.scene, f"{term.path}.{name}")
-    return params if term.generator is None else {**params, "generator": term.generator}
+    return params if term.generator is None or term.lends else {**params, "generator": term.generator}
+
+
+def _made_by(kind: Any, term: Term, env: Env) -> dict[str, Any]:
+    """Return what the term object of a class is made by, beside the environment."""
+    if not takes_cfg(kind):
+        return _params(term, term.arguments, env)
+    config = cfg_class(kind)  # of an action or a command, which reads its config itself
+    return {"cfg": config(**_params(term, term.arguments, env)) if config is read_from(kind) and config else term}
 
 
 def instantiate_term(term: Term, env: Env) -> None:
@@ -205,10 +287,10 @@ def instantiate_term(term: Term, env: Env) -> None:
         for error in parameter_errors("commands", node, kind):  # a section without fields of its manager's
             raise error
         with term.blamed():
-            made_object: TermBase = cast(Any, kind)(env=env, **_params(term, term.arguments, env))
+            made_object: TermBase = cast(Any, kind)(env=env, **_made_by(kind, term, env))
         return made_object
 
-    term.made_by(make)
+    term.made_by(make, keeps_params=takes_cfg(kind) and read_from(kind) is not cfg_class(kind))
 
 
 def build(value: Any, path: str) -> Any:

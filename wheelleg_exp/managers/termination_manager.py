@@ -42,10 +42,17 @@ class TerminationManager(ManagerBase):
         """Where each term fired in this step, (terms, N) bool."""
         return self._fired
 
-    def get_fired(self, name: str) -> torch.Tensor:
+    def get_term(self, name: str) -> torch.Tensor:
         """Return where a term fired in this step, (N,) bool."""
-        self.get_term(name)
+        self.get_term_cfg(name)
         return self._fired[self.active_terms.index(name)]
+
+    get_fired = get_term  # the earlier name
+
+    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+        """Return which terms fired in this step in one environment, 1 or 0 by term."""
+        flags = self._fired[:, env_idx].tolist()
+        return [(name, [float(flag)]) for name, flag in zip(self._terms, flags, strict=True)]
 
     def endings(self, env_ids: torch.Tensor) -> Counter[str]:
         """Return how many of some environments each termination ends in this step, each environment once.

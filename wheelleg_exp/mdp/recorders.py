@@ -49,7 +49,7 @@ class PostStepProcessedActionsRecorder(RecorderTerm):
         """Return the processed actions of all terms side by side."""
         manager = self._env.action_manager
         return "processed_actions", torch.cat(
-            [manager.get_action_term(name).processed_actions for name in manager.active_terms], dim=-1
+            [manager.get_term(name).processed_actions for name in manager.active_terms], dim=-1
         )
 
 

@@ -22,7 +22,7 @@ def time_out(env: Env) -> torch.Tensor:
 
 def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> torch.Tensor:
     """The command is about to be resampled after ``num_resamples`` draws."""
-    command = env.command_manager.get_command_term(command_name)
+    command = env.command_manager.get_term(command_name)
     return (command.time_left <= env.step_dt) & (command.command_counter == num_resamples)
 
 

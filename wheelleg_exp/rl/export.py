@@ -74,7 +74,7 @@ def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int
         offset += sum(shape[-1] for shape in env.observation_manager.group_obs_term_dim[group])
     start, actions = 0, []
     for name, width in zip(env.action_manager.active_terms, env.action_manager.action_term_dim, strict=True):
-        term = env.action_manager.get_action_term(name)
+        term = env.action_manager.get_term(name)
         joints = getattr(term, "joint_names", [])
         actions.append({"term": name, "start": start, "stop": start + width, "joints": list(joints)})
         start += width

@@ -54,5 +54,5 @@ class StepMeans:
         yield (REWARDS, tuple(rewards.active_terms)), rewards.step_reward
         yield (TERMINATIONS, tuple(terminations.active_terms)), terminations.fired
         for command, errors in self._env.command_manager.step_errors.items():
-            names = self._env.command_manager.get_command_term(command).metric_names
+            names = self._env.command_manager.get_term(command).metric_names
             yield (METRICS, tuple(f"{command}/{name}" for name in names)), errors

@@ -159,7 +159,8 @@ class BodyData(RobotData):
 
     def forget_accelerations(self, ids: torch.Tensor) -> None:
         """Report no acceleration of bodies whose velocity was written, until the next physics step."""
-        self._acc_valid[ids] = 0.0
+        if self._vel_before is not None:
+            self._acc_valid[ids] = 0.0
 
     def before_step(self) -> None:
         """Keep the motion state that the coming physics step starts from."""
@@ -170,7 +171,8 @@ class BodyData(RobotData):
     def mark_stepped(self) -> None:
         """Note that the last solve belongs to every environment's present episode."""
         super().mark_stepped()
-        self._acc_valid.fill_(1.0)
+        if self._vel_before is not None:
+            self._acc_valid.fill_(1.0)
 
     def reset(self, ids: torch.Tensor) -> None:
         """Report zero torque and acceleration for ``ids`` until their next physics step."""
@@ -192,5 +194,4 @@ class BodyData(RobotData):
         super().load_state_dict(saved)
         found = saved.get("body_vel_before")
         self._vel_before = None if found is None else found.clone()
-        if found is not None:
-            self._acc_valid.copy_(saved["acc_valid"])
+        self._acc_valid.copy_(saved.get("acc_valid", torch.zeros_like(self._acc_valid)))

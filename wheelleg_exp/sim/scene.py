@@ -102,6 +102,25 @@ class Scene(Kept):
     def __iter__(self) -> Iterator[str]:
         return iter(("robot", "terrain", *self.sensors))
 
+    def keys(self) -> list[str]:
+        """Return the names of the members."""
+        return list(self)
+
+    @property
+    def articulations(self) -> dict[str, Robot]:
+        """The robots by name: one."""
+        return {"robot": self.robot}
+
+    @property
+    def rigid_objects(self) -> dict[str, Any]:
+        """Free bodies beside the robot: none."""
+        return {}
+
+    @property
+    def physics_dt(self) -> float:
+        """The physics step, s."""
+        return self._sim_options.dt
+
     def contact_sensor(self, name: str) -> ContactSensor:
         """Return a contact sensor by name; ConfigError when the member is none."""
         sensor = self.sensors.get(name)

@@ -6,8 +6,10 @@ Free of torch and MuJoCo, because the config commands read it as well as the man
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -55,6 +57,8 @@ MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "mi
 
 # What a manager passes to every target; never written in a config.
 INJECTED = ("env", "env_ids", "generator")
+_ISAAC_LAB = "wheelleg_exp.isaaclab"
+_CFG_ENV = ["cfg", "env"]  # what classes written for Isaac Lab take
 
 # Where targets stand now that configs and runs of earlier versions name.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
@@ -221,8 +225,46 @@ def resolve_class(name: Any) -> Any:
         raise ConfigError(f"cannot import '{text}': {in_words(error)}", expected="a module that imports") from error
 
 
+def takes_cfg(target: Callable[..., Any]) -> bool:
+    """Return whether a target is a class that is made by ``(cfg, env)``, as those written for Isaac Lab are."""
+    return inspect.isclass(target) and list(inspect.signature(target).parameters)[:2] == _CFG_ENV
+
+
+def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
+    """Return whose signature says what a config may set.
+
+    Of a class made by ``(cfg, env)`` that is ``__call__`` or, where it has none, the class that annotates ``cfg``.
+    """
+    if not takes_cfg(target):
+        return target
+    if inspect.isclass(target) and any("__call__" in vars(kind) for kind in target.__mro__[:-1]):
+        called: Callable[..., Any] = vars(next(k for k in target.__mro__ if "__call__" in vars(k)))["__call__"]
+        return called
+    return cfg_class(target) or target
+
+
+def cfg_class(target: Callable[..., Any]) -> type | None:
+    """Return the class that annotates ``cfg`` of a class made by ``(cfg, env)``; None when it cannot be found."""
+    made = vars(target).get("__init__") or target.__init__
+    found = made.__annotations__.get("cfg")
+    if isinstance(found, str):
+        first, *rest = found.split(".")
+        found = reduce(
+            lambda holder, name: getattr(holder, name, None), rest, getattr(made, "__globals__", {}).get(first)
+        )
+    return found if inspect.isclass(found) else None
+
+
+def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
+    """Return whether the module of a term imports our stand-ins of Isaac Lab's modules: its draws are global ones."""
+    module = sys.modules.get(getattr(target, "__module__", ""))
+    found = vars(module).values() if module is not None else ()
+    names = (str(getattr(v, "__name__" if inspect.ismodule(v) else "__module__", "")) for v in found)
+    return any(f"{name}.".startswith(f"{_ISAAC_LAB}.") for name in names)
+
+
 def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """Return the parameters of ``target`` that a config may set."""
-    parameters = inspect.signature(target).parameters.values()
+    parameters = inspect.signature(read_from(target)).parameters.values()
     open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    return {p.name: p for p in parameters if p.name not in INJECTED and p.kind not in open_ended}
+    return {p.name: p for p in parameters if p.name not in ("self", *INJECTED) and p.kind not in open_ended}

@@ -20,6 +20,7 @@ from wheelleg_exp.terms.binding import (
     RESERVED,
     TARGET,
     TermNode,
+    read_from,
     signature_parameters,
     target_arguments,
     walk_targets,
@@ -133,6 +134,7 @@ def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigErro
 
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of what a target takes, constraints included; nothing when they cannot be read."""
+    target = read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
     try:
         return typing.get_type_hints(function, include_extras=True)

@@ -105,8 +105,8 @@ def _actions(env: ManagerBasedRLEnv) -> GroupShape:
     manager = env.action_manager
     made, start = [], 0
     for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
-        target = manager.get_term(name).target
-        joints = tuple(getattr(manager.get_action_term(name), "joint_names", ()))
+        target = manager.get_term_cfg(name).target
+        joints = tuple(getattr(manager.get_term(name), "joint_names", ()))
         made.append(TermShape(name, target, width, 0, (width,), start, start + width, joints))
         start += width
     return GroupShape(tuple(made), (manager.total_action_dim,))

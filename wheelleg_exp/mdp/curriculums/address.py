@@ -91,8 +91,8 @@ def _below(holder: Any, part: Part) -> Any:
     elif isinstance(holder, ObservationManager) and part in holder.active_terms:
         terms = {name: term.term for name, term in holder.terms(str(part)).items()}
         return {"terms": terms, **terms}
-    elif isinstance(holder, ManagerBase) and part in holder.active_terms:
-        return holder.get_term(str(part))
+    elif isinstance(holder, ManagerBase) and part in holder.term_names:
+        return holder.get_term_cfg(str(part))
     if part == "cfg" and isinstance(holder, (ManagerBase, ObservationManager)):
         return holder  # the terms are its settings
     try:
@@ -113,6 +113,8 @@ def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
         return term.fields
     if term.stateful is None:
         return term.params
+    if part in term.params:
+        return term.params
     return term.stateful if hasattr(term.stateful, str(part)) else term.arguments
 
 
@@ -121,7 +123,7 @@ def _absent(holder: Any, part: Part) -> ConfigError:
     if isinstance(holder, Mapping):
         names = [str(name) for name in holder]
     elif isinstance(holder, (ManagerBase, ObservationManager)):
-        names = list(holder.active_terms)
+        names = list(holder.active_terms if isinstance(holder, ObservationManager) else holder.term_names)
     elif not isinstance(holder, (list, tuple, torch.Tensor)):
         names = [name for name in vars(holder) if not name.startswith("_")] if hasattr(holder, "__dict__") else []
     what = f"of {len(holder)}" if isinstance(holder, (list, tuple)) else f"in a {type(holder).__name__}"

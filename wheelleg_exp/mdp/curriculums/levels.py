@@ -74,7 +74,7 @@ class command_range_levels(TermBase):
         self._count += len(env_ids)
         ranges = self._ranges(env)
         if env.common_step_counter - self._looked_at >= env.max_episode_length:
-            perfect = float(env.reward_manager.get_term(self._reward).fields["weight"]) * env.max_episode_length_s
+            perfect = float(env.reward_manager.get_term_cfg(self._reward).fields["weight"]) * env.max_episode_length_s
             if float(self._sum) > self._threshold * perfect * self._count:
                 for axis, (lowest, highest) in self._limits.items():
                     low, high = ranges[axis]
@@ -84,7 +84,7 @@ class command_range_levels(TermBase):
         return {axis: ranges[axis][1] for axis in self._limits}
 
     def _ranges(self, env: Env) -> dict[str, Any]:
-        ranges: dict[str, Any] = getattr(env.command_manager.get_command_term(self._command), "ranges", {})
+        ranges: dict[str, Any] = getattr(env.command_manager.get_term(self._command), "ranges", {})
         return ranges
 
     def _strangers(self, env: Env) -> Iterator[ConfigError]:

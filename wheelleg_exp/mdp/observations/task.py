@@ -16,7 +16,7 @@ def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
     """Raw action of the whole manager, or of one term; 0 after a reset."""
     if action_name is None:
         return env.action_manager.action
-    return env.action_manager.get_action_term(action_name).raw_actions
+    return env.action_manager.get_term(action_name).raw_actions
 
 
 def generated_commands(env: Env, command_name: str) -> torch.Tensor:

@@ -34,5 +34,5 @@ class is_terminated_term(TermBase):
     def __call__(self, env: Env) -> torch.Tensor:
         """Count."""
         manager = env.termination_manager
-        fired = torch.stack([manager.get_fired(name) for name in self._names]).sum(dim=0)
+        fired = torch.stack([manager.get_term(name) for name in self._names]).sum(dim=0)
         return (fired * ~manager.time_outs).float()

@@ -55,7 +55,7 @@ def velocity_command(env: ManagerBasedRLEnv) -> str | None:
     """Return the name of the first command that is a planar velocity (v_x, v_y, w_z) in the base's axes."""
     manager = env.command_manager
     for name in manager.active_terms:
-        if isinstance(manager.get_command_term(name), UniformVelocityCommand):
+        if isinstance(manager.get_term(name), UniformVelocityCommand):
             return name
     return None
 
@@ -112,7 +112,7 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
     """A velocity command stands in one entity a number, so that each can be plotted against what it is for."""
     velocity, found = velocity_command(env), []
     for name in env.command_manager.active_terms:
-        term = env.command_manager.get_command_term(name)
+        term = env.command_manager.get_term(name)
         read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
         if name == velocity:
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)

@@ -29,7 +29,7 @@ def learning_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, epis
 def _actions(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
     """The policy's output, and what the terms made of it."""
     manager = env.action_manager
-    terms = {name: manager.get_action_term(name) for name in manager.active_terms}
+    terms = {name: manager.get_term(name) for name in manager.active_terms}
     raw = {name: term.action_dim for name, term in terms.items()}
     processed = {name: int(term.processed_actions.shape[1]) for name, term in terms.items()}
 
@@ -46,7 +46,7 @@ def _actions(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chann
 def _names(env: ManagerBasedRLEnv, widths: dict[str, int]) -> list[str]:
     names: list[str] = []
     for name, width in widths.items():
-        joints = getattr(env.action_manager.get_action_term(name), "joint_names", None)
+        joints = getattr(env.action_manager.get_term(name), "joint_names", None)
         if joints is None or len(joints) != width:
             joints = [str(i) for i in range(width)]
         names += [f"{name}[{joint}]" for joint in joints]
@@ -99,7 +99,7 @@ def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chann
 
 def _terminations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
     manager, names = env.termination_manager, env.termination_manager.active_terms
-    fired = [manager.get_fired(name) for name in names]
+    fired = [manager.get_term(name) for name in names]
     places = tuple(paths.data("terminations", name) for name in names)
     read = (lambda: host_copy(torch.stack(fired)[:, env_id])) if fired else list
     return [Channel("terminations", tuple(names), read, places)]

@@ -73,7 +73,7 @@ def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> Statics:
     weights = [float(env.cfg["rewards"][name]["weight"]) for name in rewards]
     yield from _listed(paths.data("rewards"), rewards, weights=weights)
     ends = env.termination_manager.active_terms
-    over = [int(bool(env.termination_manager.get_term(name).fields.get("time_out", False))) for name in ends]
+    over = [int(bool(env.termination_manager.get_term_cfg(name).fields.get("time_out", False))) for name in ends]
     yield from _listed(paths.data("terminations"), ends, time_out=over)
     yield from _listed(paths.data("actions"), actions.active_terms, widths=actions.action_term_dim)
     yield from _listed(paths.data("events"), list(interval_terms(env)))
@@ -82,7 +82,7 @@ def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> Statics:
 def interval_terms(env: ManagerBasedRLEnv) -> list[str]:
     """Return the names of the events that happen in the middle of an episode."""
     manager = env.event_manager
-    return [name for name in manager.active_terms if manager.get_term(name).fields.get("mode") == "interval"]
+    return manager.active_terms.get("interval", [])
 
 
 def _listed(entity: str, terms: list[str], **values: Any) -> Statics:

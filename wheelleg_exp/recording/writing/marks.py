@@ -43,7 +43,7 @@ def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> Entry | No
     failed = bool(host_copy(manager.terminated[env_id]))
     if not failed and not host_copy(manager.time_outs[env_id]):
         return None
-    reasons = [name for name in manager.active_terms if manager.get_fired(name)[env_id]]
+    reasons = [name for name in manager.active_terms if manager.get_term(name)[env_id]]
     seconds = int(env.episode_length_buf[env_id]) * env.step_dt
     text = f"env {env_id}: ended by {ending(reasons)} after {seconds:.2f} s"
     return Entry(stamp, EPISODES, text, "WARN" if failed else "INFO")

@@ -1,0 +1,5 @@
+"""The robot."""
+
+from wheelleg_exp.isaaclab.assets import Articulation, ArticulationData
+
+__all__ = ["Articulation", "ArticulationData"]

@@ -1,0 +1,3 @@
+"""The stock actions."""
+
+from wheelleg_exp.mdp.actions import *  # noqa: F403

@@ -1,0 +1,3 @@
+"""The stock commands."""
+
+from wheelleg_exp.mdp.commands import *  # noqa: F403

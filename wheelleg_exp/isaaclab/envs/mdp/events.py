@@ -1,0 +1,3 @@
+"""The stock events."""
+
+from wheelleg_exp.mdp.events import *  # noqa: F403

@@ -1,0 +1,3 @@
+"""The stock observations."""
+
+from wheelleg_exp.mdp.observations import *  # noqa: F403

@@ -1,0 +1,7 @@
+"""What terms import of ``isaaclab.sim``, for annotations: what ``env.sim`` is; spawners and USD have no counterpart."""
+
+from wheelleg_exp.env.faces import Simulation
+
+SimulationContext = Simulation
+
+__all__ = ["SimulationContext"]

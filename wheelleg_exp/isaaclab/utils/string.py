@@ -1,0 +1,24 @@
+"""The matching of names of ``isaaclab.utils.string``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from wheelleg_exp.sim.names import match_names
+
+
+def resolve_matching_names(
+    keys: str | Sequence[str], list_of_strings: Sequence[str], preserve_order: bool = False
+) -> tuple[list[int], list[str]]:
+    """Return indices and names that whole-match expressions; ConfigError when one matches none."""
+    return match_names(keys, list_of_strings, what="name", preserve_order=preserve_order)
+
+
+def resolve_matching_names_values(
+    data: Mapping[str, Any], list_of_strings: Sequence[str], preserve_order: bool = False
+) -> tuple[list[int], list[str], list[Any]]:
+    """Return indices, names and values of the names that expressions match; ConfigError when one matches none."""
+    indices, names = match_names(list(data), list_of_strings, what="name", preserve_order=preserve_order)
+    owners = {name: value for key, value in data.items() for name in match_names(key, names, what="name")[1]}
+    return indices, names, [owners[name] for name in names]
