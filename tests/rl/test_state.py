@@ -28,6 +28,8 @@ DERIVED = frozenset(
         ".step_errors",  # of the step alone
         ".robot.data.motion_at_start",  # read within a control step alone
         ".command_manager.step_errors",  # of the step alone
+        ".robot._has_new_targets",  # set where a control step begins
+        ".action_manager._is_new",
         "._has_worked",  # what messages tell: whether a term has run before, and what it returned
         ".form",
         "._part_forms",

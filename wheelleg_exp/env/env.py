@@ -132,7 +132,7 @@ class ManagerBasedRLEnv(EnvFaces):
         waiting = self._waiting()
         self.action_manager.process_action(action)
         self.recorder_manager.record_pre_step()
-        self.scene.robot.data.begin_control_step()
+        self.scene.robot.begin_control_step()
         for substep in range(self.decimation):
             if substep:
                 self.observation_manager.sample_between()

@@ -31,6 +31,11 @@ class ActionTerm(TermBase):
     raw_actions: torch.Tensor
     processed_actions: torch.Tensor
 
+    @property
+    def applies_once(self) -> bool:
+        """Whether ``apply_actions`` sets the same targets at every physics step of a control step."""
+        return False
+
     def process_actions(self, actions: torch.Tensor) -> None:
         """Take up raw actions (N, action_dim), once per control step."""
         raise NotImplementedError
@@ -80,6 +85,7 @@ class ActionManager(ManagerBase):
         self.prev_action = torch.zeros_like(self.action)
         made = {n: made_delay(self._terms[n], f.processed_actions, env) for n, f in self._action_terms.items()}
         self._delays = {name: delay for name, delay in made.items() if delay is not None}
+        self._is_new = True
 
     def _driving(self) -> list[tuple[Term, ActionTerm]]:
         pairs = [(self._terms[name], term) for name, term in self._action_terms.items()]
@@ -116,6 +122,7 @@ class ActionManager(ManagerBase):
             raise ValueError(f"actions have shape {tuple(action.shape)}, expected {tuple(self.action.shape)}")
         self.prev_action.copy_(self.action)
         self.action.copy_(action)
+        self._is_new = True
         start = 0
         for name, term in self._action_terms.items():
             with self._terms[name].blamed():
@@ -123,16 +130,18 @@ class ActionManager(ManagerBase):
             start += term.action_dim
 
     def apply_action(self) -> None:
-        """Let every term set its targets, before each physics step."""
+        """Let every term set its targets, before each physics step; those that stay as they are once."""
         for name, term in self._action_terms.items():
-            with self._terms[name].blamed():
-                if name in self._delays:
-                    self._apply_late(name, term)
-                else:
-                    term.apply_actions()
+            if self._is_new or name in self._delays or not term.applies_once:
+                with self._terms[name].blamed():
+                    self._apply(name, term)
+        self._is_new = False
 
-    def _apply_late(self, name: str, term: ActionTerm) -> None:
-        """Let a term apply earlier processed actions in place of the present ones."""
+    def _apply(self, name: str, term: ActionTerm) -> None:
+        """Let a term apply its processed actions, or earlier ones in their place."""
+        if name not in self._delays:
+            term.apply_actions()
+            return
         present = term.processed_actions.clone()
         term.processed_actions.copy_(self._delays[name].push(present))
         term.apply_actions()

@@ -90,6 +90,7 @@ class Robot(RobotFaces):
         )
         self.data = ArticulationData(sim, layout, self.targets, self._computed_torque, gains=self._gains)
         self._ctrl = sim.view("ctrl")
+        self._has_new_targets = True
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
         # Force and torque as the two columns of a matrix, (N, 3, 2).
@@ -127,6 +128,11 @@ class Robot(RobotFaces):
         """Forces and torques at the CoM of the bodies, link axes, as the two columns of (N, B, 3, 2)."""
         return self._wrench
 
+    def begin_control_step(self) -> None:
+        """Note that a control step begins: its first physics step takes up every target."""
+        self.data.begin_control_step()
+        self._has_new_targets = True
+
     def write_data_to_sim(self) -> None:
         """Run the actuator models on the present state and apply permanent wrenches in world axes."""
         data = self.data
@@ -134,8 +140,10 @@ class Robot(RobotFaces):
         start = 0
         for actuator in self.actuators.values():
             stop = start + len(actuator.joint_names)
-            self._ctrl[:, start:stop] = actuator.act(self.targets, data)
+            if self._has_new_targets or not actuator.follows_targets:
+                self._ctrl[:, start:stop] = actuator.act(self.targets, data)
             start = stop
+        self._has_new_targets = False
         if self._wrench_bodies:
             self._write_wrenches(self._wrench_bodies)
 
@@ -201,6 +209,7 @@ class Robot(RobotFaces):
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         self.targets.load_state_dict(saved)
+        self._has_new_targets = True
         present = self.data.settings()
         for name, value in {**self._made, **saved["settings"]}.items():
             present[name].copy_(value)

@@ -44,6 +44,7 @@ class RobotFaces(Kept):
     _root_qvel: torch.Tensor
     _wrench: torch.Tensor
     _wrench_bodies: list[int]
+    _has_new_targets: bool
 
     def mark_written(self, ids: torch.Tensor) -> None:
         """Note that state or model fields of ``ids`` were written: derived quantities are computed anew."""
@@ -236,6 +237,7 @@ class RobotFaces(Kept):
             of[self._rows(env_ids), joints] = target
         else:
             of[self._rows(env_ids).unsqueeze(1), joints] = target
+        self._has_new_targets = True
 
     # --- wrenches ---
 

@@ -9,6 +9,7 @@ import torch
 
 from wheelleg_exp.constraints import Bounds, Names
 from wheelleg_exp.managers import ActionTerm, Env, member
+from wheelleg_exp.sim.ids import narrowed
 from wheelleg_exp.sim.names import match_names, values_by_name
 
 
@@ -41,7 +42,7 @@ class JointTerm(ActionTerm):
             names, self._robot.joint_names, key="joint_names", what="joint", preserve_order=preserve_order
         )
         self.action_dim = len(indices) if width is None else width
-        self._ids = torch.tensor(indices, device=env.device)
+        self._ids = narrowed(indices, env.device)
         self._low, self._high = self._bounds(clip)
         self.raw_actions = torch.zeros(env.num_envs, self.action_dim, device=env.device)
         self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
@@ -56,14 +57,14 @@ class JointTerm(ActionTerm):
 
     def _spread(self, values: float | Mapping[str, float], default: float, name: str) -> torch.Tensor:
         spread = values_by_name(values, self.joint_names, default, key=name, what="joint")
-        return torch.tensor(spread, dtype=torch.float32, device=self._ids.device)
+        return torch.tensor(spread, dtype=torch.float32, device=self._robot.device)
 
     def _bounds(self, clip: Mapping[str, Bounds] | None) -> tuple[torch.Tensor | None, torch.Tensor | None]:
         if clip is None:
             return None, None
         none = (-torch.inf, torch.inf)
         spread = values_by_name(clip, self.joint_names, none, key="clip", what="joint")
-        bounds = torch.tensor(spread, dtype=torch.float32, device=self._ids.device)
+        bounds = torch.tensor(spread, dtype=torch.float32, device=self._robot.device)
         return bounds[:, 0], bounds[:, 1]
 
 
@@ -104,7 +105,12 @@ class JointAction(JointTerm):
 
 
 class _DefaultOffsetAction(JointAction):
-    """A joint action whose offset may be the joints' default."""
+    """A joint action whose offset may be the joints' default, and whose targets stay until the next action."""
+
+    @property
+    def applies_once(self) -> bool:
+        """Whether it is one of this module's: a user's subclass may set others at each physics step."""
+        return type(self).__module__ == __name__
 
     def __init__(
         self,

@@ -11,6 +11,7 @@ import torch
 
 from wheelleg_exp.constraints import Above, MayBeInfinite, Names, Natural, NonNegative, Ordered
 from wheelleg_exp.sim.actuators.delay import TargetDelay
+from wheelleg_exp.sim.ids import narrowed
 from wheelleg_exp.sim.layout import JointTargets
 from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
 from wheelleg_exp.state import Stateful
@@ -45,6 +46,7 @@ class ActuatorBase(Stateful):
             reset; null is none.
     """
 
+    reads_state: ClassVar[bool] = True  # False where controls follow from targets alone
     settings: ClassVar[tuple[str, ...]] = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
 
     def __init__(
@@ -87,6 +89,7 @@ class ActuatorBase(Stateful):
             self.joint_names_expr, joint_names, key=f"{key}.joint_names_expr", what="joint"
         )
         self.joint_ids = torch.tensor(indices, device=device)
+        self._columns = narrowed(indices, device)
         per_joint: dict[str, list[Any]] = {}
         for name, values in self._config.items():
             spread = values_by_name(values, self.joint_names, None, key=f"{key}.{name}", what="joint")
@@ -143,6 +146,11 @@ class ActuatorBase(Stateful):
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget what the model remembers of ``env_ids``."""
 
+    @property
+    def follows_targets(self) -> bool:
+        """Whether the same targets give the same controls, whatever the state and the time."""
+        return not self.reads_state and self.delay is None
+
     def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` on targets that are due.
 
@@ -171,7 +179,7 @@ class ActuatorBase(Stateful):
 
     def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
         """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, for joints (N, J) of the robot."""
-        ids = self.joint_ids
+        ids = self._columns
         return (
             self.stiffness * (targets.pos[:, ids] - joint_pos[:, ids])
             + self.damping * (targets.vel[:, ids] - joint_vel[:, ids])

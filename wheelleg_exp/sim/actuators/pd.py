@@ -20,6 +20,8 @@ class ImplicitActuator(ActuatorBase):
     One ``general`` actuator a joint: gain 1, affine bias (0, -kp, -kd), ctrl = kp q* + kd qd* + tau_ff.
     """
 
+    reads_state = False
+
     def _shape(self, actuator: Any, index: int) -> None:
         limit = self._per_joint["effort_limit"][index]
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
@@ -33,7 +35,7 @@ class ImplicitActuator(ActuatorBase):
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return kp q* + kd qd* + tau_ff; the drive subtracts kp q + kd qd itself."""
         del data
-        ids = self.joint_ids
+        ids = self._columns
         control = self.stiffness * targets.pos[:, ids]
         control += self.damping * targets.vel[:, ids]
         return control.add_(targets.effort[:, ids])
