@@ -35,6 +35,7 @@ DERIVED = frozenset(
         "._part_forms",
         "._norms",
         "._data",
+        "._readings",
         "._pressures",
         "._normals",
         ".grad",

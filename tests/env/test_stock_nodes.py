@@ -1,0 +1,214 @@
+"""Every node of the stock configs, found by itself: what it gives, that a look changes nothing, and exact resume.
+
+Terms of one group are mounted together, since each has a name of its own; actions, robots, scenes and solvers exclude
+one another and are tried one by one.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+
+from env.crawler import Crawl, differing
+from env.test_state import DERIVED as KNOWN
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.rl.global_draws import no_global_draws
+
+MOUNTS = {
+    "command": "env.commands",
+    "observation": "env.observations.policy.terms",
+    "event": "env.events",
+    "reward": "env.rewards",
+    "termination": "env.terminations",
+    "curriculum": "env.curriculum",
+    "sensor": "env.scene.sensors",
+    "recorder": "env.recorders",
+}
+APART = ("action", "robot", "scene", "sim")
+NOT_BUILT = ("agent", "recording", "run", "task")  # what trains, and what is made of these nodes
+ON_TILES: dict[str, str] = {"flat_patch": "command"}  # options that a plane has no place for, and their groups
+SIZE = [
+    "env.num_envs=3",
+    "env.sim.nthread=1",
+    "env.episode_length_s=0.2",
+    "env.scene.sensors.contact_forces.track_air_time=true",
+]
+# Of every sensor, whatever its name, what it takes from the last solve; no constant follows from frictions.
+DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms", "._at_set_const['geom_friction']"}
+DERIVED |= {".recorder_manager", "._owners['env.recorders']"}  # what has been recorded is no state
+
+
+def files(group: str) -> list[str]:
+    """Return the options of a group, those in folders below it included."""
+    folder = configs_dir() / group
+    return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.yaml"))
+
+
+GROUPS = sorted(path.name for path in Path(configs_dir()).iterdir() if path.is_dir())
+
+
+def test_every_group_is_tried_or_named_as_one_that_is_not():
+    assert {*GROUPS} <= {*MOUNTS, *APART, *NOT_BUILT}
+
+
+def needs(group: str, options: list[str]) -> dict[str, set[str]]:
+    """Return the commands and sensors that some nodes name."""
+    found: dict[str, set[str]] = {"command": set(), "sensor": set()}
+
+    def walk(value):
+        if isinstance(value, dict):
+            name = value.get("name")
+            if str(value.get("_target_", "")).endswith("SceneEntityCfg") and name != "robot":
+                found["sensor"].add(name)
+            if "command_name" in value:
+                found["command"].add(value["command_name"])
+            for item in value.values():
+                walk(item)
+        elif isinstance(value, list):
+            for item in value:
+                walk(item)
+
+    for option in options:
+        walk(yaml.safe_load((configs_dir() / group / f"{option}.yaml").read_text()))
+    return found
+
+
+def options_by_key(group: str) -> dict[str, str]:
+    """Return the option of a group that carries each term's key."""
+    found = {}
+    for option in files(group):
+        for key in yaml.safe_load((configs_dir() / group / f"{option}.yaml").read_text()) or {}:
+            found.setdefault(key, option)
+    return found
+
+
+def mounting(group: str, options: list[str]) -> list[str]:
+    """Return the overrides that put nodes into the stock task, with the commands and sensors that they name."""
+    wanted = {group: options}
+    for other, keys in needs(group, options).items():
+        known = options_by_key(other) if (configs_dir() / other).is_dir() else {}
+        wanted.setdefault(other, [])
+        wanted[other] = sorted({*wanted[other], *(known[key] for key in keys if key in known)})
+    if "base_velocity" not in wanted["command"]:
+        wanted["command"] = ["base_velocity", *wanted["command"]]
+    plain = {"sensor": "+", "recorder": "+"}
+    overrides = []
+    for name, chosen in wanted.items():
+        if chosen:
+            prefix = plain.get(name, "")
+            overrides.append(f"{prefix}{name}@{MOUNTS[name]}=[{','.join(chosen)}]")
+    return overrides
+
+
+def built(overrides: list[str]):
+    """Return the environment of the stock task with some overrides."""
+    composed = compose(["task=stand", *SIZE, *overrides])
+    config = copy.deepcopy(composed.config)
+    for reward in config["env"]["rewards"].values():
+        reward["weight"] = reward["weight"] or 1.0  # one of weight 0 is not called
+    return build_env(config, asset_roots=composed.asset_roots)
+
+
+def act(env, steps: int, start: int = 0):
+    given = []
+    for number in range(start, start + steps):
+        draws = torch.Generator().manual_seed(number)
+        action = torch.randn(env.num_envs, env.action_manager.total_action_dim, generator=draws)
+        obs, reward, terminated, time_outs, _ = env.step(action)
+        given.append(copy.deepcopy((obs, reward, terminated, time_outs)))
+    return given
+
+
+def equal(a, b) -> bool:
+    if isinstance(a, torch.Tensor):
+        return torch.equal(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
+    return len(a) == len(b) and all(map(equal, a, b))
+
+
+def hold(overrides: list[str]) -> None:
+    """Build, run, look, save, restore: every property that each node has to have."""
+    with no_global_draws():
+        env = built(overrides)
+        env.reset()
+        for _ in range(4):
+            act(env, 5)
+            given(env)
+        looks(env)
+    restores(env, overrides)
+
+
+def given(env) -> None:
+    """Hold shapes, kinds and numbers of what terms give."""
+    manager = env.observation_manager
+    for group in manager.active_terms:
+        for name, value in manager.split(group, manager.obs_buf[group]).items():
+            assert (value.shape[0], value.dtype, value.device) == (3, torch.float32, env.device), name
+            assert value.isfinite().all(), name
+    for name, row in zip(env.reward_manager.active_terms, env.reward_manager.step_reward, strict=True):
+        assert row.isfinite().all(), name
+    for name in env.command_manager.active_terms:
+        command = env.command_manager.get_command_term(name).command
+        assert command.shape[0] == 3, name
+        assert command.isfinite().all(), name
+    for term in env.termination_manager.bound_terms:
+        assert term(env).dtype == torch.bool, term.name
+    assert not any(key == "non_finite" for key in env.extras)
+
+
+def looks(env) -> None:
+    """Hold that reading observations and describing the environment leave everything as it was."""
+    before = Crawl(env, DERIVED)
+    first, second = env.observation_manager.peek(), env.observation_manager.peek()
+    env.describe()
+    env.state_dict()
+    assert equal(first, second)
+    assert differing(before, Crawl(env, DERIVED)) == []
+
+
+def restores(env, overrides: list[str]) -> None:
+    """Hold that another environment, after the same steps from a saved state, is the same to the bit."""
+    file = io.BytesIO()
+    torch.save(env.state_dict(), file)
+    other = built(overrides)  # the same seed, of which a ground is made as well
+    other.reset()
+    act(other, 3, start=1000)
+    file.seek(0)
+    other.load_state_dict(torch.load(file, weights_only=True))
+    assert differing(Crawl(env, DERIVED | {".cfg"}), Crawl(other, DERIVED | {".cfg"})) == []
+    assert equal(act(env, 14, start=50), act(other, 14, start=50))
+
+
+@pytest.mark.parametrize("group", [name for name in GROUPS if name in MOUNTS])
+def test_all_terms_of_a_group(group):
+    known = {"contact_forces", *options_by_key("sensor")}
+    hold(mounting(group, [o for o in files(group) if o not in ON_TILES and needs(group, [o])["sensor"] <= known]))
+
+
+@pytest.mark.parametrize("option", ON_TILES)
+def test_what_needs_a_ground_of_tiles(option):
+    ground = "env.scene.terrain.sub_terrains"
+    patches = (
+        "{_target_: wheelleg_exp.sim.terrain.FlatPatches, num_patches: 4, patch_radius: 0.02, max_height_diff: 0.05}"
+    )
+    kinds = yaml.safe_load((configs_dir() / "scene/rough.yaml").read_text())["terrain"]["sub_terrains"]
+    others = [f"~{ground}.{kind}" for kind in kinds if kind != "rough"]
+    tiles = ["scene=rough", "env.scene.terrain.num_rows=2", "env.scene.terrain.num_cols=2", *others]
+    hold([*tiles, f"+{ground}.rough.flat_patches.target={patches}", *mounting(ON_TILES[option], [option])])
+
+
+@pytest.mark.parametrize(("group", "option"), [(g, o) for g in APART for o in files(g)])
+def test_each_option_that_excludes_others(group, option):
+    mount = "@env.actions" if group == "action" else ""
+    chosen = option
+    if group == "action":  # beside the action that drives the other joints
+        chosen = f"[{option}]"
+    hold([f"{group}{mount}={chosen}"])
