@@ -66,6 +66,8 @@ DERIVED = frozenset(
         ".sensors['scan']._outdated",
         ".robot.data.motion_at_start",  # read within a control step alone
         ".command_manager.step_errors",  # of the step alone
+        ".reward_manager._factors",  # taken anew where a curriculum has changed a weight
+        ".reward_manager._weights",
         ".robot._has_new_targets",  # set where a control step begins
         ".action_manager._is_new",
     }

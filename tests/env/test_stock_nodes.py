@@ -42,6 +42,7 @@ SIZE = [
 ]
 # Of every sensor, whatever its name, what it takes from the last solve; no constant follows from frictions.
 DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms", "._at_set_const['geom_friction']"}
+DERIVED |= {f".sensors['{name}'].{what}" for name in ("height_scanner", "lidar") for what in ("_data", "_outdated")}
 DERIVED |= {".recorder_manager", "._owners['env.recorders']"}  # what has been recorded is no state
 
 
