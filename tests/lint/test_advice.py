@@ -138,6 +138,13 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
         lambda x: case(robot(x), **observed("joint_vel", True, noise=noise("UniformNoise", n_min=-99.0 * x))),
         lambda x: case(robot(x), **observed("joint_vel", True, noise=noise("GaussianNoise", std=99.0 * x))),
     ],
+    "levels_out_of_reach": [
+        lambda x: case(
+            scene={"terrain": {"static_friction": 0.6, "dynamic_friction": 0.4, "size": [30.0 * x, 30.0]}},
+            commands={"base_velocity": {"ranges": {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0]}}},
+            curriculum={"c": term("curriculums.terrain_levels_vel")},
+        )
+    ],
     "noop_curriculum": [
         lambda x: case(
             **reward("is_alive", weight=1.0),

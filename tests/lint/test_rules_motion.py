@@ -144,9 +144,10 @@ def test_an_episode_shorter_than_a_fall_is_found():
     assert found("episode_end", case(episode_length_s=2.6)) == []
 
 
+@pytest.mark.parametrize("target", ["root_height_below_minimum", "root_height_over_ground_below_minimum"])
 @pytest.mark.parametrize(("limit", "ends"), [(0.4, True), (0.39, False)])
-def test_a_height_limit_above_the_standing_height_ends_every_episode(limit, ends):
-    node = {"low": term("terminations.root_height_below_minimum", minimum_height=limit)}
+def test_a_height_limit_above_the_standing_height_ends_every_episode(target, limit, ends):
+    node = {"low": term(f"terminations.{target}", minimum_height=limit)}
     assert bool(found("episode_end", case(terminations=node))) == ends
 
 

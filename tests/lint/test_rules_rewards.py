@@ -180,3 +180,28 @@ def test_a_change_after_the_end_of_training_never_comes():
     (finding,) = found("noop_curriculum", curriculum(1.0, 200))  # 20 iterations of 10 steps
     assert finding.figures == {"num_steps": 200, "total_steps": 200}
     assert found("noop_curriculum", curriculum(1.0, 199)) == []
+
+
+def levels(size, speed=1.0):
+    ranges = {"lin_vel_x": [-0.6 * speed, 0.3 * speed], "lin_vel_y": [-0.8 * speed, 0.0], "ang_vel_z": [0.0, 9.0]}
+    terrain = {"static_friction": 0.6, "dynamic_friction": 0.4, **({} if size is None else {"size": [size, 99.0]})}
+    return case(
+        scene={"terrain": terrain},
+        commands={"base_velocity": term("commands.UniformVelocityCommand", ranges=ranges)},
+        curriculum={"c": term("curriculums.terrain_levels_vel")},
+    )
+
+
+def test_a_level_needs_the_way_of_half_a_tile():
+    """1 m/s for 10 s."""
+    (finding,) = found("levels_out_of_reach", levels(20.0))
+    assert finding.key == "env.scene.terrain.size"
+    assert finding.figures == {"speed_m_s": pytest.approx(1.0), "way_m": pytest.approx(10.0), "half_tile_m": 10.0}
+    assert found("levels_out_of_reach", levels(19.9)) == []
+
+
+def test_levels_need_tiles_and_commands():
+    (finding,) = found("levels_out_of_reach", levels(None))
+    assert finding.key == "env.curriculum.c"
+    (finding,) = found("levels_out_of_reach", levels(1.0, speed=0.0))
+    assert finding.advice == ()

@@ -90,6 +90,50 @@ def test_levels_follow_the_way_that_was_made():
     assert float(mean) == 2.0
 
 
+TILES = {
+    "_target_": "wheelleg_exp.sim.terrain.TerrainGenerator",
+    "size": [2.0, 3.0],
+    "num_rows": 4,
+    "num_cols": 2,
+    "border_width": 1.0,
+    "horizontal_scale": 0.5,
+    "vertical_scale": 0.01,
+    "curriculum": True,
+    "difficulty_range": [0.0, 1.0],
+    "max_init_terrain_level": 0,
+    "static_friction": 0.5,
+    "dynamic_friction": 0.4,
+    "restitution": 0.0,
+    "sub_terrains": {"flat": {"_target_": "wheelleg_exp.sim.terrain.Flat", "proportion": 1.0}},
+}
+
+
+def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
+    """4 x 2 tiles of 2 m x 3 m and 1 m around: x up to 5 m, y up to 4 m. 0.2 m/s for 2 s: down within 0.2 m."""
+    speed = VELOCITY | {"ranges": {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}}
+    node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
+    gone = {"_target_": "wheelleg_exp.mdp.terminations.terrain_out_of_bounds", "distance_buffer": 0.5}
+    env = make_env(
+        scene={"terrain": TILES}, commands={"v": speed}, curriculum={"c": node}, terminations={"gone": gone}, events={}
+    )
+    env.reset()
+    levels, ids = env.scene.terrain.terrain_levels, torch.arange(4)
+
+    def walk(way):
+        place = env.scene.env_origins + T([[x, y, 0.5] for x, y in way])
+        env.scene.robot.write_root_pose(ids, place, T([[1.0, 0.0, 0.0, 0.0]]).expand(4, 4))
+        return env.reset()[1]["log"]["Curriculum/c"]
+
+    assert walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]) == 0.5
+    assert levels.tolist() == [1, 1, 0, 0]
+    assert walk([(0.0, 0.0), (0.0, -1.1), (1.2, 0.0), (0.25, 0.0)]) == 0.75
+    assert levels.tolist() == [0, 2, 1, 0]
+    assert env.scene.env_origins[:, 0].tolist() == pytest.approx([-3.0, 1.0, -1.0, -3.0])
+    place = T([[4.4, 0.0, 0.5], [4.6, 0.0, 0.5], [0.0, -3.6, 0.5], [0.0, 3.4, 0.5]])
+    env.scene.robot.write_root_pose(ids, place, T([[1.0, 0.0, 0.0, 0.0]]).expand(4, 4))
+    assert env.step(STILL)[2].tolist() == [False, True, True, False]
+
+
 LEVELS = {
     "_target_": C + "lin_vel_cmd_levels",
     "reward_term_name": "alive",

@@ -99,6 +99,7 @@ PHYSICS_RULES: tuple[str, ...] = (
     "falling_pays",
     "gains_against_time_step",
     "joint_limits",
+    "levels_out_of_reach",
     "link_masses",
     "lopsided_pose",
     "lost_in_conversion",

@@ -14,6 +14,7 @@ from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import PHYSICS_RULES
 from wheelleg_exp.lint import (
     rules_actions,
+    rules_curriculum,
     rules_disturbances,
     rules_drives,
     rules_learning,
@@ -47,6 +48,7 @@ _MODULES = (
     rules_start,
     rules_disturbances,
     rules_learning,
+    rules_curriculum,
     rules_balance,
     rules_conversion,
     rules_links,

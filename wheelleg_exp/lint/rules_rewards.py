@@ -177,31 +177,3 @@ def horizon_steps(case: Case) -> float:
     """Return 1/(1 - gamma), the steps over which the agent looks ahead; inf without discount."""
     gamma = float(case.agent["algorithm"].get("gamma", 0.99))
     return 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
-
-
-@rule
-def noop_curriculum(case: Case) -> Iterator[Finding]:
-    """A change of a reward's weight that changes nothing, or that training never reaches.
-
-    The weight changes once the counter of control steps has passed ``num_steps``; a training takes
-    max_iterations · num_steps_per_env of them. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
-    """
-    total = int(case.agent["max_iterations"]) * int(case.agent["num_steps_per_env"])
-    for term in case.terms("curriculum", "curriculums.modify_reward_weight"):
-        reward, weight, start = term.node["term_name"], float(term.node["weight"]), int(term.node["num_steps"])
-        before = float(case.env["rewards"][reward]["weight"])
-        if weight == before:
-            yield Finding(
-                f"{term.path}.weight",
-                f"'{reward}' has the weight {before:g} from the start: the change to {weight:g} changes nothing",
-                "another weight, here or there, or no curriculum",
-                {"before": before, "after": weight},
-            )
-        if start >= total:
-            yield Finding(
-                f"{term.path}.num_steps",
-                f"training takes {total} control steps, and the weight changes after {start}",
-                f"num_steps below {total}, or more iterations",
-                {"num_steps": start, "total_steps": total},
-                ({f"{term.path}.num_steps": total - 1},),
-            )

@@ -14,6 +14,7 @@ _GROUND = 1e-4  # m that a spawn may lie inside the ground: contacts are soft
 _HEIGHT = 0.05  # of the standing height, between the reward's target and the default pose
 _FALLS = 5.0  # time constants of the fall that an episode should last
 _UPRIGHT = math.pi
+_LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
 _TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")  # whose threshold is in seconds
 _ON_WHEELS = (
     "rewards.no_contact_count",
@@ -127,7 +128,7 @@ def episode_end(case: Case) -> Iterator[Finding]:
 
 
 def _ends_at_once(case: Case, term: TermView) -> Iterator[Finding]:
-    if term.kind == "terminations.root_height_below_minimum":
+    if term.kind in _LOWEST:
         limit, start = float(term.node["minimum_height"]), case.facts.standing_height
         if limit >= start:
             key, lower = f"{term.path}.minimum_height", below(start, 3)
