@@ -34,12 +34,38 @@ def test_silenced_findings_are_read(composed):
     assert check(composed("++check.silence.push_size=known")) == []
 
 
+def deep_class(name):
+    """Name a class in a section that rsl_rl takes as it is."""
+    rnd = f"num_outputs: 1, predictor_hidden_dims: [1], target_hidden_dims: [1], weight_schedule: {{class_name: '{name}'}}"
+    return f"++agent.algorithm.rnd_cfg={{{rnd}}}", "++agent.obs_groups.rnd_state=[policy]"
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "said"),
+    [
+        ("rnd_cfg={num_output: 1}", "rnd_cfg.num_output", "did you mean 'num_outputs'"),
+        ("rnd_cfg={num_outputs: 0}", "rnd_cfg.num_outputs", "at least 1"),
+        ("rnd_cfg={num_outputs: 1}", "rnd_cfg.target_hidden_dims", "missing"),
+        ("symmetry_cfg={use_mirror_los: true}", "symmetry_cfg.use_mirror_los", "did you mean 'use_mirror_loss'"),
+        ("symmetry_cfg={use_mirror_loss: true}", "symmetry_cfg.data_augmentation_func", "missing"),
+    ],
+)
+def test_what_rsl_rl_s_extensions_read_is_checked(composed, section, key, said):
+    errors = {error.key: str(error) for error in check(composed(f"++agent.algorithm.{section}"))}
+    assert said in errors[f"agent.algorithm.{key}"]
+
+
+def test_novelty_needs_observations(composed):
+    words = "++agent.algorithm.rnd_cfg={num_outputs: 1, predictor_hidden_dims: [1], target_hidden_dims: [1]}"
+    assert [error.key for error in check(composed(words))] == ["agent.obs_groups.rnd_state"]
+
+
 def test_classes_of_rsl_rl_and_of_allowed_packages_are_fine(composed):
     names = ["PPO", "rsl_rl.algorithms.PPO", "rsl_rl.algorithms:PPO"]
     for name in names:
         assert check(composed(f"agent.algorithm.class_name={name}")) == []
     for name in ("rsl_rl.utils.log_writer:LogWriter", "shelf_terms:Effort"):
-        assert check(composed(f"++agent.algorithm.rnd_cfg={{class_name: '{name}'}}")) == []
+        assert check(composed(*deep_class(name))) == []
 
 
 def test_a_deep_class_outside_the_allowed_packages_is_a_mistake(composed):
@@ -52,8 +78,8 @@ def test_a_deep_class_outside_the_allowed_packages_is_a_mistake(composed):
     "name", ["rsl_rl.runners.on_policy_runner:os.system", "rsl_rl.utils.utils.importlib.import_module", "deque"]
 )
 def test_what_a_module_of_rsl_rl_has_only_imported_is_a_mistake(composed, name):
-    (error,) = check(composed(f"++agent.algorithm.rnd_cfg={{class_name: '{name}'}}"))
-    assert error.key == "agent.algorithm.rnd_cfg.class_name"
+    (error,) = check(composed(*deep_class(name)))
+    assert error.key == "agent.algorithm.rnd_cfg.weight_schedule.class_name"
 
 
 def test_a_class_outside_the_allowed_packages_is_not_imported(composed, tmp_path):

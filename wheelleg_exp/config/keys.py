@@ -32,6 +32,9 @@ _RSL_CLASS = "class_name"
 # Parameters that rsl_rl passes itself, to its algorithms and to its networks, and what it reads beside parameters.
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
+_PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
+# Sections below the algorithm without a class of their own, and the class of rsl_rl.extensions that reads each.
+EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
 _READ_BESIDE: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
 # Parameters that name a term of another section, by the section of the term that has them ("" is any).
@@ -88,6 +91,9 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
         own = {_RSL_CLASS: Slot(str, meaning=fixed.KEYS["agent.*.class_name"])}
         found = rsl_class(node[_RSL_CLASS])
         return own if found is None else own | class_slots(found, keys[-1])
+    extension = extension_of(keys)
+    if extension is not None and isinstance(node, Mapping):
+        return class_slots(extension, keys[-1])
     inside_default = _default_slots(tree, keys) if node is None and keys else {}
     options = None if inside_default else _options(tree, keys)
     return inside_default if options is None else _dataclass_slots(options, keys)
@@ -202,12 +208,22 @@ def class_slots(found: Any, section: str) -> dict[str, Slot]:
         section: the key of ``agent`` that it stands at, such as ``algorithm``.
     """
     passed = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
+    passed = _PASSED_TO_EXTENSION if section in EXTENSIONS else passed
     open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     parameters = inspect.signature(found.__init__).parameters
     taken = {n: p for n, p in parameters.items() if n not in passed and p.kind not in open_ended}
     slots = _signature_slots(found, taken)
     known = {n: dataclasses.replace(s, annotation=PARAMETERS.get(n, s.annotation)) for n, s in slots.items()}
     return known | {name: Slot(annotation) for name, annotation in _READ_BESIDE.get(section, {}).items()}
+
+
+def extension_of(keys: Keys) -> Any | None:
+    """Return the class of rsl_rl that reads ``agent.algorithm.rnd_cfg`` or ``symmetry_cfg``; None for other keys."""
+    if len(keys) != 3 or keys[:2] != ("agent", "algorithm") or keys[2] not in EXTENSIONS:
+        return None
+    from rsl_rl import extensions
+
+    return getattr(extensions, EXTENSIONS[keys[2]])
 
 
 def class_packages() -> tuple[str, ...]:

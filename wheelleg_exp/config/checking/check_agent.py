@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from wheelleg_exp.config.keys import class_packages, class_slots, rsl_class
+from wheelleg_exp.config.keys import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
 from wheelleg_exp.rl.options import PARAMETERS, Agent, batch_errors, parameter_errors
@@ -39,6 +39,7 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
         for key in _CLASS_KEYS:
             errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
     errors += _check_groups(agent.get("obs_groups"), groups)
+    errors += _check_extensions(agent)
     for section in ("algorithm", "actor", "critic", "student", "teacher"):
         errors += _check_constructor(f"agent.{section}", agent.get(section))
     return errors or (batch_errors(agent, num_envs) if fits(num_envs, Count) else [])
@@ -122,6 +123,24 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
     return errors
 
 
+def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
+    """Hold the sections of random network distillation and of symmetry against what reads them."""
+    algorithm, sets = agent.get("algorithm"), agent.get("obs_groups")
+    errors: list[ConfigError] = []
+    for name in EXTENSIONS:
+        node = algorithm.get(name) if isinstance(algorithm, Mapping) else None
+        if not isinstance(node, Mapping):
+            continue
+        path, found = f"agent.algorithm.{name}", extension_of(("agent", "algorithm", name))
+        errors += _check_parameters(path, node, found)
+        needed = [n for n, slot in class_slots(found, name).items() if slot.default is REQUIRED and n not in node]
+        errors += [MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs") for key in needed]
+        if name == "rnd_cfg" and isinstance(sets, Mapping) and not sets.get("rnd_state"):
+            expected = "the observation groups whose novelty counts"
+            errors.append(MissingValue(key="agent.obs_groups.rnd_state", expected=expected))
+    return errors
+
+
 def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[ConfigError]:
     accepted = class_slots(found, path.rsplit(".", 1)[-1])
     errors = []
@@ -132,7 +151,7 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
         if name not in accepted:
             errors.append(
                 ConfigError(
-                    f"'{node['class_name']}' takes no parameter '{name}'",
+                    f"'{node.get('class_name', found.__name__)}' takes no parameter '{name}'",
                     key=key,
                     expected="one of " + ", ".join(accepted),
                     nearest=nearest_name(str(name), accepted),
