@@ -36,8 +36,9 @@ def test_silenced_findings_are_read(composed):
 
 def deep_class(name):
     """Name a class in a section that rsl_rl takes as it is."""
-    rnd = f"num_outputs: 1, predictor_hidden_dims: [1], target_hidden_dims: [1], weight_schedule: {{class_name: '{name}'}}"
-    return f"++agent.algorithm.rnd_cfg={{{rnd}}}", "++agent.obs_groups.rnd_state=[policy]"
+    dims = "num_outputs: 1, predictor_hidden_dims: [1], target_hidden_dims: [1]"
+    rnd = f"++agent.algorithm.rnd_cfg={{{dims}, weight_schedule: {{class_name: '{name}'}}}}"
+    return rnd, "++agent.obs_groups.rnd_state=[policy]"
 
 
 @pytest.mark.parametrize(

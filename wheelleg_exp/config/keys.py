@@ -207,7 +207,7 @@ def class_slots(found: Any, section: str) -> dict[str, Slot]:
         found: the class.
         section: the key of ``agent`` that it stands at, such as ``algorithm``.
     """
-    passed = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
+    passed: tuple[str, ...] = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
     passed = _PASSED_TO_EXTENSION if section in EXTENSIONS else passed
     open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     parameters = inspect.signature(found.__init__).parameters

@@ -8,5 +8,6 @@
 | `checkpoint`, `digests` | the whole state in a file, and short digests of it |
 | `policy`, `export` | a policy alone, and for deployment |
 | `episode_log`, `step_means` | what a rollout tells: of episodes, failures counted; of every step |
+| `symmetry/` | mirror images of observations and actions |
 | `global_draws`, `one_thread` | guards of what repeats |
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from wheelleg_exp.constraints import (
@@ -22,6 +22,20 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.terms.keys import below
 from wheelleg_exp.terms.sections import Section, section_errors
 from wheelleg_exp.terms.values import value_errors
+
+
+@dataclass(frozen=True)
+class SymmetryOptions:
+    r"""``agent.symmetry``: how the robot is mirrored, for ``wheelleg_exp.rl.symmetry.left_right``.
+
+    Attributes:
+        joint_pairs: expressions of whole names of joints of one side, and the names of their images on the other, with
+            `\1` for what a group matched; a joint that is not named is its own image.
+        terms: how observations turn that are no stock terms: a rule by the term's name, or a sign for each number.
+    """
+
+    joint_pairs: dict[str, str]
+    terms: dict[str, str | Sequence[float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -46,6 +60,7 @@ class Agent:
     logger: Literal["tensorboard", "wandb"] | None = "tensorboard"
     torch_compile_mode: str | None = None
     max_non_finite: NonNegative = 0.1
+    symmetry: SymmetryOptions | None = None
 
 
 # By name, wherever they stand in rsl_rl's configuration: it takes what is wrong without a word, and fails or learns

@@ -29,12 +29,22 @@ from wheelleg_exp.rl.global_draws import no_global_draws
 from wheelleg_exp.rl.one_thread import one_thread
 from wheelleg_exp.rl.options import require_agent
 from wheelleg_exp.rl.step_means import StepMeans
+from wheelleg_exp.rl.symmetry.mirror import Mirror, options_of
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.state import cloned
 from wheelleg_exp.user_code import ending_as, in_words, place
 
 # Keys of the agent section that are this program's, not rsl_rl's.
-OWN_KEYS = ("device", "torch_threads", "max_iterations", "save_interval", "clip_actions", "logger", "max_non_finite")
+OWN_KEYS = (
+    "device",
+    "torch_threads",
+    "max_iterations",
+    "save_interval",
+    "clip_actions",
+    "logger",
+    "max_non_finite",
+    "symmetry",
+)
 
 
 @dataclass(frozen=True)
@@ -242,6 +252,10 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
     require_agent(agent, env.num_envs)
     if torch.device(agent["device"]).type == "cpu":
         _require_memory(env, observations, agent)
+    options = options_of(agent)
+    if options is not None:
+        groups = [group for role in ("actor", "critic") for group in agent["obs_groups"].get(role, [])]
+        env.mirror = Mirror(env.env, options, groups, str(agent["device"]))
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = None

@@ -27,6 +27,7 @@ class RslRlVecEnv(VecEnv):
         self.device = "cpu"
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
+        self.mirror: Any = None  # what rsl_rl's symmetry asks for images
         env.reset()
 
     @property

@@ -21,6 +21,7 @@ _CLASS_KEYS = ("class_name", "data_augmentation_func")
 # Parameters whose words rsl_rl looks up, and the function of its utils that does so.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 _DISTRIBUTION = "distribution_cfg"
+_MIRROR = "wheelleg_exp.rl.symmetry.left_right"
 _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 
@@ -134,7 +135,12 @@ def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
         path, found = f"agent.algorithm.{name}", extension_of(("agent", "algorithm", name))
         errors += _check_parameters(path, node, found)
         needed = [n for n, slot in class_slots(found, name).items() if slot.default is REQUIRED and n not in node]
-        errors += [MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs") for key in needed]
+        errors += [
+            MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs") for key in needed
+        ]
+        if name == "symmetry_cfg" and node.get("data_augmentation_func") == _MIRROR and not agent.get("symmetry"):
+            expected = "joint_pairs, which say what the mirror image of each joint is"
+            errors.append(MissingValue(key="agent.symmetry", expected=expected))
         if name == "rnd_cfg" and isinstance(sets, Mapping) and not sets.get("rnd_state"):
             expected = "the observation groups whose novelty counts"
             errors.append(MissingValue(key="agent.obs_groups.rnd_state", expected=expected))

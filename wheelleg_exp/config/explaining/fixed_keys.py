@@ -72,6 +72,7 @@ KEYS: dict[str, str] = {
     "agent.torch_threads": "threads of torch; recorded in the run",
     "agent.clip_actions": "bound of the raw actions, null for none",
     "agent.max_non_finite": "episodes that may end in one iteration because a number was not finite, per environment",
+    "agent.symmetry": "how the robot is mirrored left to right, null where it is not",
     "agent.torch_compile_mode": "mode of torch.compile, null for none",
     "recording": "what is recorded",
     "run": "where the run goes",

@@ -1,0 +1,60 @@
+"""rsl_rl's extensions in training: the stock examples learn, and go on to the bit after a stop."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from wheelleg_exp.rl import checkpoint
+
+pytestmark = pytest.mark.train
+
+
+def without_times(done):
+    return {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
+
+
+@pytest.mark.parametrize("agent", ["ppo_rnd", "ppo_symmetry"])
+def test_three_iterations_are_one_and_two_more(make_trainer, tmp_path, agent):
+    words = [f"agent={agent}"]
+    trainer = make_trainer(*words)
+    straight = list(trainer.learn(until=3))
+    trained = checkpoint.serialize(trainer.state_dict())
+    first = make_trainer(*words)
+    list(first.learn(until=1))
+    path = tmp_path / "model_0.pt"
+    path.write_bytes(checkpoint.serialize(first.state_dict()))
+    second = make_trainer(*words, seed=5)
+    second.load_state_dict(checkpoint.load(path))
+    later = list(second.learn(until=3))
+    assert [without_times(done) for done in later] == [without_times(done) for done in straight[1:]]
+    assert checkpoint.serialize(second.state_dict()) == trained
+
+
+def test_what_has_been_seen_is_no_longer_new(make_trainer):
+    """The predictor learns: its loss falls on states that come again and again."""
+    losses = [done.scalars["Loss/rnd"] for done in make_trainer("agent=ppo_rnd").learn(until=8)]
+    assert all(loss > 0.0 for loss in losses)
+    assert losses[-1] < 0.5 * max(losses[:3])
+
+
+def test_novelty_is_rewarded_by_the_weight_and_the_control_step(make_trainer):
+    """By hand: the length of the prediction error, times the weight, times 1/60 s, without normalisation."""
+    plain = ["agent.algorithm.rnd_cfg.reward_normalization=false", "agent.algorithm.rnd_cfg.weight_schedule=null"]
+    trainer = make_trainer("agent=ppo_rnd", *plain, "agent.algorithm.rnd_cfg.weight=3.0")
+    rnd, seen = trainer.algorithm.rnd, trainer.env.get_observations()
+    with torch.inference_mode():
+        state = (seen["policy"] - rnd.state_normalizer._mean) / (rnd.state_normalizer._std + rnd.state_normalizer.eps)
+        error = rnd.target(state) - rnd.predictor(state)
+        expected = 3.0 / 60.0 * error.square().sum(dim=1).sqrt()
+        torch.testing.assert_close(rnd.get_intrinsic_reward(seen), expected)
+
+
+def test_mirror_images_make_a_policy_its_own_image(make_trainer):
+    """With the loss on it, the policy's answer to an image comes nearer to the image of its answer."""
+    words = ["agent=ppo_symmetry", "agent.algorithm.symmetry_cfg.use_mirror_loss=true"]
+    losses = [
+        [done.scalars["Loss/symmetry"] for done in make_trainer(*words, f"{key}={factor}").learn(until=6)][-1]
+        for key, factor in [("agent.algorithm.symmetry_cfg.mirror_loss_coeff", c) for c in (0.0, 10.0)]
+    ]
+    assert losses[1] < 0.5 * losses[0]

@@ -1,0 +1,212 @@
+"""Mirror images: held against the physics itself, and against signs worked out by hand."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rl.symmetry import left_right
+from wheelleg_exp.rl.symmetry.joints import partners, signs
+
+MIRRORED = "agent=ppo_symmetry"
+CALM = ["event@env.events=[]", "env.terminations.leg_contact=null", "env.terminations.base_contact=null"]
+# By hand: joints l01 r01 l02 r02 l03 r03 change sides, and all turn about +y on both sides, so that no sign changes.
+SIDES = [1, 0, 3, 2, 5, 4]
+ACTIONS = [2, 3, 0, 1, 5, 4]  # of l01 l02 r01 r02 l03 r03
+
+
+@pytest.fixture(scope="module")
+def adapter(make_trainer):
+    command = "env.commands.base_velocity"
+    words = [f"{command}.resampling_time_range=[9,9]", f"{command}.rel_standing_envs=0.0"]
+    return make_trainer(MIRRORED, *CALM, "env.num_envs=32", *words).env
+
+
+def write_twins(env):
+    """Give environments 0-15 any states near the ground, and 16-31 their images, by hand."""
+    robot, half, generator = env.scene.robot, 16, torch.Generator().manual_seed(4)
+
+    def draw(*shape, size=1.0):
+        return size * (2.0 * torch.rand(*shape, generator=generator) - 1.0)
+
+    pos = torch.tensor([0.0, 0.0, 0.072]) + draw(half, 3, size=0.004)
+    quat = torch.nn.functional.normalize(torch.tensor([1.0, 0.0, 0.0, 0.0]) + draw(half, 4, size=0.1), dim=1)
+    lin, ang = draw(half, 3, size=0.3), draw(half, 3, size=2.0)
+    q, v = robot.layout.default_joint_pos + draw(half, 6, size=0.2), draw(half, 6, size=3.0)
+    ids = torch.arange(32)
+    origins = env.scene.env_origins
+    robot.write_root_pose(
+        ids,
+        torch.cat((pos, pos * torch.tensor([1.0, -1.0, 1.0]))) + origins,
+        torch.cat((quat, quat * torch.tensor([1.0, -1.0, 1.0, -1.0]))),
+    )
+    robot.write_root_com_velocity(
+        ids,
+        torch.cat((lin, lin * torch.tensor([1.0, -1.0, 1.0]))),
+        torch.cat((ang, ang * torch.tensor([-1.0, 1.0, -1.0]))),
+    )
+    robot.write_joint_state(ids, torch.cat((q, q[:, SIDES])), torch.cat((v, v[:, SIDES])))
+    command = env.command_manager.get_command_term("base_velocity")
+    vx_vy_wz = draw(half, 3)
+    command.command[:] = torch.cat((vx_vy_wz, vx_vy_wz * torch.tensor([1.0, -1.0, -1.0])))
+    env.scene.refresh()
+
+
+def test_the_image_of_a_state_steps_to_the_image_of_the_next_state(adapter):
+    """Landing, wheels on the ground and falls: positions, velocities, efforts, commands and actions of both groups."""
+    env, half = adapter.env, 16
+    env.autoreset = "disabled"
+    env.reset()
+    write_twins(env)
+    generator = torch.Generator().manual_seed(7)
+    contacts = 0.0
+    for _ in range(12):
+        one = 2.0 * torch.rand(half, 6, generator=generator) - 1.0
+        image = one[:, ACTIONS]
+        env.step(torch.cat((one, image)))
+        seen = adapter.get_observations()
+        contacts += float(env.scene["contact_forces"].data.net_forces_w.abs().sum())
+        for group in ("policy", "critic"):
+            got, expected = adapter.mirror.observations(seen[:half])[group], seen[half:][group]
+            torch.testing.assert_close(got, expected, atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(adapter.mirror.actions(one), image)
+    assert contacts > 1.0
+    still = adapter.get_observations()[half:]["policy"]
+    assert (adapter.get_observations()[:half]["policy"] - still).abs().max() > 0.5  # the images are not the same
+
+
+def test_an_image_of_an_image_is_what_it_was(adapter):
+    seen = adapter.get_observations()
+    twice = adapter.mirror.observations(adapter.mirror.observations(seen))
+    assert all(torch.equal(twice[group], seen[group]) for group in ("policy", "critic"))
+
+
+def test_a_batch_is_followed_by_its_image(adapter):
+    seen, actions = adapter.get_observations(), torch.rand(32, 6)
+    observations, both = left_right(adapter, seen, actions)
+    assert observations.batch_size == (64,)
+    assert torch.equal(observations["critic"][:32], seen["critic"])
+    assert torch.equal(both[32:], actions[:, ACTIONS])
+    assert left_right(adapter, None, actions)[0] is None
+    assert left_right(adapter, seen, None)[1] is None
+
+
+def test_signs_of_joints_are_those_of_their_axes():
+    """Hips about x and z, knees about y, slides: by the right hand rule, with the left one's axis written about."""
+    model = mujoco.MjModel.from_xml_string("""
+      <mujoco><worldbody><body name="base" pos="1 2 3" quat="0.6 0.8 0 0"><freejoint/><geom size="0.1"/>
+        <body pos="0 0.2 0"><joint name="l_roll" axis="1 0 0"/><geom size="0.05"/>
+          <body pos="0 0.1 -0.1"><joint name="l_pitch" axis="0 -1 0"/><geom size="0.04"/>
+            <body pos="0 0 -.1"><joint name="l_slide" type="slide" axis="0 1 0"/><geom size=".03"/></body></body></body>
+        <body pos="0 -0.2 0"><joint name="r_roll" axis="1 0 0"/><geom size="0.05"/>
+          <body pos="0 -0.1 -0.1"><joint name="r_pitch" axis="0 1 0"/><geom size="0.04"/>
+            <body pos="0 0 -.1"><joint name="r_slide" type="slide" axis="0 1 0"/><geom size=".03"/></body></body></body>
+        <body pos="0.1 0 0"><joint name="yaw" axis="0 0 1"/><geom size="0.02"/>
+          <body pos="0.1 0 0"><joint name="nod" axis="0 1 0"/><geom size="0.02"/></body></body>
+      </body></worldbody></mujoco>""")
+    names = ["l_roll", "l_pitch", "l_slide", "r_roll", "r_pitch", "r_slide", "yaw", "nod"]
+    images = partners(names, {"l_(.*)": r"r_\1"})
+    assert images == [3, 4, 5, 0, 1, 2, 6, 7]
+    assert signs(model, "base", names, images) == [-1, -1, -1, -1, -1, -1, -1, 1]
+
+
+@pytest.mark.parametrize(
+    ("pairs", "said"),
+    [
+        ({"x(.*)": r"r\1"}, "fits no joint"),
+        ({"l(.*)": r"s\1"}, "there is no joint 's1'"),
+        ({"l(": "r"}, "cannot be read"),
+        ({"l(.*)": r"r\2"}, "cannot be read"),
+    ],
+)
+def test_pairs_that_cannot_be_are_told(pairs, said):
+    with pytest.raises(ConfigError, match=r"agent\.symmetry\.joint_pairs") as caught:
+        partners(["l1", "r1", "head"], pairs)
+    assert said in str(caught.value)
+
+
+def lopsided(change):
+    sides = {"l": 'pos="0 0.2 0"', "r": 'pos="0 -0.2 0"'} | change
+    bodies = "".join(
+        f'<body {place}><joint name="{side}" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.1"/></body>'
+        for side, place in sides.items()
+    )
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body name="base"><freejoint/><geom size="0.1"/>{bodies}</body></worldbody></mujoco>'
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"r": 'pos="0 -0.21 0"'}, "10.0 mm off"),
+        ({"r": 'pos="0 -0.2 0" euler="0 45 0"'}, "off the image"),  # zero of the joint is elsewhere
+        ({"r": 'pos="0 -0.2 0" euler="0 0 20"'}, "axes differ by 20.0 degrees"),
+    ],
+)
+def test_joints_that_are_no_images_are_told(change, said):
+    assert signs(lopsided({}), "base", ["l", "r"], [1, 0]) == [1, 1]
+    with pytest.raises(ConfigError, match="'l' and 'r' are no mirror images") as caught:
+        signs(lopsided(change), "base", ["l", "r"], [1, 0])
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "key", "said"),
+    [
+        (
+            ["env.robot.init_state.joint_pos={'.*01$': 0.9599, 'l02': -1.0, 'r02': -1.8, '.*03$': 0.0}"],
+            "env.robot",
+            "-1",
+        ),
+        (["+agent.symmetry.terms={base_ang_vell: vector}"], "agent.symmetry.terms.base_ang_vell", "base_ang_vel"),
+        (["+agent.symmetry.terms={base_ang_vel: vectr}"], "agent.symmetry.terms.base_ang_vel", "'vector'"),
+        (["+agent.symmetry.terms={base_ang_vel: [1, 1]}"], "env.observations", "the term has 3"),
+        (["env.observations.policy.terms.base_ang_vel.scale=[1,2,3]"], None, ""),
+        (["env.observations.policy.terms.joint_vel_rel.scale=[1,2,1,1,1,1]"], "joint_vel_rel.scale", "one factor"),
+        (["+env.observations.policy.terms.base_ang_vel.clip=[-1,2]"], "base_ang_vel.clip", "[-x, x]"),
+        (["env.actions.wheel_vel.scale={l03: 5.0, r03: 4.0}"], "env.actions", "'l03'"),
+        (["env.actions.wheel_vel.joint_names=[l03]"], "env.actions", "'r03'"),
+    ],
+)
+def test_what_is_no_image_is_told_with_its_key(make_trainer, words, key, said):
+    if key is None:
+        make_trainer(MIRRORED, *words)
+        return
+    with pytest.raises(ConfigError) as caught:
+        make_trainer(MIRRORED, *words)
+    assert key in str(caught.value.key)
+    assert said in str(caught.value)
+
+
+def test_a_term_whose_image_is_not_known_is_told(make_trainer):
+    own = "+env.observations.policy.terms.phase={_target_: wheelleg_exp.mdp.observations.gait_phase, period: 1.0}"
+    with pytest.raises(ConfigError, match=r"agent\.symmetry\.terms\.phase.*vector"):
+        make_trainer(MIRRORED, own)
+    mirror = make_trainer(MIRRORED, own, "+agent.symmetry.terms={phase: [1, -1]}").env.mirror
+    assert mirror is not None
+
+
+@pytest.mark.train
+def test_each_minibatch_holds_the_images_too(make_trainer, monkeypatch):
+    """What the actor learns from is twice as much, and its second half the image of the first."""
+    trainer, seen = make_trainer(MIRRORED), []
+    actor = trainer.algorithm.actor
+    forward = type(actor).forward
+
+    def spy(self, observations, *args, **kwargs):
+        if self is actor and self.training and torch.is_grad_enabled():
+            seen.append(observations["policy"].detach().clone())
+        return forward(self, observations, *args, **kwargs)
+
+    monkeypatch.setattr(type(actor), "forward", spy)
+    (done,) = trainer.learn(until=1)
+    batch = seen[0]
+    assert len(batch) == 2 * 16 * 24 // 4
+    half = len(batch) // 2
+    frame = np.s_[12:15]  # the newest angular velocity of five: by hand, it turns as a pseudovector does
+    assert torch.equal(batch[half:, frame], batch[:half, frame] * torch.tensor([-1.0, 1.0, -1.0]))
+    assert done.scalars["Loss/symmetry"] >= 0.0

@@ -1,0 +1,12 @@
+"""Left and right: what a robot's mirror image observes and does, for rsl_rl's symmetry extension.
+
+| module | what it offers |
+|---|---|
+| `joints` | which joint is which one's image, and with which sign, from the compiled model |
+| `rules` | how each kind of observation turns in a mirror |
+| `mirror` | the images of whole observations and actions |
+"""
+
+from wheelleg_exp.rl.symmetry.mirror import Mirror, left_right
+
+__all__ = ["Mirror", "left_right"]

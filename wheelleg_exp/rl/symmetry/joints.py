@@ -1,0 +1,104 @@
+"""Which joint is the image of which, and with which sign, when the robot is mirrored left to right."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+PAIRS = "agent.symmetry.joint_pairs"
+_APART = 0.02  # of the robot's size: farther off is no image
+_TILTED = 0.99  # cosine between an axis and the other's image
+_FLIP = np.array([1.0, -1.0, 1.0])  # a mirror in the plane of the base's x and z axes
+
+
+def partners(names: Sequence[str], pairs: Mapping[str, str]) -> list[int]:
+    r"""Return the index of each joint's image; a joint that no expression names is its own.
+
+    Args:
+        names: the joints.
+        pairs: expressions of whole names of the one side, and what the name of the image is, with ``\1`` for groups.
+
+    Raises:
+        ConfigError: an expression fits no joint, or there is no joint of the image's name.
+    """
+    found = list(range(len(names)))
+    for expression, image in pairs.items():
+        key = f"{PAIRS}[{expression}]"
+        try:
+            matches = [match for name in names if (match := re.fullmatch(expression, name))]
+            images = [match.expand(image) for match in matches]
+        except (re.error, IndexError) as error:
+            raise ConfigError(
+                f"cannot be read: {error}", key=key, expected="expressions, such as 'l(.*)': 'r\\1'"
+            ) from error
+        if not matches:
+            nearest = nearest_name(expression, names)
+            raise ConfigError(
+                "fits no joint", key=key, expected="the whole name of one of " + ", ".join(names), nearest=nearest
+            )
+        for match, other in zip(matches, images, strict=True):
+            if other not in names:
+                expected, nearest = "one of " + ", ".join(names), nearest_name(other, names)
+                raise ConfigError(f"there is no joint '{other}'", key=key, expected=expected, nearest=nearest)
+            one, two = names.index(match.string), names.index(other)
+            found[one], found[two] = two, one
+    return found
+
+
+def signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
+    """Return the sign with which each joint's image moves.
+
+    A mirror M turns the axis of a rotation about: the image of a turn by q about a is one by q about -M a; that of a
+    slide along a is one along M a. Anchors, and the centres and masses of what the joints carry, must be images too.
+
+    Args:
+        model: the compiled scene.
+        root: name of the robot's root body.
+        names: the joints.
+        images: the index of each one's image.
+
+    Raises:
+        ConfigError: two joints are no mirror images.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    base = model.body(root).id
+    turn, origin = data.xmat[base].reshape(3, 3).T, data.xpos[base].copy()
+    ids = [model.joint(name).id for name in names]
+    places = np.array([[turn @ (data.xanchor[j] - origin), _centre(model, data, j, turn, origin)] for j in ids])
+    axes = np.array([turn @ data.xaxis[j] for j in ids])
+    size = float(np.abs(places).max()) or 1.0
+    found = []
+    for name, joint, place, axis, other in zip(names, ids, places, axes, images, strict=True):
+        hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        cosine = float(axes[other] @ (_FLIP * axis)) * (-1.0 if hinge else 1.0)
+        apart = float(np.linalg.norm(places[other] - _FLIP * place, axis=1).max())
+        mass, its = (float(model.body_mass[model.jnt_bodyid[j]]) for j in (joint, ids[other]))
+        same_kind = model.jnt_type[joint] == model.jnt_type[ids[other]]
+        for wrong in (
+            *([] if same_kind else ["one is a hinge and one a slide"]),
+            *([] if apart <= _APART * size else [f"they, or what they carry, lie {1e3 * apart:.1f} mm off the image"]),
+            *(
+                []
+                if abs(cosine) >= _TILTED
+                else [f"the axes differ by {np.degrees(np.arccos(abs(cosine))):.1f} degrees"]
+            ),
+            *([] if abs(mass - its) <= _APART * max(mass, its) else [f"they carry {mass:.4g} and {its:.4g} kg"]),
+        ):
+            what = f"joint '{name}' is no mirror image of itself" if names[other] == name else ""
+            what = what or f"joints '{name}' and '{names[other]}' are no mirror images"
+            raise ConfigError(
+                f"{what}: {wrong}", key=PAIRS, expected="pairs of joints to the left and right of the base"
+            )
+        found.append(1.0 if cosine > 0 else -1.0)
+    return found
+
+
+def _centre(model: mujoco.MjModel, data: mujoco.MjData, joint: int, turn: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return the centre of mass of what a joint carries, in the base's axes, m."""
+    return turn @ (data.xipos[model.jnt_bodyid[joint]] - origin)

@@ -1,0 +1,254 @@
+"""The mirror images of whole observations and actions, and the function that rsl_rl calls for them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers import ActionTerm
+from wheelleg_exp.managers.observation_term import ObservationTerm
+from wheelleg_exp.rl.options import SymmetryOptions
+from wheelleg_exp.rl.symmetry import rules
+from wheelleg_exp.rl.symmetry.joints import PAIRS, partners, signs
+
+# Where each number of an image comes from, and its sign.
+Turned = list[tuple[int, float]]
+_TERMS = "agent.symmetry.terms"
+_LARGEST = 1e-4  # rad, or the units of targets: defaults and targets that differ by more are no images
+
+
+class Mirror:
+    """Mirrors observations and actions of an environment left to right.
+
+    Args:
+        env: the environment.
+        options: the ``agent.symmetry`` section.
+        groups: the observation groups that networks see.
+        device: where batches are.
+
+    Raises:
+        ConfigError: the robot is no mirror image of itself, or it is not known how a term turns.
+    """
+
+    def __init__(
+        self, env: ManagerBasedRLEnv, options: SymmetryOptions, groups: Iterable[str], device: str | torch.device
+    ) -> None:
+        self._env, self._options = env, options
+        self._require_known_terms(groups)
+        robot = env.scene.robot
+        self._images = partners(robot.joint_names, options.joint_pairs)
+        self._signs = signs(env.scene.model, robot.body_names[0], robot.joint_names, self._images)
+        self._require_defaults()
+        self._action = self._actions()
+        self._groups = {group: _tensors(self._group(group), device) for group in dict.fromkeys(groups)}
+        self._action_tensors = _tensors(self._action, device)
+
+    def observations(self, observations: TensorDict) -> TensorDict:
+        """Return the image of a batch; groups that no network sees stay as they are."""
+        turned = {name: _turned(observations[name], *self._groups[name]) for name in self._groups}
+        return TensorDict({**dict(observations.items()), **turned}, batch_size=observations.batch_size)
+
+    def actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Return the image of raw actions (B, A)."""
+        return _turned(actions, *self._action_tensors)
+
+    def _actions(self) -> Turned:
+        """Return how the action vector turns: what an action makes of a joint's target must be the image's target."""
+        manager = self._env.action_manager
+        columns: dict[tuple[str, str], int] = {}
+        made: list[tuple[str, str, float, float]] = []
+        for name in manager.active_terms:
+            term = manager.get_action_term(name)
+            kind, joints = str(term.drives), list(getattr(term, "joint_names", []))
+            path = f"env.actions.{name}"
+            if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
+                expected = "terms with one action for each joint"
+                raise ConfigError("it is not known how its actions turn in a mirror", key=path, expected=expected)
+            offset, scale = _processed(term)
+            for joint, o, s in zip(joints, offset, scale, strict=True):
+                columns[kind, joint] = len(columns)
+                made.append((kind, joint, o, s))
+        names, turned = self._env.scene.robot.joint_names, []
+        for kind, joint, offset_, scale_ in made:
+            source = names.index(joint)
+            image = (kind, names[self._images[source]])
+            sign = self._signs[source]
+            if image not in columns:
+                raise ConfigError(
+                    f"'{joint}' has an action, and its image '{image[1]}' has none of that kind",
+                    key="env.actions",
+                    expected="actions for both sides",
+                )
+            _, _, its_offset, its_scale = made[columns[image]]
+            if abs(its_scale - scale_) > _LARGEST or abs(its_offset - sign * offset_) > _LARGEST:
+                raise ConfigError(
+                    f"an action means another target for '{joint}' than for its image '{image[1]}'",
+                    key="env.actions",
+                    expected="one scale, and offsets that are images",
+                )
+            turned.append((columns[image], sign))
+        return turned
+
+    def _group(self, group: str) -> Turned:
+        """Return how a group's vector turns: each frame of each term's history by itself."""
+        manager = self._env.observation_manager
+        terms, slices = manager.terms(group), manager.term_slices(group)
+        found: dict[int, tuple[int, float]] = {}
+        for name, term in terms.items():
+            frame, start = self._frame(group, name, term), slices[name].start
+            frames = (slices[name].stop - start) // term.width
+            for number in range(frames):
+                first = start + number * term.width
+                found |= {first + i: (first + source, sign) for i, (source, sign) in enumerate(frame)}
+        return [found[i] for i in range(len(found))]
+
+    def _frame(self, group: str, name: str, term: ObservationTerm) -> Turned:
+        """Return how one frame of a term turns."""
+        path, rule = term.term.path, self._rule(group, name, term)
+        width = term.width
+        if not isinstance(rule, str):
+            turned = [(i, float(sign)) for i, sign in enumerate(rule)]
+        elif rule in rules.SIGNS:
+            turned = [(i, float(sign)) for i, sign in enumerate(rules.SIGNS[rule])]
+        elif rule == "invariant":
+            turned = [(i, 1.0) for i in range(width)]
+        elif rule == "actions":
+            turned = self._action_of(term)
+        else:
+            joints = self._joints_of(term, path)
+            turned = joints
+            if rule == "joints_sin_cos":
+                turned = joints + [(len(joints) + source, 1.0) for source, _ in joints]
+        if len(turned) != width:
+            told = rule if isinstance(rule, str) else list(rule)
+            message = f"the mirror rule {told} is of {len(turned)} numbers, and the term has {width}"
+            raise ConfigError(message, key=path, expected=f"{_TERMS}.{name}: a sign for each number")
+        self._require_even(term, turned, path)
+        return turned
+
+    def _rule(self, group: str, name: str, term: ObservationTerm) -> str | Sequence[float]:
+        """Return a term's rule: the config's, else that of a stock term."""
+        given = self._options.terms.get(name)
+        rule = given if given is not None else rules.known(term.term.target)
+        if rule == rules.COMMAND:
+            command = str(term.term.params["command_name"])
+            found = self._env.command_manager.get_command_term(command)
+            rule = next(
+                (rules.OF_COMMANDS[k.__name__] for k in type(found).__mro__ if k.__name__ in rules.OF_COMMANDS), None
+            )
+        if rule is None:
+            raise ConfigError(
+                f"it is not known how '{term.term.target}' turns in a mirror (observation '{name}' of '{group}')",
+                key=f"{_TERMS}.{name}",
+                expected="one of " + ", ".join(rules.NAMES) + ", or a list of a sign for each number",
+            )
+        return rule
+
+    def _joints_of(self, term: ObservationTerm, path: str) -> Turned:
+        entity = term.term.params.get("asset_cfg")
+        every = list(range(len(self._images)))
+        chosen = getattr(entity, "joint_ids", slice(None))
+        ids = every[chosen] if isinstance(chosen, slice) else [int(i) for i in chosen]
+        names = self._env.scene.robot.joint_names
+        for joint in ids:
+            if self._images[joint] not in ids:
+                raise ConfigError(
+                    f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not",
+                    key=path,
+                    expected="joints of both sides",
+                )
+        return [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
+
+    def _action_of(self, term: ObservationTerm) -> Turned:
+        """Return how the last action turns, of the whole vector or of one term's part."""
+        manager, name = self._env.action_manager, term.term.params.get("action_name")
+        if name is None:
+            return self._action
+        start = sum(manager.action_term_dim[: manager.active_terms.index(name)])
+        part = self._action[start : start + manager.get_action_term(name).action_dim]
+        return [(source - start, sign) for source, sign in part]
+
+    def _require_even(self, term: ObservationTerm, turned: Turned, path: str) -> None:
+        """Raise ConfigError where clip or scale treat a number and its image differently."""
+        clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
+        if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
+            raise ConfigError(
+                "is not even, and some of it changes its sign in a mirror", key=f"{path}.clip", expected="[-x, x]"
+            )
+        if isinstance(scale, Sequence) and any(not math.isclose(scale[i], scale[s]) for i, (s, _) in enumerate(turned)):
+            raise ConfigError(
+                "differs for numbers that are images", key=f"{path}.scale", expected="one factor for both"
+            )
+
+    def _require_defaults(self) -> None:
+        """Raise ConfigError unless the default pose is its own image."""
+        robot = self._env.scene.robot
+        pose = robot.layout.default_joint_pos.tolist()
+        for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):
+            if abs(pose[image] - sign * pose[joint]) > _LARGEST:
+                names = robot.joint_names
+                raise ConfigError(
+                    f"'{names[joint]}' and its image '{names[image]}' begin at {pose[joint]:g} and {pose[image]:g} rad",
+                    key="env.robot.init_state.joint_pos",
+                    expected=f"{sign * pose[joint]:g} rad for '{names[image]}'; or other {PAIRS}",
+                )
+
+    def _require_known_terms(self, groups: Iterable[str]) -> None:
+        manager = self._env.observation_manager
+        names = dict.fromkeys(name for group in groups for name in manager.terms(group))
+        for name, rule in self._options.terms.items():
+            key = f"{_TERMS}.{name}"
+            if name not in names:
+                expected, nearest = "one of " + ", ".join(names), nearest_name(name, names)
+                raise ConfigError("no network sees such an observation", key=key, expected=expected, nearest=nearest)
+            if isinstance(rule, str) and rule not in rules.NAMES:
+                expected, nearest = "one of " + ", ".join(rules.NAMES), nearest_name(rule, rules.NAMES)
+                raise ConfigError(f"'{rule}' is no rule", key=key, expected=expected, nearest=nearest)
+
+
+def left_right(
+    env: Any, obs: TensorDict | None = None, actions: torch.Tensor | None = None
+) -> tuple[TensorDict | None, torch.Tensor | None]:
+    """Return a batch followed by its mirror image, as rsl_rl's ``data_augmentation_func``.
+
+    Args:
+        env: the adapter that rsl_rl trains with.
+        obs: observations, or None.
+        actions: raw actions (B, A), or None.
+    """
+    mirror: Mirror = env.mirror
+    both = None if obs is None else torch.cat((obs, mirror.observations(obs)), dim=0)
+    return both, None if actions is None else torch.cat((actions, mirror.actions(actions)), dim=0)
+
+
+def _tensors(turned: Turned, device: str | torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+    sources = torch.tensor([source for source, _ in turned], dtype=torch.long, device=device)
+    return sources, torch.tensor([sign for _, sign in turned], device=device)
+
+
+def _turned(values: torch.Tensor, sources: torch.Tensor, factors: torch.Tensor) -> torch.Tensor:
+    return values[:, sources] * factors
+
+
+def _processed(term: ActionTerm) -> tuple[list[float], list[float]]:
+    """Return the offset and the scale of an action term, for each action, and leave its state as it was."""
+    kept = term.state_dict()
+    zeros = torch.zeros_like(term.raw_actions)
+    term.process_actions(zeros)
+    offset = term.processed_actions[0].clone()
+    term.process_actions(zeros + 1.0)
+    scale = term.processed_actions[0] - offset
+    term.load_state_dict(kept)
+    return offset.tolist(), scale.tolist()
+
+
+def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
+    """Return the ``agent.symmetry`` section, or None."""
+    section = agent.get("symmetry")
+    return None if section is None else SymmetryOptions(**section)
