@@ -20,7 +20,7 @@ from wheelleg_exp.mdp import actions, commands, curriculums, events, modifiers, 
 from wheelleg_exp.mdp import terminations as terminations_module
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.sim import actuators
-from wheelleg_exp.sim.sensors import ContactSensor, RayCaster
+from wheelleg_exp.sim.sensors import ContactSensor, Imu, RayCaster
 
 C = "wheelleg_exp.mdp.curriculums."
 M = "wheelleg_exp.mdp.modifiers."
@@ -38,6 +38,11 @@ SENSORS = {
         "body_name": "base",
         "pattern": PATTERN,
         "ray_cast_drift_range": {"z": [-0.1, 0.1]},
+    },
+    "imu": {
+        "_target_": SENSOR + "Imu",
+        "body_name": "base",
+        "gyroscope": {"_target_": SENSOR + "ImuNoise", "std": 0.1, "bias_walk": 0.1},
     },
     "held": {
         "_target_": SENSOR + "RayCaster",
@@ -235,7 +240,7 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
     env = make()
     env.reset()
     found = Crawl(env).classes.union(*(Crawl(make(robot=driven(model))).classes for model in MODELS))
-    library = {ContactSensor, RayCaster, *_classes(actuators, actuators.ActuatorBase), *_classes(noise)}
+    library = {ContactSensor, Imu, RayCaster, *_classes(actuators, actuators.ActuatorBase), *_classes(noise)}
     library |= _classes(modifiers, modifiers.Modifier)
     for module in (actions, commands, curriculums, events, observations, rewards, terminations_module):
         library |= _classes(module, TermBase)

@@ -6,12 +6,14 @@
 | `LazySensor` | nothing: the base class of those that measure when they are read |
 | `ContactSensor` | net normal contact forces on bodies, contact and air times: `ContactSensorData` |
 | `RayCaster` | where rays from a body meet the ground: `RayCasterData` |
+| `Imu` | pose, velocities and accelerations, with errors (`ImuNoise`): `ImuData` |
 | `GridPattern` ... | the patterns of the rays; `PatternBase` is their base class |
 """
 
 from wheelleg_exp.sim.sensors.base import SensorBase
 from wheelleg_exp.sim.sensors.contact import ContactSensor
 from wheelleg_exp.sim.sensors.contact_data import ContactSensorData
+from wheelleg_exp.sim.sensors.imu import Imu, ImuData, ImuNoise
 from wheelleg_exp.sim.sensors.lazy import LazySensor
 from wheelleg_exp.sim.sensors.patterns import BpearlPattern, GridPattern, LidarPattern, PatternBase, PinholePattern
 from wheelleg_exp.sim.sensors.ray_caster import RayCaster, RayCasterData
@@ -21,6 +23,9 @@ __all__ = [
     "ContactSensor",
     "ContactSensorData",
     "GridPattern",
+    "Imu",
+    "ImuData",
+    "ImuNoise",
     "LazySensor",
     "LidarPattern",
     "PatternBase",

@@ -72,3 +72,15 @@ class Mount(Kept):
         """Rotation matrix of the body's frame, (N, 3, 3)."""
         data = self._robot.data
         return data.root_rot_w if self.index == 0 else data.body_rot_w[:, self.index]
+
+    @property
+    def lin_vel_w(self) -> torch.Tensor:
+        """Velocity of the origin of the body's frame, m/s, world axes, (N, 3)."""
+        data = self._robot.data
+        return data.root_link_lin_vel_w if self.index == 0 else data.body_link_lin_vel_w[:, self.index]
+
+    @property
+    def ang_vel_w(self) -> torch.Tensor:
+        """Angular velocity of the body, rad/s, world axes, (N, 3)."""
+        data = self._robot.data
+        return data.root_ang_vel_w if self.index == 0 else data.body_ang_vel_w[:, self.index]

@@ -1,0 +1,220 @@
+"""The IMU at rest, in free fall, on a circle, and against MuJoCo's own velocities."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+
+SENSOR = "wheelleg_exp.sim.sensors."
+ALL = torch.arange(4)
+QUARTER = math.sqrt(0.5)
+
+
+@pytest.fixture
+def make(make_env):
+    def build(robot="block", seed=0, num_envs=4, **settings):
+        body = {"block": "block", "rover": "base"}[robot]
+        node = {"_target_": SENSOR + "Imu", "body_name": body, **settings}
+        env = make_env(robot, seed=seed, num_envs=num_envs, scene={"sensors": {"imu": node}})
+        env.reset()
+        return env
+
+    return build
+
+
+def noise(**settings):
+    return {"_target_": SENSOR + "ImuNoise", **settings}
+
+
+def run(env, steps=1):
+    for _ in range(steps):
+        env.step(torch.zeros(env.num_envs, env.action_manager.total_action_dim))
+
+
+def throw(env, height, lin=(0.0, 0.0, 0.0), ang=(0.0, 0.0, 0.0)):
+    """Put the robot upright into the air, at the world's origin, with velocities."""
+    robot, ids = env.scene.robot, torch.arange(env.num_envs)
+    pose = torch.tensor([0.0, 0.0, height]), torch.tensor([1.0, 0.0, 0.0, 0.0])
+    robot.write_root_pose(ids, pose[0].expand(len(ids), 3), pose[1].expand(len(ids), 4))
+    robot.write_root_com_velocity(ids, torch.tensor(lin).expand(len(ids), 3), torch.tensor(ang).expand(len(ids), 3))
+    env.scene.refresh()
+
+
+def rows(*values):
+    return torch.tensor(values).expand(4, len(values))
+
+
+def test_at_rest_it_reads_gravity_upwards(make):
+    env = make()
+    run(env, 60)
+    data = env.scene["imu"].data
+    torch.testing.assert_close(data.lin_acc_b, rows(0.0, 0.0, 9.81), atol=2e-3, rtol=0)
+    torch.testing.assert_close(data.projected_gravity_b, rows(0.0, 0.0, -1.0), atol=1e-4, rtol=0)
+
+
+def test_turned_in_its_body_it_reads_in_its_own_axes(make):
+    """A quarter about x: its y axis points up, its x axis stays."""
+    env = make(offset={"pos": [0.1, 0.0, 0.2], "rot": [QUARTER, QUARTER, 0.0, 0.0]})
+    run(env, 60)
+    data = env.scene["imu"].data
+    torch.testing.assert_close(data.lin_acc_b, rows(0.0, 9.81, 0.0), atol=2e-3, rtol=0)
+    torch.testing.assert_close(data.projected_gravity_b, rows(0.0, -1.0, 0.0), atol=1e-4, rtol=0)
+    torch.testing.assert_close(data.quat_w, rows(QUARTER, QUARTER, 0.0, 0.0), atol=1e-3, rtol=0)
+    root = env.scene.robot.data.root_pos_w
+    torch.testing.assert_close(data.pos_w, root + torch.tensor([0.1, 0.0, 0.2]), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(("bias", "reads"), [(9.81, 0.0), (0.0, -9.81)])
+def test_in_free_fall_it_reads_nothing_but_the_lack_of_its_gravity_bias(make, bias, reads):
+    env = make(gravity_bias=[0.0, 0.0, bias])
+    throw(env, 5.0)
+    run(env, 3)
+    data = env.scene["imu"].data
+    torch.testing.assert_close(data.lin_acc_b, rows(0.0, 0.0, reads), atol=1e-3, rtol=0)
+    torch.testing.assert_close(data.lin_vel_b, rows(0.0, 0.0, -9.81 * 6 * env.physics_dt), atol=1e-4, rtol=0)
+
+
+def test_on_a_circle_it_reads_the_centripetal_acceleration(make):
+    """At r from the axis the velocity turns by w dt a step; its change is seen from where the step ends."""
+    env = make(offset={"pos": [0.2, 0.0, 0.0]})
+    r, w, dt = 0.2, 3.0, env.physics_dt
+    throw(env, 5.0, ang=(0.0, 0.0, w))
+    run(env, 2)
+    data = env.scene["imu"].data
+    along, inward = r * w * (1 - math.cos(w * dt)) / dt, r * w * math.sin(w * dt) / dt
+    assert inward == pytest.approx(r * w**2, rel=1e-3)
+    torch.testing.assert_close(data.lin_acc_b, rows(-inward, along, 0.0), atol=2e-3, rtol=0)
+    torch.testing.assert_close(data.ang_vel_b, rows(0.0, 0.0, w), atol=1e-3, rtol=0)
+    torch.testing.assert_close(data.lin_vel_b[:, :2], rows(0.0, r * w), atol=1e-3, rtol=0)
+    torch.testing.assert_close(data.ang_acc_b, rows(0.0, 0.0, 0.0), atol=2e-2, rtol=0)
+
+
+@pytest.mark.parametrize("body", ["base", "left_wheel"])
+def test_velocities_are_those_that_mujoco_finds(make, body):
+    env = make("rover", body_name=body)
+    env.step(torch.tensor([[1.0, -0.5, 0.7, 0.3]]).expand(4, 4))
+    run(env, 7)
+    model, data = env.scene.model, mujoco.MjData(env.scene.model)
+    data.qpos[:], data.qvel[:] = env.scene.sim.view("qpos")[2], env.scene.sim.view("qvel")[2]
+    mujoco.mj_forward(model, data)
+    found = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, model.body(body).id, found, 1)
+    seen = env.scene["imu"].data
+    np.testing.assert_allclose(seen.ang_vel_b[2], found[:3], atol=2e-5)
+    np.testing.assert_allclose(seen.lin_vel_b[2], found[3:], atol=2e-5)
+    np.testing.assert_allclose(seen.pos_w[2], data.body(body).xpos, atol=1e-5)
+
+
+def test_a_velocity_that_is_written_shows_at_once_and_is_no_acceleration(make):
+    env = make()
+    throw(env, 5.0)
+    run(env)
+    throw(env, 5.0, lin=(4.0, 0.0, 0.0))
+    torch.testing.assert_close(env.scene["imu"].data.lin_acc_b, rows(0.0, 0.0, 0.0), atol=2e-3, rtol=0)
+    torch.testing.assert_close(env.scene["imu"].data.lin_vel_b[:, 0], torch.full((4,), 4.0))
+    run(env)
+    torch.testing.assert_close(env.scene["imu"].data.lin_acc_b, rows(0.0, 0.0, 0.0), atol=2e-3, rtol=0)
+
+
+def test_after_a_reset_it_measures_the_new_state_at_rest(make):
+    env = make()
+    throw(env, 5.0, ang=(3.0, 2.0, 1.0))
+    run(env, 4)
+    others = env.scene["imu"].data.lin_acc_b[[0, 2, 3]].clone()
+    env.reset(env_ids=torch.tensor([1]))
+    data = env.scene["imu"].data
+    assert data.lin_acc_b[1].tolist() == pytest.approx([0.0, 0.0, 9.81])
+    assert data.ang_vel_b[1].tolist() == [0.0, 0.0, 0.0]
+    assert torch.equal(data.pos_w[1], env.scene.robot.data.root_pos_w[1])
+    assert torch.equal(data.lin_acc_b[[0, 2, 3]], others)
+
+
+def test_the_noise_has_the_deviation_that_is_asked_for(make):
+    env = make(num_envs=400, accelerometer=noise(std=0.5), gyroscope=noise(std=0.02))
+    throw(env, 9.0)
+    run(env)
+    data = env.scene["imu"].data
+    assert float(data.lin_acc_b.std()) == pytest.approx(0.5, rel=0.1)  # 1200 numbers: 2 % of deviation
+    assert float(data.ang_vel_b.std()) == pytest.approx(0.02, rel=0.1)
+    first = data.lin_acc_b.clone()
+    assert torch.equal(env.scene["imu"].data.lin_acc_b, first)
+    run(env)
+    both = torch.stack((first.flatten(), env.scene["imu"].data.lin_acc_b.flatten()))
+    assert abs(float(torch.corrcoef(both)[0, 1])) < 0.15
+
+
+def test_a_bias_stays_for_an_episode_and_is_drawn_at_its_reset(make):
+    env = make(gyroscope=noise(bias_range=[0.1, 0.3]))
+    throw(env, 9.0)
+    run(env)
+    first = env.scene["imu"].data.ang_vel_b.clone()
+    assert ((first >= 0.1) & (first <= 0.3)).all()
+    assert len(first.unique()) == 12
+    run(env)
+    torch.testing.assert_close(env.scene["imu"].data.ang_vel_b, first, atol=1e-4, rtol=0)
+    env.reset(env_ids=torch.tensor([3]))
+    assert (env.scene["imu"].data.ang_vel_b[3] - first[3]).abs().min() > 1e-4
+
+
+@pytest.mark.parametrize("period", [0.0, 0.04])
+def test_a_bias_wanders_with_the_square_root_of_time(make, period):
+    env = make(num_envs=400, gyroscope=noise(bias_walk=0.1), update_period=period)
+    throw(env, 90.0)
+    run(env, 18)
+    spread = float(env.scene["imu"].data.ang_vel_b.std())
+    assert spread == pytest.approx(0.1 * math.sqrt(18 * 0.02), rel=0.1)
+
+
+def test_with_a_period_it_holds_what_it_measured(make):
+    env = make(update_period=0.04)
+    throw(env, 5.0)
+    speeds = []
+    for _ in range(5):
+        run(env)
+        speeds.append(round(float(env.scene["imu"].data.lin_vel_b[0, 2] / -9.81), 3))
+    assert speeds == pytest.approx([0.0, 0.04, 0.04, 0.08, 0.08], abs=1e-3)
+
+
+@pytest.mark.parametrize("period", [0.0, 0.05])
+def test_it_goes_on_from_its_saved_state(make, period):
+    settings = {"accelerometer": noise(std=0.1, bias_range=[-1.0, 1.0], bias_walk=0.5), "update_period": period}
+    env, other = make("rover", **settings), make("rover", seed=5, **settings)
+    run(env, 7)
+    other.load_state_dict(env.state_dict())
+    for k in range(6):
+        if k == 0:  # what is written shows beside the acceleration of before
+            throw(env, 1.0)
+            throw(other, 1.0)
+        a, b = env.scene["imu"].data, other.scene["imu"].data
+        assert all(torch.equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
+        if k == 3:
+            env.reset(env_ids=torch.tensor([3]))
+            other.reset(env_ids=torch.tensor([3]))
+        run(env)
+        run(other)
+
+
+def test_without_errors_nothing_is_drawn(make):
+    assert "env.scene.sensors.imu" not in make().streams.state_dict()["generators"]
+    assert "env.scene.sensors.imu" in make(gyroscope=noise(std=0.1)).streams.state_dict()["generators"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({"accelerometer": {"std": 0.1}}, "accelerometer"),
+        ({"gyroscope": {"_target_": "wheelleg_exp.mdp.noise.ConstantNoise", "bias": 1.0}}, "gyroscope"),
+        ({"gyroscope": noise(std=-1.0)}, "gyroscope.std"),
+        ({"gravity_bias": [9.81]}, "gravity_bias"),
+    ],
+)
+def test_wrong_settings_are_named(make, settings, key):
+    with pytest.raises(ConfigError) as caught:
+        make(**settings)
+    assert caught.value.key == f"env.scene.sensors.imu.{key}"
