@@ -34,6 +34,7 @@ MOUNTS = {
 APART = ("action", "robot", "scene", "sim")
 NOT_BUILT = ("agent", "recording", "run", "task")  # what trains, and what is made of these nodes
 ON_TILES: dict[str, str] = {"flat_patch": "command"}  # options that a plane has no place for, and their groups
+PICTURES = ("sensors/camera_image",)  # observations that stand in groups of their own
 SIZE = [
     "env.num_envs=3",
     "env.sim.nthread=1",
@@ -191,7 +192,8 @@ def restores(env, overrides: list[str]) -> None:
 @pytest.mark.parametrize("group", [name for name in GROUPS if name in MOUNTS])
 def test_all_terms_of_a_group(group):
     known = {"contact_forces", *options_by_key("sensor")}
-    hold(mounting(group, [o for o in files(group) if o not in ON_TILES and needs(group, [o])["sensor"] <= known]))
+    alone = {*ON_TILES, *PICTURES}
+    hold(mounting(group, [o for o in files(group) if o not in alone and needs(group, [o])["sensor"] <= known]))
 
 
 @pytest.mark.parametrize("option", ON_TILES)
