@@ -40,6 +40,16 @@ class ManagerBase(Kept):
         return list(self._terms)
 
     @property
+    def num_envs(self) -> int:
+        """Number of environments, N."""
+        return self._num_envs
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors are."""
+        return self._env.device
+
+    @property
     def term_names(self) -> list[str]:
         """Names of the terms, in declaration order, whatever ``active_terms`` sorts them by."""
         return list(self._terms)

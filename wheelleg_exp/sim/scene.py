@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -105,6 +106,11 @@ class Scene(Kept):
     def keys(self) -> list[str]:
         """Return the names of the members."""
         return list(self)
+
+    @property
+    def cfg(self) -> SimpleNamespace:
+        """What terms written for Isaac Lab read of the scene's config."""
+        return SimpleNamespace(num_envs=self.num_envs, env_spacing=self.options.env_spacing, terrain=self.terrain.cfg)
 
     @property
     def articulations(self) -> dict[str, Robot]:

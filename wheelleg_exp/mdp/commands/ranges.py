@@ -3,11 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 
 from wheelleg_exp.managers import CommandTerm, bounds
+
+
+class _Ranges:
+    """A command's ranges by attribute, as Isaac Lab's terms read and set ``command.cfg.ranges.lin_vel_x``."""
+
+    def __init__(self, ranges: dict[str, Any]) -> None:
+        vars(self)["_ranges"] = ranges
+
+    def __getattr__(self, axis: str) -> tuple[float, float] | None:
+        ranges = vars(self)["_ranges"]
+        return (ranges[axis][0], ranges[axis][1]) if axis in ranges else None
+
+    def __setattr__(self, axis: str, value: Sequence[float]) -> None:
+        vars(self)["_ranges"][axis] = [float(value[0]), float(value[1])]
+
+
+@dataclass(frozen=True)
+class CommandSettings:
+    """What terms written for Isaac Lab read of ``command.cfg``.
+
+    Attributes:
+        ranges: [low, high] by axis as attributes; one that is set holds from the next draw on.
+        resampling_time_range: shortest and longest time between two draws, s.
+    """
+
+    ranges: _Ranges
+    resampling_time_range: tuple[float, float]
 
 
 class RangedCommand(CommandTerm):
@@ -18,6 +46,11 @@ class RangedCommand(CommandTerm):
     """
 
     ranges: dict[str, Any]
+
+    @property
+    def cfg(self) -> CommandSettings:
+        """The settings by attribute, to read and, the ranges, to change."""
+        return CommandSettings(_Ranges(self.ranges), self._time_range)
 
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
         """Draw from ranges by axis; an axis without one is 0.

@@ -47,6 +47,11 @@ class SensorBase(Kept):
         """The sensor's config key."""
         return f"env.scene.sensors.{self.name}"
 
+    @property
+    def cfg(self) -> SensorBase:
+        """The sensor itself, whose settings are its attributes, as terms written for Isaac Lab read them."""
+        return self
+
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
         """Take a name, and add to the spec what the sensor needs, before the scene is compiled.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -54,6 +55,15 @@ class TerrainBase(Kept):
         self.dynamic_friction = dynamic_friction
         self.restitution = restitution
         self.flat_patches: dict[str, torch.Tensor] = {}
+
+    @property
+    def cfg(self) -> SimpleNamespace:
+        """What terms written for Isaac Lab read: ``terrain_type`` and the ``terrain_generator``'s tiles, or None."""
+        if self.terrain_origins is None:
+            return SimpleNamespace(terrain_type="plane", terrain_generator=None)
+        rows, cols = self.terrain_origins.shape[:2]
+        tiles = SimpleNamespace(size=self.size, num_rows=rows, num_cols=cols, border_width=self.border_width)
+        return SimpleNamespace(terrain_type="generator", terrain_generator=tiles)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add the ground's geoms, whose names begin with ``ground``, to the scene's spec."""
