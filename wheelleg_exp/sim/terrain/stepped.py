@@ -32,7 +32,7 @@ class PyramidStairs(SubTerrain):
     Args:
         step_height_range: of the easiest and of the hardest, m.
         step_width: m.
-        platform_width: the least edge of the top, m.
+        platform_width: greatest edge of the top, m.
         inverted: whether they go down towards the middle.
     """
 
