@@ -13,19 +13,22 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.paths import cache_dir, find_asset
 
 
-def prepare_asset(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> CachedConversion:
+def prepare_asset(
+    config: Mapping[str, Any], asset_roots: Sequence[Path] = (), networks: Mapping[str, Path] | None = None
+) -> CachedConversion:
     """Convert the config's robot to MJCF, or take it from the cache.
 
     Args:
         config: the composed tree, plain.
         asset_roots: folders of the user's own assets.
+        networks: more files that are laid beside the MJCF, by their paths there.
 
     Raises:
         AssetError: the file is not there, or holds no robot.
     """
     robot = config["env"]["robot"]
     source = find_asset(robot["asset"], asset_roots, key="env.robot.asset")
-    beside = find_beside(config["env"], asset_roots)
+    beside = find_beside(config["env"], asset_roots) | dict(networks or {})
     try:
         return convert_cached(source, base=robot["base"], cache_dir=cache_dir() / "assets", beside=beside)
     except AssetError as error:

@@ -19,7 +19,7 @@ from wheelleg_exp.config.explaining.docstrings import parameter_lines
 from wheelleg_exp.config.tree import Keys
 from wheelleg_exp.config.tree import at as at
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rl.options import PARAMETERS, Agent
+from wheelleg_exp.rl.options import PARAMETERS, agent_options
 from wheelleg_exp.terms import allowed_targets
 from wheelleg_exp.terms import binding as terms
 from wheelleg_exp.terms.binding import FIELD_TYPES, RESERVED, TARGET, resolve_target, signature_parameters
@@ -137,7 +137,7 @@ def _options(tree: Mapping[str, Any], keys: Keys) -> type | None:
     if path in schema.OPTIONS and not (path == "recording" and "play" in tree):
         return schema.options_of(path)
     if path == "agent":
-        return Agent
+        return agent_options(tree.get("agent"))
     if len(keys) == 3 and keys[:2] == ("env", "observations"):
         return ObservationGroup
     above = slot(tree, keys)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rsl_rl.algorithms import PPO
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.reading import require_bounded
@@ -19,7 +18,8 @@ from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2
 _READABLE = (1, FORMAT_VERSION)  # version 1 lacks what a resume needs, but holds the same networks
-_NEEDED = {"format_version": object, "iter": int, "actor_state_dict": Mapping, "critic_state_dict": Mapping}
+_NEEDED = {"format_version": object, "iter": int}
+ROLES = ("actor", "critic", "student", "teacher")  # of networks; an algorithm has two of them
 # Of what is loaded: most parts, deepest nesting, and how many times larger than the file the tensors may be.
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
@@ -55,7 +55,9 @@ def load(path: Path) -> dict[str, Any]:
             expected="a model_<iteration>.pt of a run",
         ) from error
     state = state if isinstance(state, dict) else {}
-    missing = [key for key, kind in _NEEDED.items() if key not in state or not isinstance(state[key], kind)]
+    networks = [f"{role}_state_dict" for role in (ROLES[2:] if "student_state_dict" in state else ROLES[:2])]
+    needed = _NEEDED | dict.fromkeys(networks, Mapping)
+    missing = [key for key, kind in needed.items() if key not in state or not isinstance(state[key], kind)]
     if missing:
         raise RunDirectoryError(
             f"is no checkpoint of this program: it has no '{missing[0]}'",
@@ -111,18 +113,30 @@ def _rebuilt(value: Any) -> Any:
     return value
 
 
-def unsaved_state(algorithm: PPO) -> dict[str, Any]:
-    """Return the hidden states of recurrent networks, and the counter and the running return of RND's reward."""
+def roles_of(algorithm: Any) -> tuple[str, ...]:
+    """Return the names of an algorithm's networks: actor and critic, or student and teacher."""
+    return tuple(role for role in ROLES if hasattr(algorithm, role))
+
+
+def policy_state(state: Mapping[str, Any]) -> Any:
+    """Return the parameters of a checkpoint's policy: its student's, where it has one, else its actor's."""
+    return state.get("student_state_dict") or state["actor_state_dict"]
+
+
+def unsaved_state(algorithm: Any) -> dict[str, Any]:
+    """Return hidden states of recurrent networks, the counter and the running return of RND, a student's progress."""
     state: dict[str, Any] = {
         "learning_rate": float(algorithm.learning_rate),
-        "hidden": {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in ("actor", "critic")},
+        "hidden": {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)},
     }
-    if algorithm.rnd is not None:
+    if hasattr(algorithm, "student"):
+        state["distillation"] = {"updates": algorithm.num_updates, "hidden": cloned(algorithm.last_hidden_states)}
+    if getattr(algorithm, "rnd", None) is not None:
         state["rnd"] = {"update_counter": algorithm.rnd.update_counter, "average": _average(algorithm.rnd)}
     return state
 
 
-def load_unsaved_state(algorithm: PPO, saved: dict[str, Any]) -> None:
+def load_unsaved_state(algorithm: Any, saved: dict[str, Any]) -> None:
     """Restore what ``unsaved_state`` returned."""
     algorithm.learning_rate = saved["learning_rate"]
     for role, hidden in saved["hidden"].items():
@@ -130,7 +144,10 @@ def load_unsaved_state(algorithm: PPO, saved: dict[str, Any]) -> None:
         if network.is_recurrent:
             network.reset()
             network.reset(hidden_state=cloned(hidden))
-    if algorithm.rnd is not None:
+    if hasattr(algorithm, "student"):
+        algorithm.num_updates = saved["distillation"]["updates"]
+        algorithm.last_hidden_states = tuple(cloned(saved["distillation"]["hidden"]))
+    if getattr(algorithm, "rnd", None) is not None:
         algorithm.rnd.update_counter = saved["rnd"]["update_counter"]
         if algorithm.rnd.reward_normalization:
             algorithm.rnd.reward_normalizer.disc_avg.avg = cloned(saved["rnd"]["average"])

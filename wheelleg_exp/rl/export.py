@@ -62,7 +62,7 @@ def onnx(policy: MLPModel) -> bytes:
 
 def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int) -> str:
     """Return what a deployer must know, as JSON: rates, joints, and each slice of input and output."""
-    groups = agent["obs_groups"]["actor"]
+    groups = agent["obs_groups"]["student" if "student" in agent else "actor"]
     robot = env.scene.robot
     offset, observations = 0, []
     for group in groups:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
@@ -38,9 +39,9 @@ class SymmetryOptions:
     terms: dict[str, str | Sequence[float]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Agent:
-    """``agent``: what rsl_rl's algorithm and networks read, and what the trainer reads.
+@dataclass(frozen=True, kw_only=True)
+class Learning:
+    """``agent``: what every algorithm of rsl_rl and the trainer read.
 
     Attributes:
         max_non_finite: episodes that may end in one iteration because a number was not finite, as a share of the
@@ -52,15 +53,42 @@ class Agent:
     max_iterations: Count
     save_interval: Count
     obs_groups: dict[str, list[str]]
-    actor: Section
-    critic: Section
     device: str
     torch_threads: Annotated[int, AtLeast(1), AtMost(1024)]
     clip_actions: Positive | None = None
     logger: Literal["tensorboard", "wandb"] | None = "tensorboard"
     torch_compile_mode: str | None = None
     max_non_finite: NonNegative = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agent(Learning):
+    """``agent`` of reinforcement learning: an actor and its critic."""
+
+    actor: Section
+    critic: Section
     symmetry: SymmetryOptions | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistillationAgent(Learning):
+    """``agent`` of distillation: a student that learns to answer as its teacher does.
+
+    Attributes:
+        teacher_checkpoint: whose actor teaches: a checkpoint's path, or a run by path, id or `latest`, whose last
+            checkpoint it is. The run keeps a copy.
+    """
+
+    student: Section
+    teacher: Section
+    teacher_checkpoint: Annotated[str, NotEmpty()]
+
+
+def agent_options(agent: Any) -> type:
+    """Return the dataclass that reads an ``agent`` section, by the class of its algorithm."""
+    algorithm = agent.get("algorithm") if isinstance(agent, Mapping) else None
+    name = str(algorithm.get("class_name")) if isinstance(algorithm, Mapping) else ""
+    return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
 # By name, wherever they stand in rsl_rl's configuration: it takes what is wrong without a word, and fails or learns
@@ -95,7 +123,7 @@ PARAMETERS: dict[str, Any] = {
 
 def require_agent(agent: Mapping[str, Any], num_envs: int) -> None:
     """Raise the first that is wrong with the section's values as a ConfigError."""
-    errors = section_errors("agent", agent, Agent) + parameter_errors(agent)
+    errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
     for error in errors or batch_errors(agent, num_envs):
         raise error
 

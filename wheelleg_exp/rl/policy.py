@@ -28,7 +28,7 @@ def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPMo
     state = checkpoint.load(path)
     policy = build_algorithm(env, {**agent, "device": "cpu"}).get_policy()
     try:
-        policy.load_state_dict(state["actor_state_dict"])
+        policy.load_state_dict(checkpoint.policy_state(state))
     except (RuntimeError, TypeError, AttributeError) as error:
         raise RunDirectoryError(
             "does not fit this environment's observations and actions",

@@ -1,4 +1,4 @@
-"""Training with rsl_rl's PPO: one iteration is a rollout and an update."""
+"""Training with rsl_rl's PPO, or its distillation: one iteration is a rollout and an update."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from rsl_rl.algorithms import PPO
 from rsl_rl.utils import resolve_callable
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError, nearest_name
@@ -44,6 +43,7 @@ OWN_KEYS = (
     "logger",
     "max_non_finite",
     "symmetry",
+    "teacher_checkpoint",
 )
 
 
@@ -72,12 +72,15 @@ class Trainer:
         env: the adapted environment.
         agent: the composed ``agent`` section, plain.
         seed: the run's seed.
+        teacher: the checkpoint whose policy teaches, of a distillation.
 
     Raises:
-        ConfigError: rsl_rl refuses the section.
+        ConfigError: rsl_rl refuses the section, or the teacher does not fit it.
     """
 
-    def __init__(self, env: RslRlVecEnv, agent: Mapping[str, Any], seed: int) -> None:
+    def __init__(
+        self, env: RslRlVecEnv, agent: Mapping[str, Any], seed: int, teacher: Mapping[str, Any] | None = None
+    ) -> None:
         self.env = env
         self.device = str(agent["device"])
         self.num_steps = int(agent["num_steps_per_env"])
@@ -85,6 +88,8 @@ class Trainer:
         self._agent = dict(agent)
         torch.manual_seed(stream_seed(seed, "agent"))
         self.algorithm = build_algorithm(env, agent)
+        if teacher is not None:
+            _load_teacher(self.algorithm, teacher)
         self.log = EpisodeLog(env.num_envs)
         self._means = StepMeans(env.env)
 
@@ -159,7 +164,8 @@ class Trainer:
     def _require_sane(self, losses: Mapping[str, float], cause: Exception | None = None) -> None:
         """Refuse losses and parameters that are not finite."""
         bad = [f"the {name} loss is {value}" for name, value in losses.items() if not math.isfinite(value)]
-        for role, network in (("actor", self.algorithm.actor), ("critic", self.algorithm.critic)):
+        for role in checkpoint.roles_of(self.algorithm):
+            network = getattr(self.algorithm, role)
             wrong = (name for name, values in network.named_parameters() if not values.isfinite().all())
             bad += [f"the {role}'s {name} is not finite" for name in wrong]
         if bad:
@@ -225,7 +231,7 @@ class Trainer:
         return state
 
 
-def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
+def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Any:
     """Build rsl_rl's algorithm from the ``agent`` section.
 
     Raises:
@@ -272,6 +278,18 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> PPO:
         ) from error
 
 
+def _load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
+    """Give the teacher what a checkpoint's policy has learned."""
+    try:
+        algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
+    except RuntimeError as error:
+        raise ConfigError(
+            "the teacher's network is not the one of this checkpoint",
+            key="agent.teacher_checkpoint",
+            expected="agent.teacher and agent.obs_groups.teacher as the actor and its groups that were trained",
+        ) from error
+
+
 def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
     """Refuse rollouts and networks that do not fit into memory: numbers of four bytes."""
     steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
@@ -279,7 +297,7 @@ def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any
     numbers = sum(widths.values()) + 3 * env.num_actions + 6
     what = f"rollouts of {env.num_envs} environments times {steps} steps"
     require_memory(4 * samples * numbers, "agent.num_steps_per_env", what)
-    for role in ("actor", "critic"):
+    for role in (role for role in checkpoint.ROLES if role in agent):
         hidden = agent[role].get("hidden_dims") or []
         layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
         weights = sum(a * b for a, b in itertools.pairwise(layers))

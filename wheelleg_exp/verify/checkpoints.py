@@ -103,7 +103,9 @@ def _compare_content(iteration: int, a: Path, b: Path) -> Pair:
 def _networks(state: dict[str, Any]) -> dict[str, Any]:
     from torch import Tensor
 
-    networks = {role: state[f"{role}_state_dict"] for role in ("actor", "critic")}
+    from wheelleg_exp.rl import checkpoint
+
+    networks = {role: state[f"{role}_state_dict"] for role in checkpoint.ROLES if f"{role}_state_dict" in state}
     tensors = {f"{role}.{name}": value for role, network in networks.items() for name, value in network.items()}
     return {name: value for name, value in tensors.items() if isinstance(value, Tensor)}
 
@@ -114,7 +116,7 @@ def _part(name: str) -> str:
 
 def _rank(name: str) -> int:
     part = _part(name)
-    order = ("actor_state_dict", "critic_state_dict", "env", "optimizer_state_dict")
+    order = ("actor_state_dict", "critic_state_dict", "student_state_dict", "env", "optimizer_state_dict")
     if part in order:
         return order.index(part)
     return len(order) + (part in ("env.streams", "rng"))

@@ -10,7 +10,7 @@ from typing import Any
 from wheelleg_exp.config.keys import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
-from wheelleg_exp.rl.options import PARAMETERS, Agent, batch_errors, parameter_errors
+from wheelleg_exp.rl.options import PARAMETERS, agent_options, batch_errors, parameter_errors
 from wheelleg_exp.terms import allowed_targets
 from wheelleg_exp.terms.binding import resolve_class, walk_nodes
 from wheelleg_exp.terms.sections import section_errors
@@ -35,7 +35,7 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
     """
     if not isinstance(agent, Mapping):
         return []
-    errors = section_errors("agent", agent, Agent) + parameter_errors(agent)
+    errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
     for path, node in walk_nodes(agent, "agent"):
         for key in _CLASS_KEYS:
             errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
@@ -117,7 +117,11 @@ def _check_constructor(path: str, node: Any) -> list[ConfigError]:
     if found is None:
         return []  # told by its name
     errors = _check_parameters(path, node, found)
-    draws = path == "agent.actor" and not _takes_any(found) and _DISTRIBUTION in class_slots(found, "actor")
+    draws = (
+        path in ("agent.actor", "agent.student")
+        and not _takes_any(found)
+        and _DISTRIBUTION in class_slots(found, "actor")
+    )
     if draws and node.get(_DISTRIBUTION) is None:  # rsl_rl takes an actor without one, and cannot train it
         expected = "what actions are drawn from, such as {class_name: GaussianDistribution}"
         errors.append(MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected))
@@ -172,8 +176,11 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
 
 
 def _takes_any(found: Any) -> bool:
+    from rsl_rl.algorithms import Distillation
+
     parameters = inspect.signature(found.__init__).parameters.values()
-    return any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
+    # Distillation takes any, and leaves what it does not know.
+    return found is not Distillation and any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:

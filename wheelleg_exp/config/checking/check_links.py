@@ -45,6 +45,8 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
         return []  # a misspelled group is told where it stands
+    if at(config, "agent.teacher") is not None:  # a student's task is its teacher's, whose critic is gone
+        used |= set(groups)
     unused = [
         ConfigError(
             f"no network gets the observation group '{name}'",

@@ -60,6 +60,8 @@ KEYS: dict[str, str] = {
     "agent.algorithm": "the algorithm: a class of rsl_rl and its parameters",
     "agent.actor": "the policy's network: a class of rsl_rl and its parameters",
     "agent.critic": "the value network: a class of rsl_rl and its parameters",
+    "agent.student": "the network that learns: a class of rsl_rl and its parameters",
+    "agent.teacher": "the network that is learned from, as it was trained: a class of rsl_rl and its parameters",
     "agent.*.class_name": "class, of rsl_rl or of an allowed package (module:Class)",
     "agent.*.distribution_cfg.class_name": "class of the distribution of actions",
     "agent.obs_groups": "which observation groups each network sees, in order",

@@ -26,6 +26,7 @@ from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.jobs.train.films import require_graphics
 from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
+from wheelleg_exp.jobs.train.teacher import find_teacher, kept_teacher
 from wheelleg_exp.jobs.train.wandb_log import WandbLog, require_wandb
 from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.rl import export
@@ -97,7 +98,7 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
             config=composed.config,
             hydra_files=composed.hydra_files(),
             source_roots=source_roots(composed),
-            asset=prepare_asset(composed.config, composed.asset_roots),
+            asset=prepare_asset(composed.config, composed.asset_roots, find_teacher(composed.config)),
             config_dirs=composed.config_dirs,
         )
         trust([*recipe.config_dirs, *recipe.source_roots])
@@ -150,7 +151,8 @@ def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
     require_graphics(env, RecordingOptions(**config["recording"]))
     samples = env.num_envs * int(agent["num_steps_per_env"])
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
-    return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"]), threads
+    teacher = kept_teacher(recipe.asset) if "teacher" in agent else None
+    return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"], teacher), threads
 
 
 @while_running()
