@@ -37,7 +37,6 @@ class TerrainBase(Kept):
         terrain_types: the column of each environment's tile, (N,) long; 0 without tiles.
         max_terrain_level: number of rows.
         size: edges of a tile along x and y, m; infinite without tiles.
-        border_width: of the level ground around all tiles, m.
         border_width: of the ground around the tiles, m.
         flat_patches: places that are flat enough, by name, m, (rows, cols, P, 3).
     """
@@ -49,7 +48,6 @@ class TerrainBase(Kept):
     max_terrain_level: int = 1
     max_init_terrain_level: int | None = None
     size: tuple[float, float] = (math.inf, math.inf)
-    border_width: float = 0.0
     border_width: float = 0.0
 
     def __init__(self, static_friction: NonNegative, dynamic_friction: NonNegative, restitution: Share) -> None:
