@@ -1,0 +1,100 @@
+"""A block on the ground: Coulomb's friction, and its weight."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from sim.small_envs import PLANE
+
+from .worlds import G, at_reset, placed, seen, watch
+
+# A flat block of 2 kg: half a height of 2 cm, so that it does not tip.
+BLOCK = """
+<mujoco model="block">
+  <worldbody>
+    <body name="block" pos="0 0 .02">
+      <freejoint/>
+      <inertial pos="0 0 0" mass="2" diaginertia=".01 .01 .02"/>
+      <geom type="box" size=".1 .1 .02" friction=".3"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+ROBOT, GROUND = {"static": 0.9, "dynamic": 0.5}, {"static": 0.5, "dynamic": 0.3}
+FRICTION = {"static": 0.7, "dynamic": 0.4}  # the averages, as PhysX combines them
+SPEED, DT = 1.5, 0.002
+
+
+def _material(static, dynamic):
+    ranges = {"static_friction_range": [static] * 2, "dynamic_friction_range": [dynamic] * 2}
+    return at_reset("randomize_rigid_body_material", **ranges, restitution_range=[0.0, 0.0], num_buckets=1)
+
+
+def _block(world, source="static", slope=0.0, speed=SPEED, events=None, **changes):
+    """Return an environment of a block that begins with a speed along x, on ground that falls by an angle along x."""
+    plane = {"static_friction": GROUND["static"], "dynamic_friction": GROUND["dynamic"], "restitution": 0.0}
+    gravity = [G * math.sin(slope), 0.0, -G * math.cos(slope)]
+    made = {"material": _material(ROBOT["static"], ROBOT["dynamic"]), "slide": placed({"z": 0.02}, {"x": speed})}
+    return world(
+        BLOCK,
+        DT,
+        decimation=5,
+        sim={"gravity": gravity, "cone": "elliptic", "impratio": 10.0},
+        scene={"terrain": {"_target_": PLANE, **plane}, "sensors": changes.pop("sensors", {})},
+        robot={"friction_source": source},
+        observations=changes.pop("observations", seen("root_pos_w", "root_lin_vel_w")),
+        events={**made, **(events or {})},
+        **changes,
+    )
+
+
+@pytest.mark.parametrize("source", ["static", "dynamic"])
+def test_a_sliding_block_loses_mu_g_a_second_and_stops_after_its_braking_distance(world, source):
+    mu = FRICTION[source]
+    stop = SPEED / (mu * G)
+    shown = watch(_block(world, source), math.ceil(1.5 * stop / (5 * DT)))
+    place, velocity = shown["root_pos_w"][:, 0, 0], shown["root_lin_vel_w"][:, 0]
+    t = torch.arange(len(velocity), dtype=torch.float64) * 5 * DT
+    # MuJoCo's contacts lift what slides by a millimetre, and it hops: the ground has by then given m (g t + v_z)
+    # upwards, and friction takes mu times that. On the whole it is mu m g t.
+    expected = SPEED - mu * (G * t + velocity[:, 2])
+    sliding = t < 0.7 * stop
+    torch.testing.assert_close(velocity[sliding, 0], expected[sliding], atol=2e-3, rtol=0)
+    assert (velocity[t > 1.2 * stop, 0].abs() < 0.02).all()
+    assert float(velocity[-1, 0]) == pytest.approx(0.0, abs=2e-3)
+    assert float(place[-1]) == pytest.approx(SPEED**2 / (2 * mu * G), rel=0.02)
+
+
+def test_the_way_of_the_block_does_not_change_with_its_mass(world):
+    heavy = at_reset("randomize_rigid_body_mass", mass_distribution_params=[3.0, 3.0], operation="scale")
+    steps = math.ceil(1.5 * SPEED / (FRICTION["static"] * G) / (5 * DT))
+    way = watch(_block(world, events={"heavy": heavy}), steps)["root_pos_w"][-1, 0, 0]
+    assert float(way) == pytest.approx(SPEED**2 / (2 * FRICTION["static"] * G), rel=0.02)
+
+
+@pytest.mark.parametrize("degrees", [20, 50])
+def test_on_a_slope_the_block_stays_or_slides_by_the_angle_of_friction(world, degrees):
+    slope, mu, steps = math.radians(degrees), FRICTION["static"], 40
+    speed = watch(_block(world, slope=slope, speed=0.0), steps)["root_lin_vel_w"][-1, 0, 0]
+    expected = max(0.0, G * (math.sin(slope) - mu * math.cos(slope))) * steps * 5 * DT
+    assert float(speed) == pytest.approx(expected, rel=0.02, abs=5e-3)
+    assert (expected > 0) == (degrees > math.degrees(math.atan(mu)))  # 35 degrees
+
+
+def test_what_the_ground_bears_is_the_weight_with_the_payload(world):
+    contact = {"_target_": "wheelleg_exp.sim.sensors.ContactSensor", "body_names": [".*"], "max_contacts": 8}
+    contact |= {"history_length": 1, "track_air_time": False, "force_threshold": 1.0}
+    sensor = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "feet"}
+    borne = {"_target_": "wheelleg_exp.mdp.observations.body_contact_forces", "sensor_cfg": sensor}
+    payload = at_reset("randomize_rigid_body_mass", mass_distribution_params=[1.5, 1.5], operation="add")
+    env = _block(
+        world,
+        speed=0.0,
+        events={"payload": payload},
+        sensors={"feet": contact},
+        observations={"seen": {"concatenate_terms": False, "terms": {"borne": borne}}},
+    )
+    force = watch(env, 100)["borne"][-1, 0]
+    torch.testing.assert_close(force, torch.tensor([0.0, 0.0, 3.5 * G], dtype=torch.float64), atol=0.05, rtol=0)

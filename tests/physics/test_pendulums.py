@@ -1,0 +1,142 @@
+"""Pendulums: their periods at any amplitude, what starts them, and the energy that they keep."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from .worlds import PENDULUM, G, at_reset, seen, watch
+
+MASS, LENGTH, OWN = 0.5, 0.3, 0.004
+INERTIA = OWN + MASS * LENGTH**2
+SLOW = 2 * math.pi * math.sqrt(INERTIA / (MASS * G * LENGTH))  # the period of small swings, s
+
+# Two rods of point-like masses with moments of inertia of their own, the second hung from the end of the first.
+DOUBLE = """
+<mujoco model="double">
+  <worldbody>
+    <body name="mount">
+      <geom type="sphere" size=".01" contype="0" conaffinity="0" mass="1"/>
+      <body name="upper">
+        <joint name="shoulder" axis="0 1 0"/>
+        <inertial pos="0 0 -.2" mass=".6" diaginertia=".005 .005 .005"/>
+        <body name="lower" pos="0 0 -.4">
+          <joint name="elbow" axis="0 1 0"/>
+          <inertial pos="0 0 -.15" mass=".3" diaginertia=".002 .002 .002"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def _lifted(low, high):
+    return at_reset("reset_joints_by_offset", position_range=[low, high], velocity_range=[0.0, 0.0])
+
+
+def _period(angle, step):
+    """Return the time between falls through the lowest point, s; angles fall straight there."""
+    falls = ((angle[:-1] > 0) & (angle[1:] <= 0)).nonzero().flatten()
+    first, last = (float(i + angle[i] / (angle[i] - angle[i + 1])) * step for i in (falls[0], falls[-1]))
+    return (last - first) / (len(falls) - 1)
+
+
+def _exact_period(amplitude):
+    """Return T = 2 pi sqrt(I / m g l) / agm(1, cos(amplitude / 2)): the elliptic integral, by Gauss."""
+    a, b = 1.0, math.cos(amplitude / 2)
+    for _ in range(8):
+        a, b = (a + b) / 2, math.sqrt(a * b)
+    return SLOW / a
+
+
+def test_gausss_mean_gives_the_series_of_the_period():
+    x = 1.0**2  # T / T0 = 1 + x / 16 + 11 x^2 / 3072 + 173 x^3 / 737280 + ...
+    assert _exact_period(1.0) / SLOW == pytest.approx(1 + x / 16 + 11 / 3072 + 173 / 737280, abs=3e-5)
+
+
+def test_a_small_swing_takes_two_pi_roots_of_inertia_over_weight_times_arm(world):
+    lift = {"lift": _lifted(0.02, 0.02)}
+    env = world(PENDULUM, 0.002, "fixed", decimation=5, observations=seen("joint_pos"), events=lift)
+    angle = watch(env, 260)["joint_pos"][:, 0, 0]
+    assert _period(angle, 0.01) == pytest.approx(SLOW, rel=1e-4)  # the next term is 0.02^2 / 16
+    assert float(angle.abs().max()) == pytest.approx(0.02, rel=0.02)  # nothing is lost or won
+
+
+def test_every_swing_takes_the_elliptic_integral_of_its_amplitude(world):
+    events = {"lift": _lifted(0.2, 2.6)}
+    env = world(PENDULUM, 0.002, "fixed", num_envs=8, decimation=5, observations=seen("joint_pos"), events=events)
+    angles = watch(env, 480)["joint_pos"][..., 0].T
+    for angle in angles:
+        assert _period(angle, 0.01) == pytest.approx(_exact_period(float(angle[0])), rel=5e-4)
+    slowest = max(_exact_period(float(angle[0])) for angle in angles)
+    assert slowest > 1.3 * SLOW  # so amplitude counts
+
+
+def test_a_swing_of_one_radian_is_slower_by_a_fifteenth(world):
+    lift = {"lift": _lifted(1.0, 1.0)}
+    env = world(PENDULUM, 0.002, "fixed", decimation=5, observations=seen("joint_pos"), events=lift)
+    assert _period(watch(env, 260)["joint_pos"][:, 0, 0], 0.01) == pytest.approx(1.06632 * SLOW, rel=2e-4)
+
+
+def test_a_centre_of_mass_that_an_event_moves_starts_the_pendulum(world):
+    """Weight times the new arm, over the moment of inertia about the hinge: I + m (d^2 + l^2)."""
+    shift, dt = 0.04, 0.001
+    chosen = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": ["bob"]}
+    moved = at_reset("randomize_rigid_body_com", com_range={"x": [shift, shift]}, asset_cfg=chosen)
+    env = world(PENDULUM, dt, "fixed", observations=seen("joint_vel"), events={"moved": moved})
+    velocity = watch(env, 1)["joint_vel"][1, 0, 0]
+    expected = MASS * G * shift / (OWN + MASS * (shift**2 + LENGTH**2)) * dt
+    assert float(velocity) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_mass_that_an_event_scales_changes_no_period(world, factor):
+    heavier = at_reset("randomize_rigid_body_mass", mass_distribution_params=[factor, factor], operation="scale")
+    events = {"heavier": heavier, "lift": _lifted(0.02, 0.02)}
+    env = world(PENDULUM, 0.002, "fixed", decimation=5, observations=seen("joint_pos"), events=events)
+    assert _period(watch(env, 260)["joint_pos"][:, 0, 0], 0.01) == pytest.approx(SLOW, rel=1e-4)
+
+
+def _energy(angle, speed):
+    """Return the double pendulum's kinetic and potential energy, J, from (..., 2) angles and speeds."""
+    (q, bend), (w, turn) = angle.unbind(-1), speed.unbind(-1)
+    both = w + turn
+    kinetic = (
+        (0.005 + 0.6 * 0.2**2 + 0.3 * 0.4**2) * w**2 / 2
+        + (0.002 + 0.3 * 0.15**2) * both**2 / 2
+        + 0.3 * 0.4 * 0.15 * w * both * torch.cos(bend)
+    )
+    lower = 0.4 * torch.cos(q) + 0.15 * torch.cos(q + bend)
+    return kinetic - 0.6 * G * 0.2 * torch.cos(q) - 0.3 * G * lower
+
+
+def _lost(world, dt, integrator):
+    """Return the largest error of the energy of a wild double pendulum in 0.6 s, J."""
+    env = world(
+        DOUBLE,
+        dt,
+        "fixed",
+        decimation=round(0.008 / dt),
+        sim={"integrator": integrator},
+        observations=seen("joint_pos", "joint_vel"),
+        events={"lift": _lifted(1.5, 1.5)},
+    )
+    shown = watch(env, 75)
+    energy = _energy(shown["joint_pos"][:, 0], shown["joint_vel"][:, 0])
+    speed = shown["joint_vel"].abs().max()
+    assert speed > 5  # it does move
+    return float((energy - energy[0]).abs().max())
+
+
+def test_a_passive_robot_keeps_its_energy_the_better_the_shorter_the_step(world):
+    coarse, middle, fine = (_lost(world, dt, "implicitfast") for dt in (0.002, 0.001, 0.0005))
+    assert coarse < 0.12  # of 3 J that move to and fro
+    assert middle == pytest.approx(coarse / 2, rel=0.25)
+    assert fine == pytest.approx(coarse / 4, rel=0.25)
+
+
+def test_runge_kutta_keeps_it_to_rounding(world):
+    assert _lost(world, 0.002, "rk4") < 2e-5

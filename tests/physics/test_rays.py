@@ -1,0 +1,132 @@
+"""Height scans over slopes and stairs whose heights are known, and a slanted ray that meets a face."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from .worlds import STONE, placed, term, watch
+
+TERRAIN = "wheelleg_exp.sim.terrain."
+SENSORS = "wheelleg_exp.sim.sensors."
+HALF, CELL = 2.0, 0.05  # m: half an edge of the tile, an edge of its cells
+ANGLE, TOP = 0.2, 0.8  # rad, m
+RISE, TREAD, LANDING = 0.12, 0.3, 0.6  # m
+
+SLOPE = {"_target_": TERRAIN + "PyramidSlope", "slope_range": [ANGLE, ANGLE], "platform_width": TOP}
+STAIRS = {"_target_": TERRAIN + "PyramidStairs", "step_height_range": [RISE, RISE], "step_width": TREAD}
+STAIRS |= {"platform_width": LANDING}
+
+
+def _slope_height(x, y):
+    """Return a pyramid's height: tan(angle) by metre from the nearest edge, until the top."""
+    inwards = HALF - torch.maximum(x.abs(), y.abs())
+    return math.tan(ANGLE) * inwards.clamp(max=HALF - TOP / 2)
+
+
+def _stairs_height(x, y):
+    """Return the stairs' height: one rise by tread from the nearest edge, as long as the landing is left."""
+    inwards = HALF - torch.maximum(x.abs(), y.abs())
+    steps = math.ceil((2 * HALF - LANDING) / (2 * TREAD))
+    return RISE * torch.floor(inwards / TREAD).clamp(max=steps)
+
+
+def _world(world, kind, pose, pattern, above=5.0):
+    """Return an environment of a weightless stone over one tile, with rays that start so far above it, m."""
+    ground = {
+        "_target_": TERRAIN + "TerrainGenerator",
+        "size": [2 * HALF, 2 * HALF],
+        "num_rows": 1,
+        "num_cols": 1,
+        "border_width": 1.0,
+        "horizontal_scale": CELL,
+        "vertical_scale": 1e-5,
+        "curriculum": True,
+        "difficulty_range": [0.0, 1.0],
+        "sub_terrains": {"one": {"proportion": 1.0, **kind}},
+        "static_friction": 0.5,
+        "dynamic_friction": 0.5,
+        "restitution": 0.0,
+        "seed": 3,
+        "origin_window": 0.05,
+    }
+    caster = {"_target_": SENSORS + "RayCaster", "body_name": "stone", "pattern": pattern, "ray_alignment": "yaw"}
+    caster["offset"] = {"pos": [0.0, 0.0, above]}
+    chosen = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "eyes"}
+    scan = term("observations", "height_scan", sensor_cfg=chosen, offset=0.25)
+    return world(
+        STONE,
+        0.01,
+        sim={"gravity": [0.0, 0.0, 0.0]},
+        scene={"terrain": ground, "sensors": {"eyes": caster}},
+        observations={"seen": {"concatenate_terms": False, "terms": {"scan": scan}}},
+        events={"place": placed(pose)},
+    )
+
+
+def _grid(**fields):
+    return {"_target_": SENSORS + "GridPattern", "resolution": 0.09, "size": [1.8, 1.08], **fields}
+
+
+def _places(pose):
+    """Return where the rays of the grid go down, x fastest, turned by the yaw."""
+    x = -0.9 + 0.09 * torch.arange(21, dtype=torch.float64)
+    y = -0.54 + 0.09 * torch.arange(13, dtype=torch.float64)
+    y, x = torch.meshgrid(y, x, indexing="ij")
+    cos, sin = math.cos(pose["yaw"]), math.sin(pose["yaw"])
+    return pose["x"] + (cos * x - sin * y).flatten(), pose["y"] + (sin * x + cos * y).flatten()
+
+
+def _ground_seen(env, pose, top):
+    """Return the height of the ground from what a robot above its origin's height observes, m."""
+    return top + pose["z"] - 0.25 - watch(env, 1)["scan"][1, 0]
+
+
+POSES = [
+    {"x": 0.93, "y": -0.37, "z": 0.7, "yaw": 0.4, "pitch": 0.3},
+    {"x": -0.51, "y": 0.83, "z": 0.6, "yaw": -2.1, "roll": 0.0},
+]
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_scan_of_a_slope_is_its_plane_faces_and_top(world, pose, sign):
+    kind = SLOPE | {"inverted": sign < 0}
+    x, y = _places(pose)
+    top = sign * math.tan(ANGLE) * (HALF - TOP / 2)
+    ground = _ground_seen(_world(world, kind, pose, _grid()), pose, top)
+    expected = sign * _slope_height(x, y)
+    # A cell that an edge of the pyramid crosses is cut short by up to the rise of one cell.
+    outermost = torch.maximum(x.abs(), y.abs())
+    crossed = ((x.abs() - y.abs()).abs() < CELL) | ((outermost - TOP / 2).abs() < CELL)
+    torch.testing.assert_close(ground[~crossed], expected[~crossed], atol=2e-5, rtol=0)
+    torch.testing.assert_close(ground, expected, atol=math.tan(ANGLE) * CELL, rtol=0)
+    assert (~crossed).sum() > 180
+    assert expected.max() - expected.min() > 0.15
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_scan_of_stairs_is_their_treads(world, pose, sign):
+    kind = STAIRS | {"inverted": sign < 0}
+    x, y = _places(pose)
+    top = sign * RISE * 6  # (4 - 0.6) / 0.6 is 5.67 treads
+    ground = _ground_seen(_world(world, kind, pose, _grid()), pose, top)
+    expected = sign * _stairs_height(x, y)
+    part = (HALF - torch.maximum(x.abs(), y.abs())) / TREAD
+    on_edge = (part - part.round()).abs() < 1e-3
+    torch.testing.assert_close(ground[~on_edge], expected[~on_edge], atol=2e-5, rtol=0)
+    assert len(expected.unique()) >= 5
+    assert on_edge.sum() < 10
+
+
+def test_a_slanted_ray_meets_the_face_where_two_straight_lines_cross(world):
+    """Down and forwards by 45 degrees: z0 - s = tan(angle) (HALF - x0 - s)."""
+    tan, pose = math.tan(ANGLE), {"x": 0.6, "z": 0.4}
+    slanted = _grid(resolution=1.0, size=[0.0, 0.0], direction=[1.0, 0.0, -1.0])
+    seen = watch(_world(world, SLOPE, pose, slanted, above=0.0), 1)["scan"][1, 0, 0]
+    height = tan * (HALF - TOP / 2) + pose["z"]
+    fallen = (height - tan * (HALF - pose["x"])) / (1 - tan)
+    assert float(seen) == pytest.approx(fallen - 0.25, abs=1e-5)
