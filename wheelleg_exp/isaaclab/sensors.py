@@ -1,8 +1,6 @@
 """What terms import of ``isaaclab.sensors``, for annotations: the sensors that stand in the scene by name."""
 
-from wheelleg_exp.sim import sensors as _sensors
 from wheelleg_exp.sim.sensors import *  # noqa: F403
-from wheelleg_exp.sim.sensors import RayCaster, SensorBase
+from wheelleg_exp.sim.sensors import RayCaster
 
-Imu = getattr(_sensors, "Imu", SensorBase)
-Camera = TiledCamera = RayCasterCamera = getattr(_sensors, "Camera", RayCaster)
+Camera = TiledCamera = RayCasterCamera = RayCaster
