@@ -7,6 +7,8 @@ import math
 import pytest
 import torch
 
+from sim.small_envs import ASSETS, env_config
+from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import WheellegError
 
 WEIGHT = 2.001 * 9.81
@@ -173,3 +175,54 @@ def test_a_state_restored_gives_the_same_forces_and_times(env):
     sensor.load_state_dict(saved)
     assert torch.equal(sensor.max_force_norm(), norm)
     assert torch.equal(sensor.data.current_contact_time, time)
+
+
+def test_forces_are_told_apart_by_what_they_come_from(make_env):
+    """A cube on the ground: all of its force comes from there, and none from its flywheel."""
+    contact = make_env().cfg["scene"]["sensors"]["contact"]
+    env = make_env("block", scene={"sensors": {"contact": contact | {"filter_body_names": ["ground", "flywheel"]}}})
+    env.reset()
+    _settle(env)
+    data = env.scene["contact"].data
+    assert data.force_matrix_w.shape == (4, 2, 2, 3)
+    torch.testing.assert_close(data.force_matrix_w[:, 0, 0], data.net_forces_w[:, 0])
+    torch.testing.assert_close(data.force_matrix_w[:, 0, 0, 2], torch.full((4,), WEIGHT), atol=0.02, rtol=0)
+    assert not data.force_matrix_w[:, :, 1].any()
+    assert not data.force_matrix_w[:, 1].any()
+    assert data.force_matrix_w_history.shape == (4, 3, 2, 2, 3)
+    saved = env.scene["contact"].state_dict()
+    kept = data.force_matrix_w_history.clone()
+    env.scene["contact"].reset(torch.tensor([1]))
+    assert not data.force_matrix_w_history[1].any()
+    assert torch.equal(data.force_matrix_w_history[0], kept[0])
+    env.scene["contact"].load_state_dict(saved)
+    assert torch.equal(data.force_matrix_w_history, kept)
+
+
+def test_two_bodies_push_each_other_with_opposite_forces(make_env, tmp_path):
+    """One of the rover's arms is so fat that it reaches the other."""
+    thin, fat = '"left_arm" type="capsule" size=".01"', '"left_arm" type="capsule" size=".195"'
+    (tmp_path / "fat.xml").write_text((ASSETS / "rover.xml").read_text().replace(thin, fat))
+    contact = make_env().cfg["scene"]["sensors"]["contact"] | {"filter_body_names": [".*"], "track_pose": True}
+    env = ManagerBasedRLEnv(env_config(scene={"sensors": {"contact": contact}}), tmp_path / "fat.xml", 0)
+    env.reset()
+    sensor, data = env.scene["contact"], env.scene["contact"].data
+    order = [sensor.filter_names.index(body) for body in sensor.body_names]
+    pushed = torch.zeros(5, 5)
+    for _ in range(20):
+        env.step(torch.zeros(4, 4))
+        between = data.force_matrix_w[:, :, order]
+        torch.testing.assert_close(between, -between.transpose(1, 2), atol=1e-4, rtol=1e-5)
+        torch.testing.assert_close(data.force_matrix_w.sum(dim=2), data.net_forces_w, atol=1e-4, rtol=1e-4)
+        pushed += between.norm(dim=-1).sum(dim=0)
+    left, right = sensor.body_names.index("left_arm"), sensor.body_names.index("right_arm")
+    assert pushed[left, right] > 1.0
+    assert pushed[left, left] == 0.0
+    torch.testing.assert_close(data.pos_w, env.scene.robot.data.body_pos_w)
+    torch.testing.assert_close(data.quat_w, env.scene.robot.data.body_quat_w)
+
+
+def test_what_is_not_tracked_says_what_to_write(env):
+    for name, word in (("force_matrix_w", "filter_body_names"), ("pos_w", "track_pose"), ("quat_w", "track_pose")):
+        with pytest.raises(WheellegError, match=word):
+            getattr(env.scene["contact"].data, name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -10,8 +11,10 @@ import torch
 
 from wheelleg_exp.constraints import Count, Names, Natural, NonNegative
 from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.sensors.base import SensorBase
 from wheelleg_exp.sim.sensors.contact_data import ContactSensorData
+from wheelleg_exp.sim.terrain import GROUND
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -33,6 +36,8 @@ class ContactSensor(SensorBase):
         force_threshold: force above which a body is in contact, N.
         max_contacts: most contacts of one body that are summed.
         update_period: time between two measurements, s; 0 measures after every physics step.
+        filter_body_names: expressions of the bodies, ``ground`` among them, from which forces are told apart.
+        track_pose: whether the data has the bodies' poses.
 
     Attributes:
         data: what was measured, from ``connect`` on.
@@ -48,8 +53,12 @@ class ContactSensor(SensorBase):
         force_threshold: NonNegative,
         max_contacts: Count,
         update_period: NonNegative = 0.0,
+        filter_body_names: Names = (),
+        track_pose: bool = False,
     ) -> None:
         super().__init__(update_period)
+        self._filters = [filter_body_names] if isinstance(filter_body_names, str) else list(filter_body_names)
+        self._track_pose = track_pose
         self._expressions = body_names
         self._history_length = max(1, history_length)
         self.track_air_time = track_air_time
@@ -60,14 +69,25 @@ class ContactSensor(SensorBase):
         """Find the sensed bodies and add one MuJoCo contact sensor a body."""
         super().add_to(spec, name, robot)
         _, self.body_names = robot.find_bodies(self._expressions, key=f"{self.key}.body_names")
+        self._robot, key = robot, f"{self.key}.filter_body_names"
+        self.filter_names: list[str] = []
+        if self._filters:
+            _, self.filter_names = match_names(self._filters, [GROUND, *robot.body_names], key=key, what="body")
         for body in self.body_names:
-            spec.add_sensor(
-                name=f"{name}/{body}",
-                type=mujoco.mjtSensor.mjSENS_CONTACT,
-                objtype=mujoco.mjtObj.mjOBJ_BODY,
-                objname=body,
-                intprm=[_FOUND | _FORCE | _NORMAL, 0, self._slots],
-            )
+            self._sense(spec, body, {})
+        for body, other in product(self.body_names, self.filter_names):
+            ref = "world" if other == GROUND else other
+            self._sense(spec, body, {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": ref}, f"/{other}")
+
+    def _sense(self, spec: mujoco.MjSpec, body: str, ref: dict[str, Any], suffix: str = "") -> None:
+        spec.add_sensor(
+            name=f"{self.name}/{body}{suffix}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            objname=body,
+            intprm=[_FOUND | _FORCE | _NORMAL, 0, self._slots],
+            **ref,
+        )
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         """Attach to the running simulations; called once, after the scene has been compiled."""
@@ -77,7 +97,14 @@ class ContactSensor(SensorBase):
         width = bodies * self._slots * _WIDTH
         self._readings = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
         self._pressures, self._normals = self._readings[..., 1].unsqueeze(2), self._readings[..., 4:7]
+        pairs = bodies * len(self.filter_names)
+        end = start + width + pairs * self._slots * _WIDTH
+        self._pairs = sim.view("sensordata")[:, start + width : end].view(n, pairs, self._slots, _WIDTH)
         self.data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
+        if pairs:
+            self.data.add_filters(len(self.filter_names))
+        if self._track_pose:
+            self.data.add_pose(self._robot, self.body_names)
         self._norms: torch.Tensor | None = None
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
 
@@ -109,8 +136,17 @@ class ContactSensor(SensorBase):
             history = torch.where(due.view(-1, 1, 1, 1), history, self.data.net_forces_w_history)
         self.data.net_forces_w_history = history
         self._norms = None
+        if self.filter_names:
+            self._measure_pairs(due)
         if self.track_air_time:
             self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
+
+    def _measure_pairs(self, due: torch.Tensor | None) -> None:
+        force = torch.matmul(self._pairs[..., 1].unsqueeze(2), self._pairs[..., 4:7]).squeeze(2).neg_().float()
+        before = self.data.force_matrix_w_history
+        force = force.view(len(force), 1, *before.shape[2:])
+        history = torch.cat((force, before[:, :-1]), dim=1)
+        self.data.filtered = history if due is None else torch.where(due.view(-1, 1, 1, 1, 1), history, before)
 
     def reset(self, ids: torch.Tensor) -> None:
         """Forget forces and times of ``ids``."""
@@ -134,6 +170,7 @@ class ContactSensor(SensorBase):
             "history": self.data.net_forces_w_history.clone(),
             "found": self._found.clone(),
             **{name: value.clone() for name, value in self.data.times.items()},
+            **({"filtered": self.data.force_matrix_w_history.clone()} if self.filter_names else {}),
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -143,6 +180,8 @@ class ContactSensor(SensorBase):
         self._found.copy_(saved["found"])
         for name, value in self.data.times.items():
             value.copy_(saved[name])
+        if self.filter_names:
+            self.data.filtered = saved["filtered"].clone()
         self._norms = None
 
     def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:

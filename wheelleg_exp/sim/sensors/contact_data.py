@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, NoReturn
+
 import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot import Robot
 
 TIMES = ("current_air_time", "last_air_time", "current_contact_time", "last_contact_time")
 
@@ -35,6 +40,7 @@ class ContactSensorData(Kept):
 
     Attributes:
         net_forces_w_history: net normal force, N, (N, T, B, 3), newest first.
+        filtered: ``force_matrix_w_history``; None when forces are not told apart.
         times: the four times by name, s, (N, B); zeros when they are not tracked.
     """
 
@@ -44,6 +50,8 @@ class ContactSensorData(Kept):
         self._key = key
         self.net_forces_w_history = torch.zeros(num_envs, history_length, bodies, 3, device=device)
         self._track_air_time = track_air_time
+        self.filtered: torch.Tensor | None = None
+        self._robot: Robot | None = None
         self.times = {name: torch.zeros(num_envs, bodies, device=device) for name in TIMES}
 
     @property
@@ -56,17 +64,55 @@ class ContactSensorData(Kept):
     current_contact_time = _time("current_contact_time", "Time since the body touched down, s, 0 in the air, (N, B).")
     last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
 
+    def add_filters(self, count: int) -> None:
+        """Tell the forces of ``count`` other bodies apart."""
+        n, history, bodies, _ = self.net_forces_w_history.shape
+        self.filtered = self.net_forces_w_history.new_zeros(n, history, bodies, count, 3)
+
+    def add_pose(self, robot: Robot, bodies: list[str]) -> None:
+        """Show the poses of the sensed bodies."""
+        self._robot, self._ids = robot, [robot.body_names.index(body) for body in bodies]
+
+    @property
+    def force_matrix_w_history(self) -> torch.Tensor:
+        """Normal force from each filtered body, N, (N, T, B, M, 3), newest first."""
+        if self.filtered is None:
+            self._refuse("forces are not told apart", "filter_body_names", "the other bodies, or ground")
+        return self.filtered
+
+    @property
+    def force_matrix_w(self) -> torch.Tensor:
+        """Normal force of the last physics step from each filtered body, N, (N, B, M, 3)."""
+        return self.force_matrix_w_history[:, 0]
+
+    @property
+    def pos_w(self) -> torch.Tensor:
+        """Positions of the sensed bodies' frames, m, (N, B, 3)."""
+        return self._posed().data.body_pos_w[:, self._ids]
+
+    @property
+    def quat_w(self) -> torch.Tensor:
+        """Orientations of the sensed bodies' frames (w, x, y, z), (N, B, 4)."""
+        return self._posed().data.body_quat_w[:, self._ids]
+
+    def _posed(self) -> Robot:
+        if self._robot is None:
+            self._refuse("poses are not tracked", "track_pose", "true, for a term that asks for poses")
+        return self._robot
+
+    def _refuse(self, message: str, name: str, expected: str) -> NoReturn:
+        raise ConfigError(message, key=f"{self._key}.{name}", expected=expected)
+
     def require_times(self) -> None:
         """Raise ConfigError when contact and flight are not timed."""
         if not self._track_air_time:
-            raise ConfigError(
-                "contact and flight are not timed",
-                key=f"{self._key}.track_air_time",
-                expected="true, for a term that asks for times or first contacts",
-            )
+            expected = "true, for a term that asks for times or first contacts"
+            self._refuse("contact and flight are not timed", "track_air_time", expected)
 
     def reset(self, ids: torch.Tensor) -> None:
         """Forget forces and times of ``ids``."""
         self.net_forces_w_history = self.net_forces_w_history.index_fill(0, ids, 0.0)
+        if self.filtered is not None:
+            self.filtered = self.filtered.index_fill(0, ids, 0.0)
         for value in self.times.values():
             value[ids] = 0.0
