@@ -103,6 +103,44 @@ def everything() -> dict:
             "pose_range": {"z": [0.0, 0.1]},
             "velocity_range": {},
         },
+        "gains": {
+            "_target_": E + "randomize_actuator_gains",
+            "mode": "reset",
+            "stiffness_distribution_params": [0.5, 1.5],
+            "damping_distribution_params": [0.5, 1.5],
+            "operation": "scale",
+        },
+        "parameters": {
+            "_target_": E + "randomize_joint_parameters",
+            "mode": "reset",
+            "friction_distribution_params": [0.0, 0.1],
+            "armature_distribution_params": [0.01, 0.02],
+            "lower_limit_distribution_params": [-1.5, -1.0],
+            "upper_limit_distribution_params": [1.0, 1.5],
+            "asset_cfg": HIPS,
+        },
+        "encoders": {"_target_": E + "randomize_encoder_bias", "mode": "reset", "bias_range": [-0.05, 0.05]},
+        "gravity": {
+            "_target_": E + "randomize_physics_scene_gravity",
+            "mode": "reset",
+            "gravity_distribution_params": [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]],
+            "operation": "add",
+            "per_env": True,
+        },
+        "inertia": {
+            "_target_": E + "randomize_rigid_body_inertia",
+            "mode": "reset",
+            "inertia_distribution_params": [0.5, 1.5],
+            "operation": "scale",
+        },
+        "impulse": {
+            "_target_": E + "apply_body_impulse",
+            "mode": "step",
+            "force_range": [-2.0, 2.0],
+            "torque_range": [-0.1, 0.1],
+            "duration_s": [0.02, 0.1],
+            "pause_s": [0.0, 0.2],
+        },
     }
     uniform = {"_target_": N + "UniformNoise", "n_min": -0.01, "n_max": 0.01}
     sections["observations"]["policy"]["terms"] |= {

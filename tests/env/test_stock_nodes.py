@@ -33,7 +33,8 @@ MOUNTS = {
 }
 APART = ("action", "robot", "scene", "sim")
 NOT_BUILT = ("agent", "recording", "run", "task")  # what trains, and what is made of these nodes
-ON_TILES: dict[str, str] = {"flat_patch": "command"}  # options that a plane has no place for, and their groups
+# Options that a plane has no place for, and their groups.
+ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "event"}
 PICTURES = ("sensors/camera_image",)  # observations that stand in groups of their own
 SIZE = [
     "env.num_envs=3",

@@ -28,6 +28,7 @@ def fake_env(**fields: Any) -> Any:
     what else the ground says.
     """
     data = {k[5:]: v for k, v in fields.items() if k.startswith("data_")}
+    data.setdefault("joint_pos_measured", data.get("joint_pos"))
     robot = SimpleNamespace(data=SimpleNamespace(**data))
     norm = fields.pop("contact_norm", None)
     landed = fields.pop("first_contact", None)

@@ -16,7 +16,7 @@ from wheelleg_exp.sim.ids import ids_where
 
 
 class EventManager(ManagerBase):
-    """Runs terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, or any name that a caller applies.
+    """Runs terms by mode: ``prestartup``, ``startup``, ``reset``, ``interval``, ``step``, or any name that is applied.
 
     Built before the scene is compiled, so that ``prestartup`` terms may edit ``env.scene.spec``.
     """
@@ -86,7 +86,7 @@ class EventManager(ManagerBase):
                 self._run(name, term, ids)
 
     def apply_interval(self, dt: float) -> None:
-        """Advance the timers by ``dt`` seconds and run the terms whose time is up."""
+        """Advance the timers by ``dt`` seconds and run the terms whose time is up, then those of every step."""
         for name, term in self._modes.get("interval", {}).items():
             time_left = self._time_left[name]
             time_left -= dt
@@ -101,6 +101,8 @@ class EventManager(ManagerBase):
             else:
                 self._draw_timer(name, term, ids)
                 self._run(name, term, ids)
+        for name, term in self._modes.get("step", {}).items():
+            self._run(name, term, None)
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
         """Run a term; what it writes must be numbers."""

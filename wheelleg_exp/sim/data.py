@@ -20,6 +20,7 @@ _SETTINGS = (
     "soft_joint_pos_limits",
     "soft_joint_vel_limits",
     "joint_effort_limits",
+    "encoder_bias",
     "com_b",
 )
 
@@ -35,6 +36,10 @@ class RobotData(Kept):
         layout: the robot's names, ids, defaults and limits.
         targets: the joint targets.
         computed_torque: returns the unclipped torques (N, J) that the actuators asked for in the last physics step.
+
+    Attributes:
+        encoder_bias: by how much the joints' encoders read too much, rad, (N, J).
+        has_encoder_bias: whether some term gives them a bias.
     """
 
     def __init__(
@@ -69,6 +74,8 @@ class RobotData(Kept):
         self.soft_joint_pos_limits = layout.soft_joint_pos_limits.expand(n, joints, 2).clone()
         self.soft_joint_vel_limits = layout.velocity_limits.expand(n, joints).clone()
         self.joint_effort_limits = layout.effort_limits.expand(n, joints).clone()
+        self.encoder_bias = torch.zeros(n, joints, device=device)
+        self.has_encoder_bias = False
         gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
         self._gravity_dir = torch.nn.functional.normalize(gravity, dim=0)
         self._torque_valid = torch.zeros(n, 1, device=device)
@@ -238,6 +245,11 @@ class RobotData(Kept):
     def joint_pos(self) -> torch.Tensor:
         """Joint positions, rad, (N, J)."""
         return self._positions.index_select(1, self._qpos_ids)
+
+    @property
+    def joint_pos_measured(self) -> torch.Tensor:
+        """What the joints' encoders read, rad, (N, J): position + bias."""
+        return self.joint_pos + self.encoder_bias if self.has_encoder_bias else self.joint_pos
 
     @derived
     def joint_vel(self) -> torch.Tensor:

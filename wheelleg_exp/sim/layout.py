@@ -46,6 +46,7 @@ class RobotLayout(Kept):
         """Read ids and limits from the compiled model; ConfigError when a default is outside its joint's limits."""
         self.qpos_ids = self._ids(int(model.joint(j).qposadr[0]) for j in self.joint_names)
         self.dof_ids = self._ids(int(model.joint(j).dofadr[0]) for j in self.joint_names)
+        self.joint_ids = self._ids(int(model.joint(j).id) for j in self.joint_names)
         self.body_ids = self._ids(int(model.body(b).id) for b in self.body_names)
         self.actuated_ids = self._ids(())
         self._read_limits(model)
@@ -107,11 +108,16 @@ class RobotLayout(Kept):
                 )
             ranges.append((low, high))
         limits = self._numbers(ranges).view(-1, 2)
-        middle, half = limits.mean(dim=1), (limits[:, 1] - limits[:, 0]) / 2
-        half = half * self._options.soft_joint_pos_limit_factor
-        soft = torch.stack((middle - half, middle + half), dim=1)
         self.joint_pos_limits = limits
-        self.soft_joint_pos_limits = torch.where(limits.isfinite(), soft, limits)
+        self.soft_joint_pos_limits = soft_limits(limits, self._options.soft_joint_pos_limit_factor)
+
+
+def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
+    """Return soft limits (..., 2): a share of the range about its middle; an open end stays open."""
+    middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2
+    half = half * factor
+    soft = torch.stack((middle - half, middle + half), dim=-1)
+    return torch.where(limits.isfinite().all(dim=-1, keepdim=True), soft, limits)
 
 
 def _breadth_first(root: Any) -> list[Any]:

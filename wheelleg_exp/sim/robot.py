@@ -17,13 +17,13 @@ from wheelleg_exp.sim.ids import EnvIds, ids_where
 from wheelleg_exp.sim.layout import JointTargets, RobotLayout
 from wheelleg_exp.sim.names import shared_errors
 from wheelleg_exp.sim.options import RobotOptions
-from wheelleg_exp.sim.robot_faces import RobotFaces
+from wheelleg_exp.sim.robot_parameters import RobotParameters
 from wheelleg_exp.state import cloned, made, same
 
 _ACTUATORS = "env.robot.actuators"
 
 
-class Robot(RobotFaces):
+class Robot(RobotParameters):
     """The robot of the scene: names, limits, actuators, and writing of state, targets and wrenches.
 
     Args:
@@ -102,10 +102,16 @@ class Robot(RobotFaces):
         self._wrench = torch.zeros(n, len(self.body_names), 3, 2, device=device)
 
     def _computed_torque(self, data: RobotData) -> torch.Tensor:
-        torque = torch.zeros_like(self.targets.pos)
+        torque, targets = torch.zeros_like(self.targets.pos), self._targets_of_joints()
         for actuator in self.actuators.values():
-            torque[:, actuator.joint_ids] = actuator.torque_asked(self.targets, data)
+            torque[:, actuator.joint_ids] = actuator.torque_asked(targets, data)
         return torque
+
+    def _targets_of_joints(self) -> JointTargets:
+        """Return the targets of the joints themselves: drives hold what encoders read at the positions asked for."""
+        if not self.data.has_encoder_bias:
+            return self.targets
+        return JointTargets(self.targets.pos - self.data.encoder_bias, self.targets.vel, self.targets.effort)
 
     def _gains(self, name: str, in_solver: bool) -> torch.Tensor:
         """Return a number of the actuators for each joint (N, J); with ``in_solver`` 0 for explicit actuators."""
@@ -137,11 +143,11 @@ class Robot(RobotFaces):
         """Run the actuator models on the present state and apply permanent wrenches in world axes."""
         data = self.data
         data.before_step()
-        start = 0
+        start, targets = 0, self._targets_of_joints()
         for actuator in self.actuators.values():
             stop = start + len(actuator.joint_names)
             if self._has_new_targets or not actuator.follows_targets:
-                self._ctrl[:, start:stop] = actuator.act(self.targets, data)
+                self._ctrl[:, start:stop] = actuator.act(targets, data)
             start = stop
         self._has_new_targets = False
         if self._wrench_bodies:

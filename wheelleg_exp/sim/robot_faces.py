@@ -285,6 +285,12 @@ class RobotFaces(Kept):
         self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
         self._sim.asked.add(WRENCHES)
 
+    def add_wrench(self, body_ids: list[int], wrench: torch.Tensor) -> None:
+        """Add to what acts on bodies: forces and torques as the two columns of (N, k, 3, 2), link axes, at the CoM."""
+        self._wrench[:, body_ids] += wrench
+        self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
+        self._sim.asked.add(WRENCHES)
+
     # --- earlier names ---
 
     def write_root_pose(self, ids: torch.Tensor, pos: torch.Tensor, quat: torch.Tensor) -> None:

@@ -51,7 +51,7 @@ FIELD_TYPES: dict[str, Any] = {
 }
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
 # Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.
-EVENT_MODES = ("prestartup", "startup", "reset", "interval")
+EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
 # Fields that only events of one mode read.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
@@ -193,6 +193,9 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
             f"cannot import '{module_name}': {reason}", key=f"{path}.{TARGET}", expected=expected
         ) from error
     found = getattr(module, attribute, None)
+    why = getattr(module, "ABSENT", {}).get(attribute)
+    if why is not None:
+        raise ConfigError(f"'{attribute}' of Isaac Lab's is not there: {why}", key=f"{path}.{TARGET}")
     if not callable(found):
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         raise ConfigError(

@@ -190,7 +190,7 @@ class RelativeJointPositionAction(JointAction):
     def apply_actions(self) -> None:
         """Set the position targets from the present positions."""
         self._robot.set_joint_position_target(
-            self._robot.data.joint_pos[:, self._ids] + self.processed_actions, self._ids
+            self._robot.data.joint_pos_measured[:, self._ids] + self.processed_actions, self._ids
         )
 
 

@@ -119,4 +119,4 @@ class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
     def reset(self, env_ids: torch.Tensor) -> None:
         """Begin the average of ``env_ids`` at their joints' positions."""
         super().reset(env_ids)
-        self._last[env_ids] = self._robot.data.joint_pos[env_ids][:, self._ids]
+        self._last[env_ids] = self._robot.data.joint_pos_measured[env_ids][:, self._ids]

@@ -3,6 +3,8 @@
 | module | what it changes |
 |---|---|
 | `shapes`, `bodies` | materials; masses, inertias and centres of mass |
+| `joints` | gains, friction, armatures, limits, encoders |
+| `world` | gravity |
 | `disturbances` | wrenches and pushes |
 | `resets` | where episodes begin |
 | `draws` | distributions and operations |
@@ -11,9 +13,11 @@
 from wheelleg_exp.mdp.events.bodies import (
     randomize_rigid_body_com,
     randomize_rigid_body_com_cumulative,
+    randomize_rigid_body_inertia,
     randomize_rigid_body_mass,
 )
 from wheelleg_exp.mdp.events.disturbances import (
+    apply_body_impulse,
     apply_external_force_torque,
     push_by_adding_velocity,
     push_by_setting_velocity,
@@ -21,26 +25,52 @@ from wheelleg_exp.mdp.events.disturbances import (
     set_root_velocity,
 )
 from wheelleg_exp.mdp.events.draws import draw
+from wheelleg_exp.mdp.events.joints import (
+    randomize_actuator_gains,
+    randomize_encoder_bias,
+    randomize_joint_parameters,
+)
 from wheelleg_exp.mdp.events.resets import (
     reset_joints_by_offset,
     reset_joints_by_scale,
+    reset_root_state_from_terrain,
     reset_root_state_uniform,
     reset_root_state_with_random_orientation,
     reset_scene_to_default,
 )
 from wheelleg_exp.mdp.events.shapes import randomize_rigid_body_material
+from wheelleg_exp.mdp.events.world import randomize_physics_scene_gravity
+
+# Terms of Isaac Lab that have no counterpart, and why.
+ABSENT = {
+    "randomize_rigid_body_scale": "Isaac Lab scales no articulation, and the robot is one",
+    "randomize_rigid_body_collider_offsets": "MuJoCo's shapes have no rest and contact offsets; an asset may "
+    "give them a margin and a gap",
+    "randomize_fixed_tendon_parameters": "a robot's tendons are not driven here",
+    "randomize_visual_texture_material": "a training draws no picture",
+    "randomize_visual_color": "a training draws no picture",
+    "reset_nodal_state_uniform": "there are no deformable bodies",
+}
 
 __all__ = [
+    "ABSENT",
+    "apply_body_impulse",
     "apply_external_force_torque",
     "draw",
     "push_by_adding_velocity",
     "push_by_setting_velocity",
+    "randomize_actuator_gains",
+    "randomize_encoder_bias",
+    "randomize_joint_parameters",
+    "randomize_physics_scene_gravity",
     "randomize_rigid_body_com",
     "randomize_rigid_body_com_cumulative",
+    "randomize_rigid_body_inertia",
     "randomize_rigid_body_mass",
     "randomize_rigid_body_material",
     "reset_joints_by_offset",
     "reset_joints_by_scale",
+    "reset_root_state_from_terrain",
     "reset_root_state_uniform",
     "reset_root_state_with_random_orientation",
     "reset_scene_to_default",

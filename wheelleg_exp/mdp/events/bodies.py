@@ -9,7 +9,7 @@ import torch
 
 from wheelleg_exp.constraints import Broken, Interval, Length, Positive, relation
 from wheelleg_exp.managers import Env, SceneEntityCfg, bounds
-from wheelleg_exp.mdp.events.draws import Distribution, Operation, all_ids, draw, operate
+from wheelleg_exp.mdp.events.draws import Distribution, Operation, Pair, all_ids, draw, operate, ranges
 from wheelleg_exp.sim import rotation
 
 _ROBOT = SceneEntityCfg("robot")
@@ -55,6 +55,35 @@ def randomize_rigid_body_mass(
         sim.expand("body_inertia")[ids, bodies] = inertia * (mass / default).unsqueeze(2)
     sim.set_const()
     robot.mark_written(chosen)
+
+
+@relation(ranges(above_0=["inertia_distribution_params"]))
+def randomize_rigid_body_inertia(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    inertia_distribution_params: Pair,
+    operation: Operation,
+    generator: torch.Generator,
+    asset_cfg: SceneEntityCfg = _ROBOT,
+    distribution: Distribution = "uniform",
+    min_inertia: Positive = 1e-9,
+) -> None:
+    """Change the principal moments of inertia (kg·m^2) from their defaults, each by itself; masses stay.
+
+    A moment is at least ``min_inertia``, and at most the sum of the other two: no body has more. Like
+    ``randomize_rigid_body_mass``, which scales them with the mass, it starts from the model's: of both on one body
+    the later counts.
+    """
+    robot, sim = env.scene[asset_cfg.name], env.scene.sim
+    ids, bodies = all_ids(env, env_ids), robot.body_ids[asset_cfg.body_ids]
+    default = sim.constant("body_inertia")[bodies]
+    first, second = inertia_distribution_params
+    drawn = draw(first, second, (len(ids), *default.shape), distribution, generator)
+    moments = operate(default, drawn.to(sim.dtype), operation).clamp(min=min_inertia)
+    others = moments.sum(dim=2, keepdim=True) - moments
+    sim.expand("body_inertia")[ids.unsqueeze(1), bodies] = torch.minimum(moments, others)
+    sim.set_const()
+    robot.mark_written(ids)
 
 
 def randomize_rigid_body_com_cumulative(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from wheelleg_exp.constraints import Interval
+from wheelleg_exp.constraints import Interval, NonNegativeInterval, PositiveInterval
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
@@ -73,3 +73,69 @@ class set_root_velocity(push_by_adding_velocity):
     """Set the root's CoM velocity to U(range), world axes, whatever it was."""
 
     adds = False
+
+
+class apply_body_impulse(TermBase):
+    """Push bodies now and then with a force (N) and a torque (N·m) that last for some time; for mode ``step``.
+
+    Force and torque act at the bodies' CoM in link axes, beside what else acts there. The same range holds for each
+    axis, and each body has its own draw. The first push of an episode comes after a pause; none outlasts its episode.
+
+    Args:
+        env: the environment.
+        force_range: [low, high], N.
+        torque_range: [low, high], N·m.
+        duration_s: [low, high], how long a push lasts, s.
+        pause_s: [low, high], from the end of one, or from the reset, to the next, s.
+        generator: the term's random stream.
+        asset_cfg: the robot and its bodies.
+    """
+
+    settings = ("_lows", "_spans")
+
+    def __init__(
+        self,
+        env: Env,
+        force_range: Interval,
+        torque_range: Interval,
+        duration_s: PositiveInterval,
+        pause_s: NonNegativeInterval,
+        generator: torch.Generator,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        self._robot = env.scene[asset_cfg.name]
+        bodies = torch.arange(len(self._robot.body_names), device=env.device)[asset_cfg.body_ids]
+        self._bodies: list[int] = bodies.tolist()
+        axes = [force_range] * 3 * len(bodies) + [torque_range] * 3 * len(bodies)
+        low, high = torch.tensor([*map(list, axes), list(duration_s), list(pause_s)], device=env.device).T
+        self._lows, self._spans = low, high - low
+        self._generator = generator
+        self._time_left = torch.zeros(env.num_envs, device=env.device)
+        self._is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+        self._push = torch.zeros(env.num_envs, len(bodies), 3, 2, device=env.device)
+        self._robot.add_wrench(self._bodies, self._push)  # bodies that a wrench may act on are known from the start
+        self.reset(torch.arange(env.num_envs, device=env.device))
+
+    def _draw(self, count: int) -> torch.Tensor:
+        u = torch.rand(count, len(self._lows), generator=self._generator, device=self._lows.device)
+        return self._lows + self._spans * u
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Begin the episodes of ``env_ids`` with a pause; the robot has forgotten what acted on it."""
+        self._is_pushed[env_ids] = False
+        self._push[env_ids] = 0.0
+        self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        """Let a control step pass: end the pushes and pauses whose time is up, and begin what follows."""
+        del env_ids
+        self._time_left -= env.step_dt
+        due = self._time_left < 1e-6
+        drawn = self._draw(env.num_envs)
+        self._is_pushed ^= due
+        begins = due & self._is_pushed
+        self._time_left = torch.where(due, torch.where(begins, drawn[:, -2], drawn[:, -1]), self._time_left)
+        wrench = drawn[:, :-2].view(env.num_envs, 2, len(self._bodies), 3).permute(0, 2, 3, 1)
+        push = torch.where(begins.view(-1, 1, 1, 1), wrench, self._push) * self._is_pushed.view(-1, 1, 1, 1)
+        self._robot.add_wrench(self._bodies, push - self._push)
+        self._push = push

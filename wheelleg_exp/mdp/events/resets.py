@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Literal
+
 import torch
 
 from wheelleg_exp.constraints import Interval
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
@@ -64,6 +68,56 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
         return rotation.random_quat(len(euler), self._generator)
 
 
+class reset_root_state_from_terrain(TermBase):
+    """Place the root over a random flat place of the environment's tile, turned about by drawn angles.
+
+    The place is one of ``init_pos`` of the ground's ``flat_patches``; the root's default position is added to it, its
+    default orientation is not. The velocity is of the CoM in world axes.
+
+    Args:
+        env: the environment.
+        pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
+        velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
+        generator: the term's random stream.
+        asset_cfg: the robot.
+
+    Raises:
+        ConfigError: the ground has no such places.
+    """
+
+    settings = ("_low", "_high")
+
+    def __init__(
+        self,
+        env: Env,
+        pose_range: Mapping[Literal["roll", "pitch", "yaw"], Interval],
+        velocity_range: PoseRange,
+        generator: torch.Generator,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        low, high = bounds(pose_range, POSE[3:], "pose_range", env.device)
+        low_v, high_v = bounds(velocity_range, POSE, "velocity_range", env.device)
+        self._low, self._high = torch.cat((low, low_v)), torch.cat((high, high_v))
+        self._generator = generator
+        self._robot, self._terrain = env.scene[asset_cfg.name], env.scene.terrain
+        if "init_pos" not in self._terrain.flat_patches:
+            raise ConfigError(
+                "the ground knows no flat places 'init_pos' to begin at",
+                expected="a ground whose env.scene.terrain has flat patches of that name",
+            )
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        """Place the roots of ``env_ids``."""
+        ids, terrain, robot = all_ids(env, env_ids), self._terrain, self._robot
+        places = terrain.flat_patches["init_pos"]
+        chosen = torch.randint(places.shape[2], (len(ids),), generator=self._generator, device=ids.device)
+        place = places[terrain.terrain_levels[ids], terrain.terrain_types[ids], chosen]
+        u = rotation.uniform(self._low, self._high, len(ids), self._generator)
+        turn = rotation.quat_from_euler_xyz(*u[:, 0:3].unbind(dim=1))
+        robot.write_root_pose_to_sim(torch.cat((place + robot.default_root_pos, turn), dim=1), ids)
+        robot.write_root_velocity_to_sim(u[:, 3:9], ids)
+
+
 def reset_joints_by_scale(
     env: Env,
     env_ids: torch.Tensor | None,
@@ -118,10 +172,11 @@ def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_t
     ids = all_ids(env, env_ids)
     robot = env.scene.robot
     data = robot.data
-    position = robot.default_root_pos + env.scene.env_origins[ids]
-    robot.write_root_pose(ids, position, robot.default_root_quat.expand(len(ids), 4))
-    still = torch.zeros(len(ids), 3, device=env.device)
-    robot.write_root_com_velocity(ids, still, still)
+    if robot.floating:
+        position = robot.default_root_pos + env.scene.env_origins[ids]
+        robot.write_root_pose(ids, position, robot.default_root_quat.expand(len(ids), 4))
+        still = torch.zeros(len(ids), 3, device=env.device)
+        robot.write_root_com_velocity(ids, still, still)
     robot.write_joint_state(ids, data.default_joint_pos[ids], data.default_joint_vel[ids])
     if reset_joint_targets:
         data.joint_pos_target[ids] = data.default_joint_pos[ids]

@@ -10,15 +10,16 @@ from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 _ROBOT = SceneEntityCfg("robot")
 
 
-def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Joint positions, rad."""
-    return env.scene[asset_cfg.name].data.joint_pos[:, asset_cfg.joint_ids]
-
-
-def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Joint positions minus their defaults, rad. A wheel's angle grows without bound."""
+def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
+    """Joint positions, rad: what the encoders read, or with ``measured: false`` where the joints are."""
     data = env.scene[asset_cfg.name].data
-    return data.joint_pos[:, asset_cfg.joint_ids] - data.default_joint_pos[:, asset_cfg.joint_ids]
+    return (data.joint_pos_measured if measured else data.joint_pos)[:, asset_cfg.joint_ids]
+
+
+def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
+    """Joint positions (as ``joint_pos``) minus their defaults, rad. A wheel's angle grows without bound."""
+    data = env.scene[asset_cfg.name].data
+    return joint_pos(env, asset_cfg, measured) - data.default_joint_pos[:, asset_cfg.joint_ids]
 
 
 class joint_pos_limit_normalized(TermBase):
@@ -44,12 +45,12 @@ class joint_pos_limit_normalized(TermBase):
         """Normalise."""
         del env
         low, high = self._data.soft_joint_pos_limits[:, self._ids].unbind(dim=2)
-        return 2.0 * (self._data.joint_pos[:, self._ids] - (low + high) / 2) / (high - low)
+        return 2.0 * (self._data.joint_pos_measured[:, self._ids] - (low + high) / 2) / (high - low)
 
 
 def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sines, then cosines, of the joint positions: a bounded view of wheel angles."""
-    angle = env.scene[asset_cfg.name].data.joint_pos[:, asset_cfg.joint_ids]
+    angle = joint_pos(env, asset_cfg)
     return torch.cat((torch.sin(angle), torch.cos(angle)), dim=1)
 
 

@@ -1,0 +1,265 @@
+"""Gravity, inertia, pushes that last, and starts on the ground's flat places."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.mdp import events
+from wheelleg_exp.terms.binding import resolve_target
+
+EVENT = "wheelleg_exp.mdp.events."
+ALL = torch.arange(4)
+
+
+def event(name, mode="startup", **fields):
+    return {"_target_": EVENT + name, "mode": mode, **fields}
+
+
+def bodies(*names):
+    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": list(names)}
+
+
+def fall(env, steps=10):
+    """Let a block fall in the air; return its acceleration, (N, 3)."""
+    robot = env.scene.robot
+    robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]]).repeat(4, 1))
+    robot.write_root_velocity_to_sim(torch.zeros(4, 6))
+    for _ in range(steps):
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+    return robot.data.root_lin_vel_w / (steps * env.physics_dt)
+
+
+# ---- gravity ----
+
+OFF = [[-1.0, 0.5, -2.0], [1.0, 0.5, 2.0]]
+
+
+@pytest.mark.parametrize("per_env", [True, False])
+def test_everything_falls_as_gravity_was_drawn(make_env, per_env):
+    node = event("randomize_physics_scene_gravity", gravity_distribution_params=OFF, operation="add", per_env=per_env)
+    env = make_env("block", events={"g": node})
+    env.reset()
+    written = torch.from_numpy(np.array(env.scene.sim.batch.expanded("opt.gravity"))).float()
+    assert len(written.unique(dim=0)) == (4 if per_env else 1)
+    assert ((written - torch.tensor([0.0, 0.5, -9.81])).abs() <= torch.tensor([1.0, 1e-6, 2.0])).all()
+    torch.testing.assert_close(fall(env), written, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([[0.0, 0.0, -1.0]] * 4))
+
+
+def test_gravity_is_drawn_from_the_configs_each_time_and_for_whom_it_is_asked(make_env):
+    node = event(
+        "randomize_physics_scene_gravity",
+        "custom",
+        gravity_distribution_params=[[1.0, 1.0, 1.1], [1.0, 1.0, 1.5]],
+        operation="scale",
+        distribution="log_uniform",
+        per_env=True,
+    )
+    env = make_env("block", events={"g": node})
+    for _ in range(3):
+        env.apply_event("custom", torch.tensor([1, 2]))
+    down = env.scene.sim.expanded["opt.gravity"][:, 2]
+    assert down[[0, 3]].tolist() == [-9.81, -9.81]
+    assert ((down[1:3] <= -9.81 * 1.1) & (down[1:3] >= -9.81 * 1.5)).all()
+
+
+def test_one_gravity_holds_for_all_whoever_is_reset(make_env):
+    node = event("randomize_physics_scene_gravity", "custom", gravity_distribution_params=OFF, operation="add")
+    env = make_env("block", events={"g": node})
+    env.apply_event("custom", torch.tensor([1]))
+    written = env.scene.sim.expanded["opt.gravity"]
+    assert len(written.unique(dim=0)) == 1
+    assert written[0, 1] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("params", "more"),
+    [
+        ([[0, 0, 1], [0, 0, -1]], {}),
+        ([[1, 1, -9], [1, 1, 9]], {"distribution": "log_uniform"}),
+        ([[0, 0, 1], [0, 0, -1]], {"distribution": "gaussian"}),
+        ([[0, 0], [0, 0]], {}),
+    ],
+)
+def test_gravity_that_cannot_be_drawn_is_refused(make_env, params, more):
+    node = event("randomize_physics_scene_gravity", gravity_distribution_params=params, operation="abs", **more)
+    with pytest.raises(ConfigError) as caught:
+        make_env("block", events={"g": node})
+    assert caught.value.key == "env.events.g.gravity_distribution_params"
+
+
+# ---- inertia ----
+
+
+def test_a_body_turns_as_its_drawn_inertia_says(make_env):
+    """A torque about z for a while: w = torque t / I."""
+    node = event(
+        "randomize_rigid_body_inertia",
+        inertia_distribution_params=[0.8, 1.4],
+        operation="scale",
+        asset_cfg=bodies("block"),
+    )
+    env = make_env("block", events={"i": node}, sim={"gravity": [0.0, 0.0, 0.0]})
+    env.reset()
+    model, body = env.scene.model, env.scene.model.body("block").id
+    drawn = np.array(env.scene.sim.batch.expanded("body_inertia"))[:, body]
+    ratio = drawn / model.body_inertia[body]
+    assert ((ratio >= 0.8 - 1e-6) & (ratio <= 1.4 + 1e-6)).all()
+    assert len(np.unique(drawn)) == 12
+    fall(env, 1)
+    wrench = torch.zeros(4, 1, 6)
+    wrench[:, 0, 5] = 0.01
+    env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
+    for _ in range(10):
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+    expected = [_whole_inertia(model, row, body) for row in drawn]
+    speeds = env.scene.robot.data.root_ang_vel_w[:, 2].double().numpy()
+    np.testing.assert_allclose(speeds, 0.01 * 0.1 / np.array(expected), rtol=1e-3)
+
+
+def _whole_inertia(model, moments, body):
+    """Return the moment of inertia about z of a robot whose base has these moments, by MuJoCo's own sum."""
+    own, data = mujoco.MjModel.__copy__(model), None
+    own.body_inertia[body] = moments
+    data = mujoco.MjData(own)
+    mujoco.mj_forward(own, data)
+    full = np.zeros((own.nv, own.nv))
+    mujoco.mj_fullM(own, data, full)
+    return 1.0 / np.linalg.inv(full)[5, 5]
+
+
+def test_no_moment_of_inertia_is_more_than_the_other_two(make_env):
+    node = event(
+        "randomize_rigid_body_inertia",
+        inertia_distribution_params=[1e-3, 10.0],
+        operation="scale",
+        distribution="log_uniform",
+        asset_cfg=bodies("base"),
+    )
+    env = make_env(events={"i": node}, num_envs=200)
+    moments = np.sort(env.scene.sim.expanded["body_inertia"][:, env.scene.model.body("base").id].numpy(), axis=1)
+    assert (moments[:, 2] <= moments[:, 0] + moments[:, 1] + 1e-15).all()
+    assert (moments[:, 2] == moments[:, 0] + moments[:, 1]).any()
+
+
+# ---- pushes that last ----
+
+IMPULSE = {"force_range": [1.0, 2.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}
+
+
+def test_a_push_lasts_and_a_pause_follows(make_env):
+    """Pauses of 0.1 s, pushes of 0.06 s: control steps are 0.02 s."""
+    node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.06, 0.06], pause_s=[0.1, 0.1])
+    env = make_env("block", events={"to_default": event("reset_scene_to_default", "reset"), "p": node})
+    env.reset()
+    body = env.scene.model.body("block").id
+    felt = []
+    for _ in range(18):
+        env.step(torch.zeros(4, 1))
+        felt.append(bool((env.scene.sim.view("xfrc_applied")[:, body].norm(dim=1) > 0.5).all()))
+    assert felt == [False] * 5 + [True] * 3 + [False] * 5 + [True] * 3 + [False] * 2
+    drawn = env.scene.robot.permanent_wrench[:, 0]
+    assert (drawn.abs() < 1e-6).all()
+
+
+def test_a_pushs_force_is_drawn_within_its_range_and_moves_the_body(make_env):
+    node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.0, 0.0])
+    env = make_env("block", events={"p": node}, sim={"gravity": [0.0, 0.0, 0.0]})
+    env.reset()
+    env.step(torch.zeros(4, 1))
+    force = env.scene.robot.permanent_wrench[:, 0, :, 0]
+    assert ((force >= 1.0) & (force <= 2.0)).all()
+    assert len(force.unique()) == 12
+    before = env.scene.robot.data.root_lin_vel_w.clone()
+    env.step(torch.zeros(4, 1))
+    gained = env.scene.robot.data.root_lin_vel_w - before
+    mass = env.scene.model.body_subtreemass[env.scene.model.body("block").id]
+    expected = force / mass * env.step_dt
+    torch.testing.assert_close(gained.norm(dim=1), expected.norm(dim=1), rtol=0.05, atol=0.0)
+
+
+def test_a_push_adds_to_a_permanent_wrench_and_ends_with_the_episode(make_env):
+    always = event(
+        "set_permanent_body_wrench",
+        "reset",
+        force_range=[3.0, 3.0],
+        torque_range=[0.0, 0.0],
+        asset_cfg=bodies("block"),
+    )
+    node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[9.0, 9.0], pause_s=[0.02, 0.02])
+    env = make_env("block", events={"w": always, "p": node})
+    env.reset()
+    for _ in range(2):
+        env.step(torch.zeros(4, 1))
+    force = env.scene.robot.permanent_wrench[:, 0, :, 0]
+    assert ((force >= 4.0) & (force <= 5.0)).all()
+    env.reset(env_ids=torch.tensor([1]))
+    force = env.scene.robot.permanent_wrench[:, 0, :, 0]
+    assert (force[1] == 3.0).all()
+    assert (force[[0, 2, 3]] >= 4.0).all()
+    env.step(torch.zeros(4, 1))
+    force = env.scene.robot.permanent_wrench[:, 0, :, 0]
+    assert ((force >= 4.0) & (force <= 5.0)).all()
+
+
+def test_times_of_pushes_differ_between_environments(make_env):
+    node = event("apply_body_impulse", "step", **IMPULSE, duration_s=[0.1, 0.5], pause_s=[0.1, 0.5])
+    env = make_env("block", events={"p": node}, num_envs=64)
+    env.reset()
+    for _ in range(15):
+        env.step(torch.zeros(64, 1))
+    pushed = env.event_manager.get_term("p").func._is_pushed
+    assert 5 < int(pushed.sum()) < 59
+
+
+# ---- where episodes begin ----
+
+
+def test_episodes_begin_over_flat_places_of_their_tile(make_env):
+    ranges = {"pose_range": {"yaw": [1.0, 1.0]}, "velocity_range": {"x": [0.5, 0.5]}}
+    rows = torch.arange(2 * 3 * 5 * 3, dtype=torch.float32).view(2, 3, 5, 3)
+    env = make_env()
+    env.scene.terrain.flat_patches["init_pos"] = rows
+    env.scene.terrain.terrain_levels[:] = torch.tensor([0, 1, 0, 1])
+    env.scene.terrain.terrain_types[:] = torch.tensor([2, 1, 0, 2])
+    term = events.reset_root_state_from_terrain(env, **ranges, generator=torch.Generator().manual_seed(0))
+    robot, seen = env.scene.robot, set()
+    for _ in range(40):
+        term(env, ALL)
+        robot.data.invalidate()
+        place = robot.data.root_pos_w - robot.default_root_pos
+        for i, (row, column) in enumerate([(0, 2), (1, 1), (0, 0), (1, 2)]):
+            found = (rows[row, column] - place[i]).norm(dim=1)
+            assert found.min() < 1e-4
+            seen.add((i, int(found.argmin())))
+    assert len(seen) == 20  # every place of every tile
+    half = torch.tensor([math.cos(0.5), 0.0, 0.0, math.sin(0.5)])
+    torch.testing.assert_close(robot.data.root_quat_w, half.expand(4, 4))
+    torch.testing.assert_close(robot.data.root_lin_vel_w, torch.tensor([[0.5, 0.0, 0.0]] * 4), atol=1e-5, rtol=0.0)
+
+
+def test_a_ground_without_flat_places_is_refused(make_env):
+    node = event("reset_root_state_from_terrain", "reset", pose_range={}, velocity_range={})
+    with pytest.raises(ConfigError, match="no flat places"):
+        make_env(events={"t": node})
+
+
+# ---- what is not there ----
+
+
+@pytest.mark.parametrize("name", events.ABSENT)
+def test_what_has_no_counterpart_says_why(name):
+    with pytest.raises(ConfigError) as caught:
+        resolve_target(EVENT + name, "env.events.x")
+    assert caught.value.key == "env.events.x._target_"
+    assert events.ABSENT[name] in str(caught.value)
