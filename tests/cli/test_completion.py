@@ -45,6 +45,7 @@ OFFERED = {
     "wheelleg train +rew": ["+reward@env.rewards="],
     "wheelleg train reward@env.rewards=[al": ["reward@env.rewards=[alive"],
     "wheelleg train reward@env.rewards=[alive,a": [
+        "reward@env.rewards=[alive,action_acceleration",
         "reward@env.rewards=[alive,action_rate", "reward@env.rewards=[alive,ang_vel_xy",
     ],
     "wheelleg train env.rewards.al": ["env.rewards.alive."],
@@ -89,14 +90,14 @@ def test_options_of_every_command_are_offered(command):
 def test_a_users_folder_is_looked_into(tmp_path):
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "mine.yaml").write_text("# @package env.robot\n")
-    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=m") == ["robot=mine"]
+    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=mi") == ["robot=mine"]
 
 
 def test_a_changed_file_is_seen(tmp_path):
-    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=m") == []
+    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=mi") == []
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "mine.yaml").write_text("# @package env.robot\n")
-    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=m") == ["robot=mine"]
+    assert completion.answer(f"wheelleg train --config-dir {tmp_path} robot=mi") == ["robot=mine"]
 
 
 def test_files_are_offered_where_a_file_is_asked_for(tmp_path, monkeypatch):

@@ -107,7 +107,10 @@ def test_what_is_inside_a_default_object_is_known():
     name = explain_key(composed, "env.events.reset_base.asset_cfg.name")
     assert (name.kind, name.value) == ("not set", "robot")
     joints = explain_key(composed, "env.events.reset_base.asset_cfg.joint_names")
-    assert (joints.value, joints.meanings[0].text) == (None, "joint expressions; null is all.")
+    assert (joints.value, joints.meanings[0].text) == (
+        None,
+        "joint expressions; null is all. Once resolved, the names.",
+    )
 
 
 def test_the_keys_of_a_play_are_explained():

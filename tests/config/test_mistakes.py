@@ -270,8 +270,8 @@ OVERRIDES = {
     "value deleted that is needed": (["~run"], ["run: this value is missing", "expected a mapping"]),
     "missing value on the command line": (["seed=???"], ["seed: this value is missing", "override seed=???"]),
     "unknown key of an observation group": (
-        ["+env.observations.policy.history=3"],
-        ["env.observations.policy.history:", "override", "did you mean 'history_length'"],
+        ["+env.observations.policy.history_lenght=3"],
+        ["env.observations.policy.history_lenght:", "override", "did you mean 'history_length'"],
     ),
     "interpolation to nothing": (
         ["env.num_envs=${sed}"],

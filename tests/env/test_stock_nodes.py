@@ -206,7 +206,8 @@ def test_what_needs_a_ground_of_tiles(option):
     kinds = yaml.safe_load((configs_dir() / "scene/rough.yaml").read_text())["terrain"]["sub_terrains"]
     others = [f"~{ground}.{kind}" for kind in kinds if kind != "rough"]
     tiles = ["scene=rough", "env.scene.terrain.num_rows=2", "env.scene.terrain.num_cols=2", *others]
-    hold([*tiles, f"+{ground}.rough.flat_patches.target={patches}", *mounting(ON_TILES[option], [option])])
+    named = [f"+{ground}.rough.flat_patches.{name}={patches}" for name in ("target", "init_pos")]
+    hold([*tiles, *named, *mounting(ON_TILES[option], [option])])
 
 
 @pytest.mark.parametrize(("group", "option"), [(g, o) for g in APART for o in files(g)])

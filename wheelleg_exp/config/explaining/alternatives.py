@@ -12,7 +12,7 @@ from typing import Any
 
 from wheelleg_exp.config import keys as known
 from wheelleg_exp.config.checking.check_agent import RESOLVERS, known_words
-from wheelleg_exp.config.explaining.catalog import is_own
+from wheelleg_exp.config.explaining.docstrings import is_own
 from wheelleg_exp.config.tree import Keys, section_at
 from wheelleg_exp.terms.binding import EVENT_MODES, TARGET
 from wheelleg_exp.terms.values import limit_words, options_in, type_words

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from wheelleg_exp.config.composing.loader import Loader, hydra_globals
 from wheelleg_exp.config.composing.replacing import chosen_file
-from wheelleg_exp.config.explaining.docstrings import headline
+from wheelleg_exp.config.explaining.docstrings import headline, is_own
 from wheelleg_exp.config.tree import file_text
 from wheelleg_exp.constraints import NotEmpty
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -73,11 +73,6 @@ def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
         ):
             target = f"{module.__name__}.{name}"
             yield LibraryTerm(section, target, signature_of(found), headline(found), limits_of(found))
-
-
-def is_own(module: ModuleType, found: Any) -> bool:
-    """Return whether something is defined in a module, or in a module of that package, and not only imported."""
-    return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")
 
 
 def is_term(section: str, found: Any) -> bool:

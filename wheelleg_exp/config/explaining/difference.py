@@ -7,7 +7,7 @@ its default. The order of keys counts only where something runs or is laid out i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 from wheelleg_exp.config import keys as known
@@ -156,8 +156,9 @@ def _makes(value: Any, default: Any) -> bool:
     target = known.target_of(value)
     if target is None or type(default) is not target:
         return same(value, default)
-    parameters = signature_parameters(target).items()
-    return all(same(value.get(name, p.default), getattr(default, name, None)) for name, p in parameters)
+    made = [f.name for f in fields(target) if f.default_factory is not MISSING] if is_dataclass(target) else []
+    parameters = {n: p for n, p in signature_parameters(target).items() if n in value or n not in made}
+    return all(same(value.get(name, p.default), getattr(default, name, None)) for name, p in parameters.items())
 
 
 def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]]) -> Iterator[FactChange]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from wheelleg_exp.config.tree import yaml_node
@@ -149,3 +150,8 @@ def parameters_in(text: str) -> dict[str, str]:
         elif inside and name:
             found[name] = f"{found[name]} {line.strip()}".strip()
     return found
+
+
+def is_own(module: ModuleType, found: Any) -> bool:
+    """Return whether something is defined in a module, or in a module of that package, and not only imported."""
+    return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")
