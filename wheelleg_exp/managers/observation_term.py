@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -58,6 +59,7 @@ class ObservationTerm(Kept):
         require_memory(4 * sample.numel() * history_length, term.path, what)
         self.history: HistoryBuffer | RowHistoryPart | None = None
         self.same_as: ObservationTerm | None = None
+        self._when_shared: tuple[Any, ...] = ()
         self.history_length = history_length
         self.sample_shape = tuple(sample.shape[1:])
         self.width = math.prod(self.sample_shape)
@@ -80,7 +82,7 @@ class ObservationTerm(Kept):
         for other in others:
             if other.same_as is None and term.func is other.term.func and _same(term.params, other.term.params):
                 self.same_as = other
-                term.params.update(other.term.params)
+                self._when_shared = (*term.params.values(), *other.term.params.values())
                 return
 
     def sample(self, values: Values) -> torch.Tensor:
@@ -159,8 +161,9 @@ class ObservationTerm(Kept):
     def _computed(self, values: Values) -> torch.Tensor:
         """Return what the term's function gives in this step, to whichever group has asked first."""
         owner, other = self, self.same_as
-        if other is not None and all(v is other.term.params.get(k) for k, v in self.term.params.items()):
-            owner = other  # a curriculum may have changed the parameters of one of them since
+        if other is not None:  # a curriculum may have changed the parameters of one of them since
+            now = (*self.term.params.values(), *other.term.params.values())
+            owner = other if all(map(operator.is_, now, self._when_shared)) else self
         if owner not in values:
             values[owner] = owner.term(self._env)
         return values[owner]
