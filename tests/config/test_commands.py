@@ -93,7 +93,7 @@ def test_list_terms_holds_those_that_no_file_uses(capsys):
     )
     unused = rows["reward", "base_height_l2"]
     assert (unused["file"], unused["target"]) == (None, "wheelleg_exp.mdp.rewards.base_height_l2")
-    assert (unused["takes"], unused["help"][:14]) == ("target_height, asset_cfg=...", "(z - target)^2")
+    assert (unused["takes"], unused["help"][:14]) == ("target_height, asset_cfg=..., sensor_cfg=None", "(z - target)^2")
     sections = {group for group, _ in rows}
     assert sections == {"action", "command", "observation", "event", "reward", "termination", "curriculum", "recorder"}
 

@@ -111,7 +111,7 @@ def test_literals_enums_and_booleans_are_counted_up(documented, composed):
     assert explain_key(config, "env.sim.solver").alternatives.values == ("newton", "cg")
     assert explain_key(config, "env.observations.policy.enable_corruption").alternatives.values == (True, False)
     assert explain_key(config, "env.events.push.mode").alternatives.values == (
-        "prestartup", "startup", "reset", "interval",
+        "prestartup", "startup", "reset", "interval", "step",
     )  # fmt: skip
 
 

@@ -36,7 +36,8 @@ class ContactSensor(SensorBase):
         force_threshold: force above which a body is in contact, N.
         max_contacts: most contacts of one body that are summed.
         update_period: time between two measurements, s; 0 measures after every physics step.
-        filter_body_names: expressions of the bodies, ``ground`` among them, from which forces are told apart.
+        filter_body_names: expressions of the bodies, ``ground`` among them, from which forces are told apart; null is
+            none.
         track_pose: whether the data has the bodies' poses.
 
     Attributes:
@@ -53,11 +54,12 @@ class ContactSensor(SensorBase):
         force_threshold: NonNegative,
         max_contacts: Count,
         update_period: NonNegative = 0.0,
-        filter_body_names: Names = (),
+        filter_body_names: Names | None = None,
         track_pose: bool = False,
     ) -> None:
         super().__init__(update_period)
-        self._filters = [filter_body_names] if isinstance(filter_body_names, str) else list(filter_body_names)
+        filters = filter_body_names or []
+        self._filters = [filters] if isinstance(filters, str) else list(filters)
         self._track_pose = track_pose
         self._expressions = body_names
         self._history_length = max(1, history_length)
