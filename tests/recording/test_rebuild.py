@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,13 @@ class Told:
     gravity: list[np.ndarray]
 
 
+def plain(value):
+    """Return a config that is read by attribute as the mappings and lists that it stands for."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
 @pytest.fixture(scope="module")
 def rebuilt(make_env, tmp_path_factory) -> tuple[Recording, Told]:
     """One environment, so that what it logs at a reset is of the recorded episode alone."""
@@ -46,7 +54,7 @@ def rebuilt(make_env, tmp_path_factory) -> tuple[Recording, Told]:
     options = {"recording_id": "r", "name": "n", "env_ids": [0]}
     with Recorder(path, env, purpose="play", **options) as recorder, torch.inference_mode():
         env.observers += [recorder.capture, note]
-        for name, text in config_document({"env": env.cfg}).items():
+        for name, text in config_document({"env": plain(env.cfg)}).items():
             recorder.document(name, text)
         recorder.start()
         for _ in range(STEPS):
