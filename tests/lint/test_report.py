@@ -93,6 +93,12 @@ def test_one_finding_is_silenced_by_its_name(capsys):
     assert [f["reason"] for f in report["silenced"] if f["rule"] == "ppo_batch"] == ["rest is dropped"]
 
 
+def test_a_null_lets_a_finding_speak_again_that_a_parent_silences(capsys):
+    status, report = physics(capsys, "check.silence.spawn_height=null")
+    assert status == 1
+    assert {f["rule"] for f in report["findings"]} == {"spawn_height"}
+
+
 def test_mistakes_come_before_the_numbers(capsys):
     assert main(["check", "--physics", "env.num_envs=0"]) == 2
     captured = capsys.readouterr()

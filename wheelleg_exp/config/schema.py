@@ -32,9 +32,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Check:
-    """``check``: findings that are known and accepted."""
+    """``check``: findings that are known and accepted; null lets one speak again that a parent silences."""
 
-    silence: dict[str, str] = field(default_factory=dict)
+    silence: dict[str, str | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,8 @@ def examine(composed: Composed) -> PhysicsReport:
     found = [finding for rule in RULES.values() for finding in rule(case)]
     placed = [replace(finding, where=composed.provenance.where(finding.key)) for finding in found]
     silences = (composed.config.get("check") or {}).get("silence") or {}
-    return PhysicsReport(case, tuple(placed), dict(silences))
+    reasons = {name: reason for name, reason in silences.items() if reason is not None}
+    return PhysicsReport(case, tuple(placed), reasons)
 
 
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
