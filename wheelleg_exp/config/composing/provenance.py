@@ -125,7 +125,16 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
+            self._gather(parent)  # so that what stays keeps the parent in its place
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
+
+    def _gather(self, parent: Keys) -> None:
+        """Move all leaves of a section to its first one, before one is taken away; no mapping's order changes."""
+        inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
+        before = {}
+        for leaf, old in self.sources.items():
+            before |= inside if leaf in inside and leaf not in before else {leaf: old}
+        self.sources = before
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
         """Put a leaf in the place of the first of those that it hides, because the order of terms has a meaning."""
