@@ -131,7 +131,7 @@ class _Replay:
     def _gather(self, parent: Keys) -> None:
         """Move all leaves of a section to its first one, before one is taken away; no mapping's order changes."""
         inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
-        before = {}
+        before: dict[Keys, Source] = {}
         for leaf, old in self.sources.items():
             before |= inside if leaf in inside and leaf not in before else {leaf: old}
         self.sources = before
