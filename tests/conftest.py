@@ -54,6 +54,21 @@ def make_env() -> EnvMaker:
     return make
 
 
+@pytest.fixture(scope="session")
+def graphics() -> str:
+    """The backend that draws on this machine; without one the test is skipped."""
+    from wheelleg_exp.errors import WheellegError
+    from wheelleg_exp.rendering.render_job import Order
+    from wheelleg_exp.rendering.renderer import drawing
+    from wheelleg_exp.rendering.scene import Scene
+
+    try:
+        with drawing(Order(Scene({}, (), None, 0, 1.0), 32, 32, 0)) as process:
+            return process.backend
+    except WheellegError as error:
+        pytest.skip(f"no graphics: {error}")
+
+
 @pytest.fixture
 def allow_test_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let configs name terms that stand beside the tests."""

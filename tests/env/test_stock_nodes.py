@@ -35,7 +35,9 @@ APART = ("action", "robot", "scene", "sim")
 NOT_BUILT = ("agent", "recording", "run", "task")  # what trains, and what is made of these nodes
 # Options that a plane has no place for, and their groups.
 ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "event"}
-PICTURES = ("sensors/camera_image",)  # observations that stand in groups of their own
+# Pictures, which stand in groups of their own, and what draws them, where something can be drawn.
+PICTURES: dict[str, str] = {"sensors/camera_image": "observation"}
+DRAWN = {"camera"}
 SIZE = [
     "env.num_envs=3",
     "env.sim.nthread=1",
@@ -44,7 +46,11 @@ SIZE = [
 ]
 # Of every sensor, whatever its name, what it takes from the last solve; no constant follows from frictions.
 DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms", "._at_set_const['geom_friction']"}
-DERIVED |= {f".sensors['{name}'].{what}" for name in ("height_scanner", "lidar") for what in ("_data", "_outdated")}
+DERIVED |= {
+    f".sensors['{name}'].{what}"
+    for name in ("height_scanner", "lidar", "camera")
+    for what in ("_data", "_outdated", "_pictures")
+}
 DERIVED |= {".recorder_manager", "._owners['env.recorders']"}  # what has been recorded is no state
 
 
@@ -193,8 +199,17 @@ def restores(env, overrides: list[str]) -> None:
 @pytest.mark.parametrize("group", [name for name in GROUPS if name in MOUNTS])
 def test_all_terms_of_a_group(group):
     known = {"contact_forces", *options_by_key("sensor")}
-    alone = {*ON_TILES, *PICTURES}
+    alone = {*ON_TILES, *PICTURES, *DRAWN}
     hold(mounting(group, [o for o in files(group) if o not in alone and needs(group, [o])["sensor"] <= known]))
+
+
+@pytest.mark.pictures
+@pytest.mark.usefixtures("graphics")
+@pytest.mark.parametrize("option", PICTURES)
+def test_what_shows_pictures(option):
+    needed = mounting(PICTURES[option], [option])
+    assert any(sensor in word for word in needed for sensor in DRAWN)
+    hold(needed)
 
 
 @pytest.mark.parametrize("option", ON_TILES)

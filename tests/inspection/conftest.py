@@ -7,11 +7,7 @@ from pathlib import Path
 import pytest
 from inspection.written import write_recording
 
-from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.rendering.render_job import Order
-from wheelleg_exp.rendering.renderer import drawing
-from wheelleg_exp.rendering.scene import Scene
 
 
 @pytest.fixture(scope="session")
@@ -36,13 +32,3 @@ def trained(written: Path) -> Recording:
 def several(written: Path) -> Recording:
     """A play of two environments, 0 and 3."""
     return Recording(write_recording(written / "several.rrd", env_ids=(0, 3)))
-
-
-@pytest.fixture(scope="session")
-def graphics() -> str:
-    """The backend that draws on this machine; without one the test is skipped."""
-    try:
-        with drawing(Order(Scene({}, (), None, 0, 1.0), 32, 32, 0)) as process:
-            return process.backend
-    except WheellegError as error:
-        pytest.skip(f"no graphics: {error}")

@@ -31,15 +31,22 @@ class NoGraphics(WheellegError):
     """No backend draws on this machine."""
 
 
-class Drawing:
-    """A running process that draws views."""
+class Worker:
+    """A running process with a graphics driver in it, which answers what it is asked with bytes.
 
-    def __init__(self, order: Order, backend: str, errors: IO[bytes], folder: Path) -> None:
+    Args:
+        module: the process's module: it reads an order from standard input, says ``READY``, then answers.
+        order: the first thing that it is told.
+        backend: MuJoCo's backend.
+        errors: the file that it complains into.
+        folder: where it runs.
+    """
+
+    def __init__(self, module: str, order: Any, backend: str, errors: IO[bytes], folder: Path) -> None:
         self.backend = backend
-        self._size = (order.height, order.width, 3)
         self._errors = errors
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "wheelleg_exp.rendering.render_job"],
+            [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
@@ -55,19 +62,19 @@ class Drawing:
         except OSError:
             self.is_ready = False
 
-    def draw(self, view: View) -> NDArray[np.uint8]:
-        """Return a picture, (height, width, 3).
+    def ask(self, what: Any, count: int) -> bytes:
+        """Return ``count`` bytes of an answer.
 
         Raises:
             SimulationFailure: the graphics driver gave up.
         """
         data = b""
         with suppress(OSError):
-            self._send(view)
-            data = self._stdout.read(int(np.prod(self._size)))
-        if len(data) != np.prod(self._size):
+            self._send(what)
+            data = self._stdout.read(count)
+        if len(data) != count:
             raise SimulationFailure(f"the graphics driver gave up while drawing ({self.backend}): {self.reason()}")
-        return np.frombuffer(data, dtype=np.uint8).reshape(self._size)
+        return data
 
     def reason(self) -> str:
         """Return the last line that the process said."""
@@ -91,25 +98,53 @@ class Drawing:
         self._stdin.flush()
 
 
+class Drawing:
+    """Draws views in a worker."""
+
+    def __init__(self, worker: Worker, order: Order) -> None:
+        self._worker, self._size = worker, (order.height, order.width, 3)
+        self.backend = worker.backend
+
+    def draw(self, view: View) -> NDArray[np.uint8]:
+        """Return a picture, (height, width, 3).
+
+        Raises:
+            SimulationFailure: the graphics driver gave up.
+        """
+        data = self._worker.ask(view, int(np.prod(self._size)))
+        return np.frombuffer(data, dtype=np.uint8).reshape(self._size)
+
+
 @contextmanager
 def drawing(order: Order) -> Iterator[Drawing]:
-    """Yield a process that draws.
+    """Yield what draws views of a scene.
+
+    Raises:
+        NoGraphics: none of the backends works here; the message says what to install.
+    """
+    with working("wheelleg_exp.rendering.render_job", order) as worker:
+        yield Drawing(worker, order)
+
+
+@contextmanager
+def working(module: str, order: Any) -> Iterator[Worker]:
+    """Yield a process with a graphics driver that works (see ``Worker``).
 
     Raises:
         NoGraphics: none of the backends works here; the message says what to install.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-") as folder, tempfile.TemporaryFile() as errors:
-        found = _first_that_works(order, errors, Path(folder))
+        found = _first_that_works(module, order, errors, Path(folder))
         try:
             yield found
         finally:
             found.close()
 
 
-def _first_that_works(order: Order, errors: IO[bytes], folder: Path) -> Drawing:
+def _first_that_works(module: str, order: Any, errors: IO[bytes], folder: Path) -> Worker:
     reasons = []
     for backend in backends():
-        candidate = Drawing(order, backend, errors, folder)
+        candidate = Worker(module, order, backend, errors, folder)
         if candidate.is_ready:
             return candidate
         candidate.close()

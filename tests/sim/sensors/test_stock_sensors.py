@@ -9,7 +9,11 @@ from wheelleg_exp.build import build_env
 from wheelleg_exp.config.checking.collect import compose_valid
 from wheelleg_exp.config.explaining.catalog import options
 
-NAMES = [entry.name for entry in options("sensor")]
+DRAWN = ("camera",)
+NAMES = [
+    pytest.param(entry.name, marks=pytest.mark.pictures) if entry.name in DRAWN else entry.name
+    for entry in options("sensor")
+]
 
 
 def _env(name: str):
@@ -20,7 +24,9 @@ def _env(name: str):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_measures_finite_numbers_and_goes_on_from_its_state(name):
+def test_it_measures_finite_numbers_and_goes_on_from_its_state(name, request):
+    if name in DRAWN:
+        request.getfixturevalue("graphics")
     env, other = _env(name), _env(name)
     for _ in range(3):
         env.step(torch.zeros(2, env.action_manager.total_action_dim))

@@ -7,10 +7,13 @@
 | `ContactSensor` | net normal contact forces on bodies, contact and air times: `ContactSensorData` |
 | `RayCaster` | where rays from a body meet the ground: `RayCasterData` |
 | `Imu` | pose, velocities and accelerations, with errors (`ImuNoise`): `ImuData` |
+| `Camera` | colours, distances and segmentation, drawn by MuJoCo: `CameraData` |
 | `GridPattern` ... | the patterns of the rays; `PatternBase` is their base class |
 """
 
 from wheelleg_exp.sim.sensors.base import SensorBase
+from wheelleg_exp.sim.sensors.camera import Camera
+from wheelleg_exp.sim.sensors.camera_data import CameraData
 from wheelleg_exp.sim.sensors.contact import ContactSensor
 from wheelleg_exp.sim.sensors.contact_data import ContactSensorData
 from wheelleg_exp.sim.sensors.imu import Imu, ImuData, ImuNoise
@@ -20,6 +23,8 @@ from wheelleg_exp.sim.sensors.ray_caster import RayCaster, RayCasterData
 
 __all__ = [
     "BpearlPattern",
+    "Camera",
+    "CameraData",
     "ContactSensor",
     "ContactSensorData",
     "GridPattern",

@@ -128,8 +128,8 @@ class PinholePattern(PatternBase):
         focal_length: in the unit of the apertures; only their ratio counts.
         horizontal_aperture: width of the image plane.
         vertical_aperture: its height; null makes pixels square.
-        horizontal_aperture_offset: of the image's centre, to the right.
-        vertical_aperture_offset: downwards.
+        horizontal_aperture_offset: of the image's centre, to the right, in focal lengths.
+        vertical_aperture_offset: downwards, in focal lengths.
 
     Attributes:
         intrinsics: the rows of the intrinsic matrix, px.

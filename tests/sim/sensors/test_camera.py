@@ -1,0 +1,245 @@
+"""What cameras see of grounds whose surfaces are known."""
+
+from __future__ import annotations
+
+import gc
+import math
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rendering import renderer
+from wheelleg_exp.rendering.renderer import NoGraphics
+from wheelleg_exp.sim import rotation
+
+pytestmark = [pytest.mark.pictures, pytest.mark.usefixtures("allow_test_terms", "graphics")]
+STEP = {
+    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
+    "height": 0.25,
+    "static_friction": 0.5,
+    "dynamic_friction": 0.5,
+    "restitution": 0.0,
+}
+HALF = math.sqrt(0.5)
+DOWN = [HALF, 0.0, HALF, 0.0]  # axes x forward: about y by a quarter turn
+BELOW = {"pos": [0.0, 0.0, -0.2], "rot": DOWN, "convention": "world"}
+ALL = torch.arange(2)
+
+
+@pytest.fixture
+def make(make_env):
+    def build(ground=None, base="block", body="block", **settings):
+        node = {"_target_": "wheelleg_exp.sim.sensors.Camera", "body_name": body, "width": 40, "height": 30}
+        scene = {"sensors": {"eye": {**node, "offset": BELOW, **settings}}}
+        scene |= {} if ground is None else {"terrain": ground}
+        env = make_env(base, num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
+        env.reset()
+        return env
+
+    return build
+
+
+def place(env, pos, roll=0.0, pitch=0.0, yaw=0.0, ids=ALL):
+    """Put the robot to a place in the world, and return what the camera has there."""
+    angles = (torch.full((len(ids),), float(angle)) for angle in (roll, pitch, yaw))
+    quat = rotation.quat_from_euler_xyz(*angles)
+    env.scene.robot.write_root_pose(ids, torch.tensor(pos).expand(len(ids), 3), quat)
+    env.scene.refresh()
+    return env.scene["eye"].data
+
+
+def points(data, kind):
+    """Return the points of the world that pixels show, (N, H, W, 3), by the camera's own matrices alone."""
+    height, width = data.image_shape
+    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    pixels = torch.stack((u, v, torch.ones_like(u)), dim=-1)
+    rays = torch.einsum("nij,hwj->nhwi", torch.linalg.inv(data.intrinsic_matrices), pixels)
+    if kind == "distance_to_camera":
+        rays = rays / rays.norm(dim=-1, keepdim=True)
+    turn = rotation.quat_to_matrix(data.quat_w_ros)
+    return data.pos_w.view(-1, 1, 1, 3) + torch.einsum("nij,nhwj->nhwi", turn, rays * data.output[kind])
+
+
+def test_distances_to_a_plane_are_those_of_its_formula(make):
+    """Along the axis (0, 0, -1) R, a pixel's ray meets z = 0 after z0 / -d_z; by hand, not by the matrices."""
+    env = make(data_types=["depth", "distance_to_image_plane", "distance_to_camera"], fovy=0.8)
+    data = place(env, [0.3, -0.2, 1.3], roll=0.25, pitch=-0.3, yaw=1.1)
+    edge = 15 / math.tan(0.4)  # px: focal length of square pixels
+    v, u = torch.meshgrid(torch.arange(30) - 14.5, torch.arange(40) - 19.5, indexing="ij")
+    ahead = torch.stack((-v, -u, torch.full_like(u, -edge)), dim=-1) / edge  # up in the picture is x, right is -y
+    c, s = math.cos, math.sin
+    lowest = torch.tensor([-s(-0.3), c(-0.3) * s(0.25), c(-0.3) * c(0.25)])  # last row of Rz Ry Rx
+    start = 1.3 - 0.2 * lowest[2]
+    along = (start / -(ahead @ lowest)).unsqueeze(-1)
+    assert data.output["depth"].shape == (2, 30, 40, 1)
+    for kind in ("depth", "distance_to_image_plane"):
+        torch.testing.assert_close(data.output[kind][1], along, atol=0, rtol=1e-4)
+    ray = along * ahead.norm(dim=-1, keepdim=True)
+    torch.testing.assert_close(data.output["distance_to_camera"][0], ray, atol=0, rtol=1e-4)
+    assert along.max() > 1.3 * along.min()
+
+
+@pytest.mark.parametrize("kind", ["distance_to_image_plane", "distance_to_camera"])
+def test_each_pixel_shows_a_point_of_the_surface_that_it_belongs_to(make, kind):
+    """On a step, with an image that is no square of pixels and whose centre is elsewhere."""
+    optics = {"focal_length": 20.0, "horizontal_aperture": 30.0, "vertical_aperture": 40.0}
+    shift = {"horizontal_aperture_offset": 0.15, "vertical_aperture_offset": -0.1}
+    env = make(STEP, data_types=[kind, "instance_id_segmentation_fast"], **optics, **shift)
+    data = place(env, [3.8, 0.6, 1.6], roll=0.1, pitch=0.1, yaw=0.4)
+    labels = data.info["instance_id_segmentation_fast"]["idToLabels"]
+    number = {name: key for key, name in labels.items()}
+    geom, seen = data.output["instance_id_segmentation_fast"][..., 0], points(data, kind)
+    low, step = seen[geom == number["ground"]], seen[geom == number["ground/step"]]
+    assert min(len(low), len(step)) > 300
+    torch.testing.assert_close(low[:, 2], torch.zeros(len(low)), atol=1e-3, rtol=0)
+    outside = torch.stack((4.0 - low[:, 0], low[:, 1] - 1.0)).amax(dim=0)
+    assert outside.min() > -1e-3
+    top = step[(step[:, 2] - 0.25).abs() < 1e-3]
+    side = step[(step[:, 2] - 0.25).abs() >= 1e-3]
+    assert len(top) > 200
+    assert len(side) > 10
+    assert top[:, 0].min() > 3.999
+    assert top[:, 1].max() < 1.001
+    assert torch.stack(((side[:, 0] - 4.0).abs(), (side[:, 1] - 1.0).abs())).amin(dim=0).max() < 1e-3
+
+
+def test_a_known_point_is_seen_where_the_intrinsic_matrix_says(make):
+    """The corner (4, 1, 0.25) of the step, straight from above: its quarter of the picture begins there."""
+    env = make(STEP, data_types=["instance_id_segmentation_fast"], width=64, height=48, focal_length=25.0)
+    data = place(env, [4.11, 0.93, 1.7])
+    turn = rotation.quat_to_matrix(data.quat_w_ros)[0]
+    x, y, z = turn.T @ (torch.tensor([4.0, 1.0, 0.25]) - data.pos_w[0])
+    u, v, w = data.intrinsic_matrices[0] @ torch.stack((x, y, z))
+    geom = data.output["instance_id_segmentation_fast"][0, ..., 0]
+    rows, columns = (geom == geom.max()).nonzero().T  # further along x is up, further along y is left
+    assert rows.max() + 1 == pytest.approx(float(v / w), abs=0.51)
+    assert columns.min() == pytest.approx(float(u / w), abs=0.51)
+    assert 2 < columns.min() < 62
+    assert 2 < rows.max() < 46
+
+
+@pytest.mark.parametrize(
+    ("convention", "rot"),
+    [
+        ("world", DOWN),
+        ("opengl", [HALF, 0.0, 0.0, -HALF]),  # along -z; its right is the body's -y
+        ("ros", [0.0, HALF, -HALF, 0.0]),  # along z, turned over; its right is the body's -y
+    ],
+)
+def test_one_camera_in_three_conventions(make, convention, rot):
+    kinds = ["distance_to_image_plane", "instance_id_segmentation_fast"]
+    env = make(STEP, data_types=kinds, offset={**BELOW, "rot": rot, "convention": convention})
+    data = place(env, [4.1, 0.8, 1.5], yaw=0.3)
+    for name, axis, sign in (("world", 0, 1.0), ("ros", 2, 1.0), ("opengl", 2, -1.0)):
+        forward = sign * rotation.quat_to_matrix(getattr(data, f"quat_w_{name}"))[:, :, axis]
+        torch.testing.assert_close(forward, torch.tensor([[0.0, 0.0, -1.0]] * 2), atol=1e-6, rtol=0)
+    torch.testing.assert_close(data.pos_w, torch.tensor([[4.1, 0.8, 1.3]] * 2))
+    right = rotation.quat_to_matrix(data.quat_w_ros)[:, :, 0]
+    torch.testing.assert_close(right, torch.tensor([[math.sin(0.3), -math.cos(0.3), 0.0]] * 2), atol=1e-6, rtol=0)
+    seen = points(data, kinds[0])
+    on_step = data.output[kinds[1]][..., 0] == data.output[kinds[1]].max()
+    assert on_step.sum() > 200
+    torch.testing.assert_close(seen[on_step][:, 2], torch.full((int(on_step.sum()),), 0.25), atol=1e-3, rtol=0)
+
+
+def test_what_faces_the_camera_has_the_colour_of_its_material(make):
+    env = make(data_types=["rgb", "rgba"], fovy=0.3)
+    data = place(env, [0.0, 0.0, 1.0])
+    plane = torch.tensor([0.35, 0.38, 0.42]) * 255.0
+    assert data.output["rgb"].dtype == torch.uint8
+    assert data.output["rgb"].shape == (2, 30, 40, 3)
+    torch.testing.assert_close(data.output["rgb"][0, 15, 20].float(), plane, atol=3.0, rtol=0)
+    assert torch.equal(data.output["rgba"][..., :3], data.output["rgb"])
+    assert (data.output["rgba"][..., 3] == 255).all()
+
+
+@pytest.mark.parametrize(("behavior", "beyond"), [("none", math.inf), ("zero", 0.0), ("max", 5.0)])
+def test_beyond_the_range_is_nothing(make, behavior, beyond):
+    """Level, 1 m up: what is farther than 5 m along the axis is above the row where 1 / 5 is seen."""
+    env = make(
+        data_types=["distance_to_image_plane", "distance_to_camera", "semantic_segmentation"],
+        offset={"pos": [0.3, 0.0, 0.0], "convention": "world"},
+        fovy=0.9,
+        clipping_range=[0.05, 5.0],
+        depth_clipping_behavior=behavior,
+    )
+    data = place(env, [0.0, 0.0, 1.0])
+    down = (torch.arange(30) - 14.5) / (15 / math.tan(0.45))
+    seen = 1.0 / down < 5.0
+    depth = data.output["distance_to_image_plane"][0, :, 20, 0]
+    is_ground = (down > 0.0) & seen
+    torch.testing.assert_close(depth[is_ground], 1.0 / down[is_ground], atol=0, rtol=1e-4)
+    assert (depth[~is_ground] == beyond).all()
+    far = data.output["distance_to_camera"][0, :, 20, 0][~is_ground]
+    assert (far == beyond).all() if behavior != "max" else (far >= 5.0).all()
+    assert (data.output["semantic_segmentation"][0, :, 20, 0] == is_ground).all()
+
+
+def test_a_picture_shows_its_own_robot_alone_whatever_was_drawn_before(make):
+    up = {"pos": [-0.6, 0.0, 0.3], "rot": [0.97, 0.0, 0.243, 0.0], "convention": "world"}
+    kinds = ["rgb", "depth", "semantic_segmentation", "instance_segmentation_fast"]
+    env = make(base="rover", body="base", offset=up, data_types=kinds)
+    first = {kind: value.clone() for kind, value in place(env, [0.0, 0.0, 0.3]).output.items()}
+    assert {1, 2} <= set(first["semantic_segmentation"].unique().tolist())
+    names = env.scene["eye"].data.info["instance_segmentation_fast"]["idToLabels"]
+    found = {names[key] for key in first["instance_segmentation_fast"].unique().tolist()}
+    assert {"base", "left_wheel", "right_wheel"} <= found
+    assert all(torch.equal(value[0], value[1]) for value in first.values())  # the other stands at the same place
+    other = place(env, [40.0, 9.0, 0.5], roll=0.4, ids=ALL[:1])
+    assert not torch.equal(other.output["rgb"][0], first["rgb"][0])
+    assert all(torch.equal(other.output[kind][1], first[kind][1]) for kind in kinds)
+    again = place(env, [0.0, 0.0, 0.3])
+    assert all(torch.equal(again.output[kind], first[kind]) for kind in kinds)
+
+
+def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make):
+    env = make(update_period=0.03, data_types=["rgb", "depth"])
+    data = place(env, [0.0, 0.0, 1.0])
+    env.step(torch.zeros(2, 1))  # physics steps at 0.01 and 0.02 s: the episode's first picture is of its reset
+    held = data.output["depth"].clone()
+    env.step(torch.zeros(2, 1))
+    new = env.scene["eye"].data.output["depth"].clone()
+    assert not torch.equal(held, new)
+    other = make(update_period=0.03, data_types=["rgb", "depth"])
+    other.load_state_dict(env.state_dict())
+    assert torch.equal(other.scene["eye"].data.output["depth"], new)
+    env.step(torch.zeros(2, 1))
+    other.step(torch.zeros(2, 1))
+    assert torch.equal(other.scene["eye"].data.output["depth"], env.scene["eye"].data.output["depth"])
+
+
+def test_its_process_ends_with_it(make, monkeypatch):
+    started, real = [], renderer.subprocess.Popen
+    monkeypatch.setattr(renderer.subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
+    env = make()
+    place(env, [0.0, 0.0, 1.0])
+    assert len(started) == 1
+    del env
+    gc.collect()
+    assert started[0].poll() == 0
+
+
+def test_where_nothing_can_be_drawn_the_sensor_is_named(make, monkeypatch):
+    monkeypatch.setattr(renderer, "BACKENDS", ("glfw",))  # no display here
+    env = make()
+    with pytest.raises(NoGraphics, match=r"env\.scene\.sensors\.eye: nothing can be drawn.*libegl1"):
+        place(env, [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"max_num_envs": 1}, r"env\.scene\.sensors\.eye\.max_num_envs: 2 environments.*env\.num_envs at most 1"),
+        ({"data_types": ["normals"]}, "data_types"),
+        ({"data_types": []}, "data_types"),
+        ({"offset": {"convention": "usd"}}, r"offset\.convention"),
+        ({"offset": {"rot": [0, 0, 0, 0]}}, r"offset\.rot"),
+        ({"fovy": 3.2}, "fovy"),
+        ({"clipping_range": [1.0, 1.0]}, "clipping_range"),
+        ({"body": "head"}, r"env\.scene\.sensors\.eye\.body_name"),
+    ],
+)
+def test_what_cannot_be_is_told_with_its_key(make, settings, said):
+    with pytest.raises(ConfigError, match=said):
+        make(**settings)

@@ -1,0 +1,142 @@
+"""The process that draws what cameras of a model see: positions in, pictures out (see ``render_job``)."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+
+from wheelleg_exp.rendering.render_job import READY
+from wheelleg_exp.rendering.shapes import Array
+
+Layer = Literal["colour", "depth", "geom"]
+# Of one pixel: how many numbers, and their type.
+FORMS: dict[str, tuple[int, str]] = {"colour": (3, "uint8"), "depth": (1, "float32"), "geom": (1, "int32")}
+_BEYOND = 0.999  # of the farthest distance: there the depth buffer is empty
+_AMBIENT = 0.4
+_HIDDEN = 5  # a group of geoms that is not drawn
+
+
+@dataclass(frozen=True)
+class CameraOrder:
+    """What is to be drawn.
+
+    Attributes:
+        model: the compiled scene.
+        camera: one of its cameras.
+        width: px.
+        height: px.
+        clipping_range: nearest and farthest distance along the camera's axis, m.
+        layers: colours; distances along the axis, m, inf where nothing is; geoms' numbers, -1 where nothing is.
+    """
+
+    model: Any
+    camera: str
+    width: int
+    height: int
+    clipping_range: tuple[float, float]
+    layers: Sequence[Layer]
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Positions of some simulations, (n, nq); each is drawn by itself, and all its layers after one another."""
+
+    qpos: Array
+
+
+def main() -> None:
+    """Draw until standard input ends."""
+    source = sys.stdin.buffer
+    target = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a driver prints is no picture
+    order: CameraOrder = pickle.load(source)
+    import mujoco
+
+    model = _prepared(order)
+    with mujoco.Renderer(model, order.height, order.width) as renderer:
+        draw = _Draw(renderer, model, order)
+        target.write(READY)
+        target.flush()
+        _serve(source, target, draw)
+
+
+def _serve(source: BinaryIO, target: BinaryIO, draw: _Draw) -> None:
+    while True:
+        try:
+            poses: Poses = pickle.load(source)
+        except EOFError:
+            return
+        for qpos in poses.qpos:
+            for picture in draw(qpos):
+                target.write(np.ascontiguousarray(picture).tobytes())
+        target.flush()
+
+
+def _prepared(order: CameraOrder) -> Any:
+    """Return the model with a picture's size and range; of a body's shapes those are drawn that are to be seen."""
+    from wheelleg_exp.rendering.compiled import body_geoms, is_plane
+
+    model = order.model
+    model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
+    # A light at the camera: a surface that faces it is as bright as its material, and none shines.
+    light = model.vis.headlight
+    light.active, light.ambient[:], light.diffuse[:], light.specular[:] = 1, _AMBIENT, 1.0 - _AMBIENT, 0.0
+    near, far = order.clipping_range
+    model.vis.map.znear, model.vis.map.zfar = near / model.stat.extent, far / model.stat.extent
+    seen = {geom for body in range(model.nbody) for geom in body_geoms(model, body)[0]}
+    for geom in range(model.ngeom):
+        model.geom_group[geom] = 0 if geom in seen or is_plane(model, geom) else _HIDDEN
+    return model
+
+
+class _Draw:
+    def __init__(self, renderer: Any, model: Any, order: CameraOrder) -> None:
+        import mujoco
+
+        self._renderer, self._model, self._order = renderer, model, order
+        self._data = mujoco.MjData(model)
+        self._option = mujoco.MjvOption()
+        self._option.sitegroup[:] = 0
+        self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = 0
+
+    def __call__(self, qpos: Array) -> list[np.ndarray[Any, Any]]:
+        import mujoco
+
+        self._data.qpos[:] = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        for _ in range(2):  # MuJoCo lays an infinite plane about the place where the camera was before
+            self._renderer.update_scene(self._data, self._order.camera, self._option)
+        return [getattr(self, layer)() for layer in self._order.layers]
+
+    def colour(self) -> np.ndarray[Any, Any]:
+        """Return the colours, (height, width, 3) uint8."""
+        self._renderer.disable_depth_rendering()
+        self._renderer.disable_segmentation_rendering()
+        return np.asarray(self._renderer.render())
+
+    def depth(self) -> np.ndarray[Any, Any]:
+        """Return the distances along the axis, m, (height, width) float32."""
+        self._renderer.enable_depth_rendering()
+        far = self._order.clipping_range[1]
+        depth = np.asarray(self._renderer.render())
+        return np.where(depth < _BEYOND * far, depth, np.float32(np.inf))
+
+    def geom(self) -> np.ndarray[Any, Any]:
+        """Return the geoms' numbers, (height, width) int32."""
+        import mujoco
+
+        self._renderer.enable_segmentation_rendering()
+        number, kind = np.moveaxis(np.asarray(self._renderer.render()), -1, 0)
+        return np.where(kind == mujoco.mjtObj.mjOBJ_GEOM, number, np.int32(-1))
+
+
+if __name__ == "__main__":
+    main()
