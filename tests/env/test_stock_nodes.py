@@ -165,7 +165,7 @@ def given(env) -> None:
     for name, row in zip(env.reward_manager.active_terms, env.reward_manager.step_reward, strict=True):
         assert row.isfinite().all(), name
     for name in env.command_manager.active_terms:
-        command = env.command_manager.get_command_term(name).command
+        command = env.command_manager.get_term(name).command
         assert command.shape[0] == 3, name
         assert command.isfinite().all(), name
     for term in env.termination_manager.bound_terms:

@@ -88,11 +88,7 @@ def test_an_episode_is_300_steps_and_pushes_never_come(env):
 def test_failing_costs_200_times_the_time_step(env, config):
     assert config["rewards"]["terminating"]["weight"] * env.step_dt == pytest.approx(-3.333, abs=1e-3)
     env.reset()
-    env.scene.robot.write_root_pose(
-        torch.tensor([3]),
-        torch.tensor([[0.0, 0.0, 0.017]]),
-        torch.tensor([[0.0, 1.0, 0.0, 0.0]]),  # on its back
-    )
+    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 0.017, 0.0, 1.0, 0.0, 0.0]]), torch.tensor([3]))
     env.scene.refresh()
     _, reward, terminated, *_ = env.step(torch.zeros(8, 6))
     assert terminated.tolist() == [k == 3 for k in range(8)]

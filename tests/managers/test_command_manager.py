@@ -103,7 +103,7 @@ def _turn_to(env, yaw):
     half = torch.tensor(yaw / 2)
     quat = torch.tensor([[torch.cos(half), 0.0, 0.0, torch.sin(half)]]).expand(4, 4)
     robot = env.scene.robot
-    robot.write_root_pose(torch.arange(4), robot.data.root_pos_w.clone(), quat)
+    robot.write_root_pose_to_sim(torch.cat((robot.data.root_pos_w.clone(), quat), dim=1), torch.arange(4))
 
 
 def test_headings_are_followed_proportionally_and_clipped(make_env):
@@ -140,9 +140,7 @@ def test_metrics_are_divided_by_the_longest_command_time_and_logged_as_means(mak
     """Two steps of a robot at rest: error is the command itself; .02 s of at most .5 s each."""
     env, term = _env(make_env, resampling_time_range=[0.4, 0.5])
     data = env.scene.robot.data
-    env.scene.robot.write_root_com_velocity(
-        torch.arange(4), torch.tensor([[0.3, 0.1, 0]] * 4), torch.tensor([[0, 0, 0.2]] * 4)
-    )
+    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.3, 0.1, 0, 0, 0, 0.2]] * 4), torch.arange(4))
     command = term.command.clone()
     v, w = data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2]
     xy = (command[:, :2] - v).norm(dim=1)

@@ -110,7 +110,7 @@ def test_a_term_of_several_columns_is_flattened_sample_by_sample(make_env):
     robot = env.scene.robot
     frames = []
     for _ in range(3):
-        robot.write_joint_state(torch.arange(4), torch.randn(4, 4), torch.zeros(4, 4))
+        robot.write_joint_state_to_sim(torch.randn(4, 4), torch.zeros(4, 4), env_ids=torch.arange(4))
         frames.append(robot.data.joint_pos.clone())
         out = _read(env)
     assert torch.equal(out, torch.cat(frames[1:], dim=1))

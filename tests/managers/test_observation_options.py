@@ -146,9 +146,9 @@ def test_histories_may_stand_step_by_step(make_env):
     env = _env(make_env, terms, history_length=2, history_order="time")
     manager, robot = env.observation_manager, env.scene.robot
     assert manager.group_obs_dim["policy"] == (10,)
-    robot.write_joint_state(torch.arange(4), torch.arange(4.0).expand(4, 4), STILL)
+    robot.write_joint_state_to_sim(torch.arange(4.0).expand(4, 4), STILL, env_ids=torch.arange(4))
     _series(env, "x", 7.0)
-    robot.write_joint_state(torch.arange(4), 10 + torch.arange(4.0).expand(4, 4), STILL)
+    robot.write_joint_state_to_sim(10 + torch.arange(4.0).expand(4, 4), STILL, env_ids=torch.arange(4))
     expected = [7, 0, 1, 2, 3, 8, 10, 11, 12, 13]
     spies.VALUES["x"] = 8.0
     assert manager.peek()["policy"][0].tolist() == expected

@@ -90,7 +90,7 @@ def test_a_reset_begins_the_average_at_the_new_position_of_its_environments(make
     node = {"_target_": "EMAJointPositionToLimitsAction", "joint_names": HIPS, "alpha": 0.0}
     env, manager, term = _env(make_env, **node)
     ids = torch.tensor([2])
-    env.scene.robot.write_joint_state(ids, torch.full((1, 4), 0.7), torch.zeros(1, 4))
+    env.scene.robot.write_joint_state_to_sim(torch.full((1, 4), 0.7), torch.zeros(1, 4), env_ids=ids)
     manager.reset(ids)
     manager.process_action(torch.zeros(4, 2))
     assert term.processed_actions[:, 0].tolist() == pytest.approx([0.2, 0.2, 0.7, 0.2])

@@ -48,7 +48,9 @@ def _stand(env, position, yaw=0.0, pitch=0.0, roll=0.0):
     n = env.num_envs
     robot = env.scene.robot
     place = torch.tensor(position, dtype=torch.float32).expand(n, 3)
-    robot.write_root_pose(torch.arange(n), place, torch.tensor(quat, dtype=torch.float32).expand(n, 4))
+    robot.write_root_pose_to_sim(
+        torch.cat((place, torch.tensor(quat, dtype=torch.float32).expand(n, 4)), dim=1), torch.arange(n)
+    )
     env.scene.refresh()
 
 
@@ -216,7 +218,7 @@ def test_the_metrics_of_a_pose_are_distance_and_angle_to_the_body(make_env):
     ranges = {"pos_x": [0.3, 0.3], "pos_y": [0.13, 0.13], "pos_z": [0.32, 0.32], "pitch": [0.25, 0.25]}
     env, term = _body(make_env, ranges=ranges, num_envs=1)
     robot = env.scene.robot
-    robot.write_joint_state(torch.arange(1), torch.zeros(1, 4), torch.zeros(1, 4))
+    robot.write_joint_state_to_sim(torch.zeros(1, 4), torch.zeros(1, 4), env_ids=torch.arange(1))
     _stand(env, [1.0, -2.0, 0.5], yaw=1.0, pitch=-0.4, roll=0.2)
     distance, angle = term.errors()[:, 0].tolist()
     assert distance == pytest.approx(0.5, abs=1e-5)  # a triangle of .3 and .4

@@ -121,7 +121,7 @@ def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
 
     def walk(way):
         place = env.scene.env_origins + T([[x, y, 0.5] for x, y in way])
-        env.scene.robot.write_root_pose(ids, place, T([[1.0, 0.0, 0.0, 0.0]]).expand(4, 4))
+        env.scene.robot.write_root_pose_to_sim(torch.cat((place, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1), ids)
         return env.reset()[1]["log"]["Curriculum/c"]
 
     assert walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]) == 0.5
@@ -130,7 +130,7 @@ def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
     assert levels.tolist() == [0, 2, 1, 0]
     assert env.scene.env_origins[:, 0].tolist() == pytest.approx([-3.0, 1.0, -1.0, -3.0])
     place = T([[4.4, 0.0, 0.5], [4.6, 0.0, 0.5], [0.0, -3.6, 0.5], [0.0, 3.4, 0.5]])
-    env.scene.robot.write_root_pose(ids, place, T([[1.0, 0.0, 0.0, 0.0]]).expand(4, 4))
+    env.scene.robot.write_root_pose_to_sim(torch.cat((place, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1), ids)
     assert env.step(STILL)[2].tolist() == [False, True, True, False]
 
 

@@ -287,10 +287,8 @@ def _moving(make_env, name):
     env.reset()
     pos = env.scene.robot.data.root_pos_w.clone()
     quat = torch.nn.functional.normalize(torch.tensor([[1.0, 0.5, -0.3, 0.2]]), dim=1).expand(4, 4)
-    env.scene.robot.write_root_pose(ALL, pos, quat)
-    env.scene.robot.write_root_com_velocity(
-        ALL, torch.tensor([[0.1, 0.2, 0.3]] * 4), torch.tensor([[1.0, 2.0, 3.0]] * 4)
-    )
+    env.scene.robot.write_root_pose_to_sim(torch.cat((pos, quat), dim=1), ALL)
+    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]] * 4), ALL)
     env.apply_event("custom", torch.tensor([0, 2]))
     return env.scene.robot.data
 

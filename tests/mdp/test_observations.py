@@ -134,7 +134,7 @@ def test_bodies_are_seen_as_mujoco_sees_them(make_env):
     env.reset()
     quat = torch.nn.functional.normalize(torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), dim=1)
     place = env.scene.env_origins + T([0.5, -1.0, 2.0])
-    env.scene.robot.write_root_pose(torch.arange(3), place, quat)
+    env.scene.robot.write_root_pose_to_sim(torch.cat((place, quat), dim=1), torch.arange(3))
     env.scene.refresh()
     names = env.scene.robot.body_names
     bodies = entity(bodies=[names.index("right_wheel"), names.index("left_arm")])

@@ -218,7 +218,7 @@ def test_times_of_pushes_differ_between_environments(make_env):
     env.reset()
     for _ in range(15):
         env.step(torch.zeros(64, 1))
-    pushed = env.event_manager.get_term("p").func._is_pushed
+    pushed = env.event_manager.get_term_cfg("p").func._is_pushed
     assert 5 < int(pushed.sum()) < 59
 
 

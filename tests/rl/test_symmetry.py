@@ -37,19 +37,14 @@ def write_twins(env):
     lin, ang = draw(half, 3, size=0.3), draw(half, 3, size=2.0)
     q, v = robot.layout.default_joint_pos + draw(half, 6, size=0.2), draw(half, 6, size=3.0)
     ids = torch.arange(32)
-    origins = env.scene.env_origins
-    robot.write_root_pose(
-        ids,
-        torch.cat((pos, pos * torch.tensor([1.0, -1.0, 1.0]))) + origins,
-        torch.cat((quat, quat * torch.tensor([1.0, -1.0, 1.0, -1.0]))),
-    )
-    robot.write_root_com_velocity(
-        ids,
-        torch.cat((lin, lin * torch.tensor([1.0, -1.0, 1.0]))),
-        torch.cat((ang, ang * torch.tensor([-1.0, 1.0, -1.0]))),
-    )
-    robot.write_joint_state(ids, torch.cat((q, q[:, SIDES])), torch.cat((v, v[:, SIDES])))
-    command = env.command_manager.get_command_term("base_velocity")
+    pose, velocity = torch.cat((pos, quat), dim=1), torch.cat((lin, ang), dim=1)
+    pose = torch.cat((pose, pose * torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0])))
+    pose[:, :3] += env.scene.env_origins
+    robot.write_root_pose_to_sim(pose, ids)
+    mirrored = velocity * torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+    robot.write_root_velocity_to_sim(torch.cat((velocity, mirrored)), ids)
+    robot.write_joint_state_to_sim(torch.cat((q, q[:, SIDES])), torch.cat((v, v[:, SIDES])), env_ids=ids)
+    command = env.command_manager.get_term("base_velocity")
     vx_vy_wz = draw(half, 3)
     command.command[:] = torch.cat((vx_vy_wz, vx_vy_wz * torch.tensor([1.0, -1.0, -1.0])))
     env.scene.refresh()

@@ -278,11 +278,9 @@ def test_the_adapter_clips_only_when_asked(trainer, make_trainer):
 
 def test_the_adapter_tells_time_outs_apart_from_failures(make_trainer):
     adapter = make_trainer().env
-    adapter.env.scene.robot.write_root_pose(
-        torch.tensor([3]),
-        torch.tensor([[0.0, 0.0, 0.015]]) + adapter.env.scene.env_origins[3],
-        torch.tensor([[0.0, 1.0, 0.0, 0.0]]),  # on its back
-    )
+    pose = torch.tensor([[0.0, 0.0, 0.015, 0.0, 1.0, 0.0, 0.0]])
+    pose[:, :3] += adapter.env.scene.env_origins[3]
+    adapter.env.scene.robot.write_root_pose_to_sim(pose, torch.tensor([3]))
     adapter.env.scene.refresh()
     _, _, dones, extras = adapter.step(torch.zeros(16, 6))
     assert dones.nonzero().squeeze(1).tolist() == [3]

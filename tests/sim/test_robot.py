@@ -27,7 +27,7 @@ def _random_pose(env, seed=0):
     gen = torch.Generator().manual_seed(seed)
     quat = torch.nn.functional.normalize(torch.randn(4, 4, generator=gen), dim=1)
     pos = torch.randn(4, 3, generator=gen) + torch.tensor([0.0, 0.0, 5.0])
-    env.scene.robot.write_root_pose(ALL, pos, quat)
+    env.scene.robot.write_root_pose_to_sim(torch.cat((pos, quat), dim=1), ALL)
     return pos, quat, torch.randn(4, 3, generator=gen), torch.randn(4, 3, generator=gen)
 
 
@@ -43,7 +43,7 @@ def _object_velocity(env, i, kind, local):
 
 def test_a_written_com_velocity_is_the_engines_velocity_of_the_com(env):
     _, _, lin, ang = _random_pose(env)
-    env.scene.robot.write_root_com_velocity(ALL, lin, ang)
+    env.scene.robot.write_root_velocity_to_sim(torch.cat((lin, ang), dim=1), ALL)
     for i in range(4):
         velocity = _object_velocity(env, i, mujoco.mjtObj.mjOBJ_BODY, 0)
         np.testing.assert_allclose(velocity[3:], lin[i], atol=1e-6)
@@ -52,14 +52,14 @@ def test_a_written_com_velocity_is_the_engines_velocity_of_the_com(env):
 
 def test_the_com_velocity_read_back_is_the_one_written(env):
     _, _, lin, ang = _random_pose(env)
-    env.scene.robot.write_root_com_velocity(ALL, lin, ang)
+    env.scene.robot.write_root_velocity_to_sim(torch.cat((lin, ang), dim=1), ALL)
     torch.testing.assert_close(env.scene.robot.data.root_lin_vel_w, lin, atol=1e-5, rtol=0)
     torch.testing.assert_close(env.scene.robot.data.root_ang_vel_w, ang, atol=1e-5, rtol=0)
 
 
 def test_root_velocities_in_all_frames_are_the_engines(env):
     _, _, lin, ang = _random_pose(env, seed=5)
-    env.scene.robot.write_root_com_velocity(ALL, lin, ang)
+    env.scene.robot.write_root_velocity_to_sim(torch.cat((lin, ang), dim=1), ALL)
     data = env.scene.robot.data
     for i in range(4):
         matrix = np.zeros(9)
@@ -83,7 +83,7 @@ def test_the_conversion_uses_each_environments_own_centre_of_mass(env):
     env.scene.sim.set_const()
     robot.data.com_b.copy_(ipos[:, base])
     _, _, lin, ang = _random_pose(env)
-    robot.write_root_com_velocity(ALL, lin, ang)
+    robot.write_root_velocity_to_sim(torch.cat((lin, ang), dim=1), ALL)
     env.scene.refresh()
     torch.testing.assert_close(robot.data.root_lin_vel_w, lin, atol=1e-5, rtol=0)
     torch.testing.assert_close(robot.data.body_lin_vel_w[:, 0], lin, atol=1e-5, rtol=0)
@@ -96,7 +96,7 @@ def test_a_body_thrown_and_spun_about_its_com_falls_freely(env):
     env.scene.refresh()
     start = env.scene.sim.derived("subtree_com")[:, 1].clone()
     lin = torch.tensor([[1.0, 2.0, 3.0]]).expand(4, 3)
-    robot.write_root_com_velocity(ALL, lin, torch.zeros(4, 3))
+    robot.write_root_velocity_to_sim(torch.cat((lin, torch.zeros(4, 3)), dim=1), ALL)
     env.scene.refresh()
     for _ in range(20):
         _substep(env)
@@ -110,26 +110,26 @@ def test_projected_gravity_and_heading_by_hand(env):
     robot = env.scene.robot
     half = torch.tensor(0.3)
     pitch = torch.tensor([[torch.cos(half), 0, torch.sin(half), 0]]).expand(4, 4)
-    robot.write_root_pose(ALL, torch.zeros(4, 3), pitch)
+    robot.write_root_pose_to_sim(torch.cat((torch.zeros(4, 3), pitch), dim=1), ALL)
     expected = torch.tensor([[torch.sin(2 * half), 0.0, -torch.cos(2 * half)]]).expand(4, 3)
     torch.testing.assert_close(robot.data.projected_gravity_b, expected)
     yaw = torch.tensor([[torch.cos(half), 0, 0, torch.sin(half)]]).expand(4, 4)
-    robot.write_root_pose(ALL, torch.zeros(4, 3), yaw)
+    robot.write_root_pose_to_sim(torch.cat((torch.zeros(4, 3), yaw), dim=1), ALL)
     torch.testing.assert_close(robot.data.heading_w, torch.full((4,), 0.6))
 
 
 def test_a_quaternion_that_is_not_normalised_is_written_normalised(env):
-    env.scene.robot.write_root_pose(ALL, torch.zeros(4, 3), torch.tensor([[2.0, 0, 0, 0]]).expand(4, 4))
+    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0, 0, 2, 0, 0, 0]] * 4), ALL)
     assert env.scene.robot.data.root_quat_w[0].tolist() == [1, 0, 0, 0]
     assert env.scene.sim.view("qpos")[0, 3:7].tolist() == [1, 0, 0, 0]
-    env.scene.robot.write_root_com_velocity(ALL, torch.ones(4, 3), torch.ones(4, 3))
+    env.scene.robot.write_root_velocity_to_sim(torch.ones(4, 6), ALL)
     torch.testing.assert_close(env.scene.robot.data.root_lin_vel_w, torch.ones(4, 3))
 
 
 def test_a_read_after_a_write_is_the_written_value_without_a_forward(env):
     robot = env.scene.robot
     assert robot.data.joint_pos[0, 0] != 0.4
-    robot.write_joint_state(torch.tensor([2]), torch.tensor([[0.4]]), torch.tensor([[1.5]]), torch.tensor([1]))
+    robot.write_joint_state_to_sim(torch.tensor([[0.4]]), torch.tensor([[1.5]]), torch.tensor([1]), torch.tensor([2]))
     assert robot.data.joint_pos[2, 1] == pytest.approx(0.4)
     assert robot.data.joint_vel[2].tolist() == [0, 1.5, 0, 0]
     assert robot.data.joint_pos[1, 1] == pytest.approx(0.2)
@@ -151,7 +151,7 @@ def test_joint_acceleration_is_the_difference_over_the_last_physics_step(env):
 def test_writing_joint_velocities_zeroes_the_acceleration(env):
     """A write is no acceleration, inside a reset or outside."""
     _substep(env)
-    env.scene.robot.write_joint_state(ALL, torch.zeros(4, 4), torch.full((4, 4), 7.0))
+    env.scene.robot.write_joint_state_to_sim(torch.zeros(4, 4), torch.full((4, 4), 7.0), env_ids=ALL)
     assert env.scene.robot.data.joint_acc.abs().max() == 0
 
 
@@ -195,7 +195,7 @@ def test_a_permanent_wrench_acts_in_link_axes_and_turns_with_the_body(env):
     env.scene.refresh()
     wrench = torch.tensor([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     _permanent(env, ALL, wrench)
-    env.scene.robot.write_root_com_velocity(ALL, torch.zeros(4, 3), torch.full((4, 3), 3.0))
+    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0, 0, 3, 3, 3]] * 4), ALL)
     env.scene.refresh()
     previous = None
     for _ in range(5):
@@ -222,9 +222,7 @@ def test_a_permanent_force_acts_at_the_centre_of_mass(make_env):
     env.scene.sim.expand("body_ipos")[:, model.body("flywheel").id, 0] = 0.04
     env.scene.sim.set_const()
     env.scene.robot.data.com_b[:, 0] = 0.04
-    env.scene.robot.write_root_pose(
-        ALL, torch.tensor([[0.0, 0, 3.0]]).expand(4, 3), torch.tensor([[1.0, 0, 0, 0]]).expand(4, 4)
-    )
+    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0, 3, 1, 0, 0, 0]] * 4), ALL)
     env.scene.refresh()
     _permanent(env, ALL, torch.tensor([0.0, 4.002, 0, 0, 0, 0]))
     for _ in range(10):

@@ -37,7 +37,9 @@ def test_joints_and_bodies_come_breadth_first_whatever_the_engine_says(make_env)
 
 def test_joint_quantities_follow_the_robots_order(make_env):
     robot = make_env(num_envs=1).scene.robot
-    robot.write_joint_state(torch.tensor([0]), torch.tensor([[0.1, 0.2, 3.0, 4.0]]), torch.tensor([[1.0, 2, 3, 4]]))
+    robot.write_joint_state_to_sim(
+        torch.tensor([[0.1, 0.2, 3.0, 4.0]]), torch.tensor([[1.0, 2, 3, 4]]), env_ids=torch.tensor([0])
+    )
     assert robot.data.joint_pos[0].tolist() == pytest.approx([0.1, 0.2, 3.0, 4.0])
     assert robot.data.joint_vel[0].tolist() == [1, 2, 3, 4]
     assert robot._qpos[0, 7:].tolist() == pytest.approx([0.1, 3.0, 0.2, 4.0])  # the engine's order: depth first
@@ -174,8 +176,9 @@ def test_derived_quantities_are_fresh_after_env_step(make_env):
     """Positions and velocities of all bodies equal those of a reference at the new state."""
     env = make_env()
     env.reset()
-    env.scene.robot.write_root_com_velocity(
-        torch.arange(4), torch.randn(4, 3), torch.randn(4, 3, generator=torch.Generator().manual_seed(0))
+    env.scene.robot.write_root_velocity_to_sim(
+        torch.randn(4, 6, generator=torch.Generator().manual_seed(0)),
+        torch.arange(4),
     )
     env.scene.refresh()
     for _ in range(5):

@@ -106,8 +106,6 @@ class ActionManager(ManagerBase):
         self.get_term_cfg(name)
         return self._action_terms[name]
 
-    get_action_term = get_term  # the earlier name
-
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
         """Return the raw actions of one environment by term."""
         return [(name, term.raw_actions[env_idx].tolist()) for name, term in self._action_terms.items()]

@@ -144,8 +144,6 @@ class CommandManager(ManagerBase):
             self.get_term_cfg(name)
         return self._command_terms[name]
 
-    get_command_term = get_term  # the earlier name
-
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
         """Return the commands of one environment by term."""
         return [(name, term.command[env_idx].tolist()) for name, term in self._command_terms.items()]

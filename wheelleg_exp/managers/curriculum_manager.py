@@ -50,8 +50,6 @@ class CurriculumManager(ManagerBase):
         super().load_state_dict(saved)
         self._state = dict(saved["last"])
 
-    get_term = ManagerBase.get_term_cfg  # the earlier name
-
     def __str__(self) -> str:
         rows = [(i, name, term.target.rsplit(".", 1)[-1]) for i, (name, term) in enumerate(self._terms.items())]
         return table(f"Curriculum: {len(rows)}", ("index", "name", "term"), rows)

@@ -174,8 +174,6 @@ class EventManager(ManagerBase):
         once[ids] = True
         return ids
 
-    get_term = ManagerBase.get_term_cfg  # the earlier name
-
     def __str__(self) -> str:
         rows = [
             (mode, name, term.fields.get("interval_range_s", "-"), term.target.rsplit(".", 1)[-1])

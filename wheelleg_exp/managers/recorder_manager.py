@@ -207,7 +207,7 @@ class RecorderManager(ManagerBase):
         ends = self._env.termination_manager
         success = [False] * len(env_ids)
         if _SUCCESS in ends.active_terms:
-            success = ends.get_fired(_SUCCESS)[env_ids].tolist()
+            success = ends.get_term(_SUCCESS)[env_ids].tolist()
         lengths = self._env.episode_length_buf[env_ids].tolist()
         for place, (env_id, length) in enumerate(zip(env_ids.tolist(), lengths, strict=True)):
             group = self._group(success[place])

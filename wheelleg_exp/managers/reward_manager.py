@@ -116,8 +116,6 @@ class RewardManager(ManagerBase):
         self.step_reward.copy_(saved["step_reward"])
         self.non_finite = {env_id: list(terms) for env_id, terms in saved["non_finite"].items()}
 
-    get_term = ManagerBase.get_term_cfg  # the earlier name
-
     def __str__(self) -> str:
         rows = [
             (i, name, term.fields["weight"], term.target.rsplit(".", 1)[-1])

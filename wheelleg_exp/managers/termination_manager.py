@@ -47,8 +47,6 @@ class TerminationManager(ManagerBase):
         self.get_term_cfg(name)
         return self._fired[self.active_terms.index(name)]
 
-    get_fired = get_term  # the earlier name
-
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
         """Return which terms fired in this step in one environment, 1 or 0 by term."""
         flags = self._fired[:, env_idx].tolist()

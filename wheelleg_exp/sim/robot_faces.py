@@ -291,22 +291,6 @@ class RobotFaces(Kept):
         self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
         self._sim.asked.add(WRENCHES)
 
-    # --- earlier names ---
-
-    def write_root_pose(self, ids: torch.Tensor, pos: torch.Tensor, quat: torch.Tensor) -> None:
-        """Set the root link's pose (n, 3), (n, 4)."""
-        self.write_root_pose_to_sim(torch.cat((pos, quat), dim=1), ids)
-
-    def write_root_com_velocity(self, ids: torch.Tensor, lin_vel: torch.Tensor, ang_vel: torch.Tensor) -> None:
-        """Set the velocity (n, 3), (n, 3) of the root body's centre of mass."""
-        self.write_root_velocity_to_sim(torch.cat((lin_vel, ang_vel), dim=1), ids)
-
-    def write_joint_state(
-        self, ids: torch.Tensor, pos: torch.Tensor, vel: torch.Tensor, joint_ids: Columns = None
-    ) -> None:
-        """Set joint positions and velocities (n, k)."""
-        self.write_joint_state_to_sim(pos, vel, joint_ids, ids)
-
     # --- the rest ---
 
     def update(self, dt: float) -> None:

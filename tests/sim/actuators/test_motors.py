@@ -28,7 +28,7 @@ def with_hips(make_env, model, remove=(), base="rover", **numbers):
 def asked_at_speed(env, speed, torque):
     """Return the torques that act on hips which turn at a speed and are asked for a torque."""
     robot, data = env.scene.robot, env.scene.robot.data
-    robot.write_joint_state(torch.arange(4), data.joint_pos, torch.full((4, 4), float(speed)))
+    robot.write_joint_state_to_sim(data.joint_pos, torch.full((4, 4), float(speed)), env_ids=torch.arange(4))
     data.invalidate()
     robot.set_joint_effort_target(torch.full((4, 4), float(torque)), slice(None))
     env.scene.write_data_to_sim()
@@ -179,7 +179,7 @@ def test_behind_a_linkage_the_largest_torque_follows_from_the_position(make_env,
     limits = ("effort_limit", "velocity_limit")
     env, hips = with_hips(make_env, "RemotizedPDActuator", limits, **GAINS, joint_parameter_lookup=TABLE)
     robot, data = env.scene.robot, env.scene.robot.data
-    robot.write_joint_state(torch.arange(4), torch.full((4, 4), pos), torch.zeros(4, 4))
+    robot.write_joint_state_to_sim(torch.full((4, 4), pos), torch.zeros(4, 4), env_ids=torch.arange(4))
     data.invalidate()
     largest = float(np.interp(pos, [row[0] for row in TABLE], [row[2] for row in TABLE]))
     for asked, given in ((50.0, largest), (-50.0, -largest), (0.4, 0.4)):

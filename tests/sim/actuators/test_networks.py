@@ -129,7 +129,7 @@ def test_what_a_network_gives_is_bounded_by_the_motors_line(made):
     motor = {"effort_limit": 4.0, "velocity_limit": 30.0, "saturation_effort": 6.0}
     env = made({**MLP, **motor, "torque_scale": 1.0}, module)
     robot, data = env.scene.robot, env.scene.robot.data
-    robot.write_joint_state(torch.arange(4), data.joint_pos, torch.full((4, 4), 20.0))
+    robot.write_joint_state_to_sim(data.joint_pos, torch.full((4, 4), 20.0), env_ids=torch.arange(4))
     data.invalidate()
     *_, computed, applied = next(iter(stepped(env, 1)))
     np.testing.assert_allclose(computed, 50.0)

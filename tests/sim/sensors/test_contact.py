@@ -37,8 +37,9 @@ def test_the_force_on_a_resting_body_is_its_weight_upwards(env):
 
 def test_the_force_keeps_its_direction_when_the_body_is_upside_down(env):
     robot = env.scene.robot
-    robot.write_root_pose(
-        torch.arange(4), robot.data.root_pos_w.clone(), torch.tensor([[0.0, 1.0, 0.0, 0.0]]).expand(4, 4)
+    robot.write_root_pose_to_sim(
+        torch.cat((robot.data.root_pos_w.clone(), torch.tensor([[0.0, 1.0, 0.0, 0.0]] * 4)), dim=1),
+        torch.arange(4),
     )
     env.scene.refresh()
     _settle(env)
@@ -125,7 +126,7 @@ def test_a_body_that_leaves_the_ground_is_timed(env):
     _settle(env, 30)
     robot, sensor = env.scene.robot, env.scene["contact"]
     spent = float(sensor.data.current_contact_time[0, 0])
-    robot.write_root_com_velocity(torch.arange(4), torch.tensor([[0.0, 0, 3.0]]).expand(4, 3), torch.zeros(4, 3))
+    robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0, 3.0, 0, 0, 0]] * 4), torch.arange(4))
     env.scene.refresh()
     for _ in range(2):
         env.step(STILL)

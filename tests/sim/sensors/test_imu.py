@@ -41,8 +41,8 @@ def throw(env, height, lin=(0.0, 0.0, 0.0), ang=(0.0, 0.0, 0.0)):
     """Put the robot upright into the air, at the world's origin, with velocities."""
     robot, ids = env.scene.robot, torch.arange(env.num_envs)
     pose = torch.tensor([0.0, 0.0, height]), torch.tensor([1.0, 0.0, 0.0, 0.0])
-    robot.write_root_pose(ids, pose[0].expand(len(ids), 3), pose[1].expand(len(ids), 4))
-    robot.write_root_com_velocity(ids, torch.tensor(lin).expand(len(ids), 3), torch.tensor(ang).expand(len(ids), 3))
+    robot.write_root_pose_to_sim(torch.cat((pose[0].expand(len(ids), 3), pose[1].expand(len(ids), 4)), dim=1), ids)
+    robot.write_root_velocity_to_sim(torch.tensor([[*lin, *ang]] * len(ids)), ids)
     env.scene.refresh()
 
 

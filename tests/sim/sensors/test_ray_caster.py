@@ -40,7 +40,9 @@ def place(env, pos, yaw=0.0, pitch=0.0, ids=ALL):
     """Put the robot to a place in the world, pitched first and then turned."""
     c, s, p, q = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
     quat = torch.tensor([c * p, -s * q, c * q, s * p])
-    env.scene.robot.write_root_pose(ids, torch.tensor(pos).expand(len(ids), 3), quat.expand(len(ids), 4))
+    env.scene.robot.write_root_pose_to_sim(
+        torch.cat((torch.tensor(pos).expand(len(ids), 3), quat.expand(len(ids), 4)), dim=1), ids
+    )
     env.scene.refresh()
 
 
@@ -160,7 +162,7 @@ def test_with_a_period_it_holds_what_it_saw(make, period):
     """Two physics steps of 0.01 s a control step: the state of every second step is seen, read or not."""
     env = make(ray_alignment="yaw", update_period=period)
     heights = [env.scene.robot.data.root_pos_w[0, 2].clone()]
-    env.scene.robot.write_root_com_velocity(ALL, torch.tensor([[0.0, 0.0, 2.0]]).expand(4, 3), torch.zeros(4, 3))
+    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0.0, 2.0, 0.0, 0.0, 0.0]] * 4), ALL)
     env.scene.refresh()
     for k in range(1, 6):
         env.step(STILL)
@@ -214,7 +216,7 @@ def test_without_drift_nothing_is_drawn(make):
 def test_reading_does_not_change_the_simulations(make):
     read, unread = make(STEP), make(STEP)
     for env in (read, unread):
-        env.scene.robot.write_root_com_velocity(ALL, torch.tensor([[1.0, 0.3, 1.0]]).expand(4, 3), torch.ones(4, 3))
+        env.scene.robot.write_root_velocity_to_sim(torch.tensor([[1.0, 0.3, 1.0, 1.0, 1.0, 1.0]] * 4), ALL)
         env.scene.refresh()
     for _ in range(20):
         _ = read.scene["scan"].data

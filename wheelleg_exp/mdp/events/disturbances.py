@@ -62,8 +62,8 @@ class push_by_adding_velocity(TermBase):
         velocity = rotation.uniform(self._low, self._high, len(ids), self._generator)
         data = self._robot.data
         if self.adds:
-            velocity += torch.cat((data.root_lin_vel_w[ids], data.root_ang_vel_w[ids]), dim=1)
-        self._robot.write_root_com_velocity(ids, velocity[:, :3], velocity[:, 3:])
+            velocity += data.root_vel_w[ids]
+        self._robot.write_root_velocity_to_sim(velocity, ids)
 
 
 push_by_setting_velocity = push_by_adding_velocity

@@ -51,8 +51,8 @@ class reset_root_state_uniform(TermBase):
         robot = self._robot
         u = rotation.uniform(self._low, self._high, len(ids), self._generator)
         position = robot.default_root_pos + env.scene.env_origins[ids] + u[:, 0:3]
-        robot.write_root_pose(ids, position, self.orientation(u[:, 3:6]))
-        robot.write_root_com_velocity(ids, u[:, 6:9], u[:, 9:12])
+        robot.write_root_pose_to_sim(torch.cat((position, self.orientation(u[:, 3:6])), dim=1), ids)
+        robot.write_root_velocity_to_sim(u[:, 6:12], ids)
 
     def orientation(self, euler: torch.Tensor) -> torch.Tensor:
         """Return the orientations (n, 4) for drawn angles (n, 3)."""
@@ -164,7 +164,7 @@ def _reset_joints(
     pos, vel = (pos * drawn_pos, vel * drawn_vel) if scale else (pos + drawn_pos, vel + drawn_vel)
     lowest, highest = data.soft_joint_pos_limits[ids][:, joints].unbind(dim=2)
     fastest = data.soft_joint_vel_limits[ids][:, joints]
-    robot.write_joint_state(ids, pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints)
+    robot.write_joint_state_to_sim(pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints, ids)
 
 
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
@@ -173,11 +173,10 @@ def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_t
     robot = env.scene.robot
     data = robot.data
     if robot.floating:
-        position = robot.default_root_pos + env.scene.env_origins[ids]
-        robot.write_root_pose(ids, position, robot.default_root_quat.expand(len(ids), 4))
-        still = torch.zeros(len(ids), 3, device=env.device)
-        robot.write_root_com_velocity(ids, still, still)
-    robot.write_joint_state(ids, data.default_joint_pos[ids], data.default_joint_vel[ids])
+        state = data.default_root_state[ids]
+        state[:, :3] += env.scene.env_origins[ids]
+        robot.write_root_state_to_sim(state, ids)
+    robot.write_joint_state_to_sim(data.default_joint_pos[ids], data.default_joint_vel[ids], env_ids=ids)
     if reset_joint_targets:
         data.joint_pos_target[ids] = data.default_joint_pos[ids]
         data.joint_vel_target[ids] = data.default_joint_vel[ids]

@@ -64,7 +64,7 @@ class Mirror:
         columns: dict[tuple[str, str], int] = {}
         made: list[tuple[str, str, float, float]] = []
         for name in manager.active_terms:
-            term = manager.get_action_term(name)
+            term = manager.get_term(name)
             kind, joints = str(term.drives), list(getattr(term, "joint_names", []))
             path = f"env.actions.{name}"
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
@@ -138,7 +138,7 @@ class Mirror:
         rule = given if given is not None else rules.known(term.term.target)
         if rule == rules.COMMAND:
             command = str(term.term.params["command_name"])
-            found = self._env.command_manager.get_command_term(command)
+            found = self._env.command_manager.get_term(command)
             rule = next(
                 (rules.OF_COMMANDS[k.__name__] for k in type(found).__mro__ if k.__name__ in rules.OF_COMMANDS), None
             )
@@ -171,7 +171,7 @@ class Mirror:
         if name is None:
             return self._action
         start = sum(manager.action_term_dim[: manager.active_terms.index(name)])
-        part = self._action[start : start + manager.get_action_term(name).action_dim]
+        part = self._action[start : start + manager.get_term(name).action_dim]
         return [(source - start, sign) for source, sign in part]
 
     def _require_even(self, term: ObservationTerm, turned: Turned, path: str) -> None:
