@@ -69,6 +69,11 @@ def test_an_emptied_list_leaves_an_empty_section(composed):
     assert composed("event@env.events=[]").config["env"]["events"] == {}
 
 
+def test_composing_adds_no_section_that_an_environment_is_built_without(composed):
+    assert "recorders" not in composed().config["env"]
+    assert composed("+env.recorders=null").config["env"]["recorders"] == {}
+
+
 def test_a_section_that_no_file_mounts_is_empty(composed):
     env = composed().config["env"]
     assert env["commands"] == {}

@@ -149,8 +149,6 @@ def snapshot_differences(run: Path) -> list[str]:
 
 
 def _unequal_leaves(a: object, b: object, path: str = "") -> list[str]:
-    if isinstance(a, dict) and isinstance(b, dict):
-        a = {key: value for key, value in a.items() if key in b or value != {}}  # an absent section is an empty one
     if isinstance(a, dict) and isinstance(b, dict) and list(a) == list(b):
         return [leaf for key in a for leaf in _unequal_leaves(a[key], b[key], f"{path}.{key}".lstrip("."))]
     return [] if a == b else [path]

@@ -33,6 +33,9 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
+# The section that a tree may leave out and is then built without; absent others are empty ones.
+OPTIONAL = "recorders"
+
 # What the managers' own fields may be, and which of them every term of a section must have.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
@@ -86,6 +89,8 @@ def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
         return ()
     removed: list[str] = []
     for section in RESERVED:
+        if section == OPTIONAL and section not in env:
+            continue
         if env.get(section) is None:
             env[section] = {}
         removed += _drop_null(env, section, "env")
