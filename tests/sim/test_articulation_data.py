@@ -11,6 +11,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.absent import absent_members
+from wheelleg_exp.sim.engine import Engine
 
 N = 4
 
@@ -120,6 +121,18 @@ def test_first_asked_for_accelerations_are_those_of_one_who_asked_before(make_en
     for env in (early, late):
         env.step(action)
     assert torch.equal(early.scene.sim.state, late.scene.sim.state)
+
+
+def test_an_engine_may_give_copies_of_the_motion_state(make_env, monkeypatch):
+    """As the face's own does: only ``view`` is written."""
+    env, other = make_env(), make_env()
+    for one in (env, other):
+        one.reset()
+        one.step(torch.ones(N, 4))
+    wanted = env.scene.robot.data.body_acc_w
+    monkeypatch.setattr(type(other.scene.sim), "motion", Engine.motion)
+    assert torch.equal(other.scene.robot.data.body_acc_w, wanted)
+    assert wanted.abs().max() > 1.0
 
 
 def test_accelerations_survive_saving(make_env):

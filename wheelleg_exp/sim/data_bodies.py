@@ -145,14 +145,16 @@ class BodyData(RobotData):
 
     def _velocity_before(self) -> torch.Tensor:
         """Return the bodies' velocities at the start of the last physics step, from the state kept of it."""
-        sim, now = self._sim, self._sim.motion.clone()
-        sim.motion.copy_(torch.where(self._torque_valid > 0.0, self._motion_before, now))
+        sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
+        self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
+        self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))
         self.invalidate()
         for name in ("xpos", "xquat", "xipos", "cvel", "subtree_com"):
             sim.derived(name)
         sim.forward()
         velocity = self.body_com_vel_w
-        sim.motion.copy_(now)
+        self._qpos.copy_(now[0])
+        self._qvel.copy_(now[1])
         sim.forward()
         self.invalidate()
         return velocity
