@@ -1,4 +1,4 @@
-"""Writes the pages that are made from the files themselves: reference.md, terms.md, rules.md and figures.md.
+"""Writes the pages that are made from the files themselves: reference.md, terms.md, rules.md, figures.md, isaaclab.md.
 
     python docs/make_reference.py
 
@@ -8,6 +8,7 @@ of whatever reads it speaks. A test holds the pages against the files.
 
 from __future__ import annotations
 
+import runpy
 from collections.abc import Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
@@ -189,6 +190,7 @@ def main() -> None:
     """Write the pages beside this file."""
     for name, text in pages().items():
         (FOLDER / name).write_text(text, encoding="utf-8")
+    runpy.run_path(str(FOLDER / "make_isaaclab.py"), run_name="__main__")
 
 
 if __name__ == "__main__":
