@@ -11,7 +11,6 @@ from wheelleg_exp.sim.terrain import (
     DiscreteObstacles,
     Flat,
     Gap,
-    Pit,
     PyramidSlope,
     PyramidStairs,
     Rails,
@@ -157,5 +156,5 @@ def test_boxes_and_pits_have_one_step_or_two():
     assert profile(box.heights(0.0, CELLS, rng())) == [0] * 8 + [0.1] * 4 + [0] * 8
     box.double_box = True  # the lower one's edge is 0.4 + 0.6 * 1.6 = 1.36
     assert profile(box.heights(0.5, CELLS, rng())) == [0] * 3 + [0.2] * 5 + [0.4] * 4 + [0.2] * 5 + [0] * 3
-    pit = Pit(proportion=1, pit_depth_range=[0.1, 0.3], platform_width=0.4, double_pit=True)
+    pit = Box(proportion=1, box_height_range=[0.1, 0.3], platform_width=0.4, double_box=True, inverted=True)
     assert np.array_equal(pit.heights(0.5, CELLS, rng()), -box.heights(0.5, CELLS, rng()))

@@ -138,19 +138,6 @@ class ActuatorNetLSTM(ActuatorNet):
         delay: fewest and most physics steps by which the targets come late; null is none.
     """
 
-    def __init__(
-        self,
-        joint_names_expr: Names,
-        network_file: PathBelow,
-        effort_limit: LimitPerJoint,
-        velocity_limit: LimitPerJoint,
-        saturation_effort: Positive,
-        armature: PerJoint | None = None,
-        delay: Delay | None = None,
-    ) -> None:
-        limits = (effort_limit, velocity_limit, saturation_effort)
-        super().__init__(joint_names_expr, network_file, *limits, armature, delay)
-
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
         """Read the network; ConfigError when it is none, or has no LSTM."""
         super().read_files(folder, key, device)

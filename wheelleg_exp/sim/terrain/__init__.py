@@ -8,7 +8,7 @@
 | `HeightField`, `Mesh` | a user's own file |
 | `SubTerrain`, `Grid` | a kind of tile, also a user's own, and where it is asked for its heights |
 | `Flat`, `RandomUniform`, `UniformNoise`, `PyramidSlope`, `Waves` | level, rough and sloped tiles |
-| `PyramidStairs`, `RandomGrid`, `DiscreteObstacles`, `SteppingStones`, `Gap`, `Rails`, `Box`, `Pit` | with steps |
+| `PyramidStairs`, `RandomGrid`, `DiscreteObstacles`, `SteppingStones`, `Gap`, `Rails`, `Box` | with steps |
 | `FlatPatches` | level places to begin or to end on |
 """
 
@@ -23,7 +23,6 @@ from wheelleg_exp.sim.terrain.stepped import (
     DiscreteObstacles,
     Flat,
     Gap,
-    Pit,
     PyramidStairs,
     Rails,
     RandomGrid,
@@ -43,7 +42,6 @@ __all__ = [
     "Grid",
     "HeightField",
     "Mesh",
-    "Pit",
     "Plane",
     "PyramidSlope",
     "PyramidStairs",

@@ -192,47 +192,25 @@ class Rails(SubTerrain):
 
 @dataclass(kw_only=True)
 class Box(SubTerrain):
-    """A raised square in the middle.
+    """A square in the middle, raised by one step or two.
 
     Args:
         box_height_range: of a step, of the easiest and of the hardest, m.
         platform_width: edge of the square, m.
-        double_box: whether there is a wider square below it, and so two steps.
+        double_box: whether there is a wider square around it, and so two steps.
+        inverted: whether they go down, to a pit.
     """
 
     box_height_range: NonNegativeInterval
     platform_width: NonNegative
     double_box: bool = False
+    inverted: bool = False
     boxes: bool = True
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         """Return the box."""
         del rng
-        return at(difficulty, self.box_height_range) * _squares(grid, self.platform_width, double=self.double_box)
-
-
-@dataclass(kw_only=True)
-class Pit(SubTerrain):
-    """A sunken square in the middle.
-
-    Args:
-        pit_depth_range: of a step, of the easiest and of the hardest, m.
-        platform_width: edge of the square, m.
-        double_pit: whether there is a wider square around it, and so two steps.
-    """
-
-    pit_depth_range: NonNegativeInterval
-    platform_width: NonNegative
-    double_pit: bool = False
-    boxes: bool = True
-
-    def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
-        """Return the pit."""
-        del rng
-        return -at(difficulty, self.pit_depth_range) * _squares(grid, self.platform_width, double=self.double_pit)
-
-
-def _squares(grid: Grid, platform_width: float, *, double: bool) -> Array:
-    """Return 1 on the platform, and with a second square around it 2 there and 1 on the other."""
-    second = platform_width + _SECOND * (2 * min(grid.half) - platform_width)
-    return grid.is_within(platform_width) + (1.0 if double else 0.0) * grid.is_within(second)
+        step = at(difficulty, self.box_height_range) * (-1 if self.inverted else 1)
+        second = self.platform_width + _SECOND * (2 * min(grid.half) - self.platform_width)
+        wider = (1.0 if self.double_box else 0.0) * grid.is_within(second)
+        return step * (grid.is_within(self.platform_width) + wider)
