@@ -253,17 +253,17 @@ def test_a_restored_environment_is_the_same_wherever_one_looks(make, steps, live
     act(env, steps)
     other = restored(env, make, lived)
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
-    assert _equal(act(env, 40, steps), act(other, 40, steps))
+    assert equal(act(env, 40, steps), act(other, 40, steps))
     assert differing(Crawl(env), Crawl(other)) == []
 
 
-def _equal(a, b):
+def equal(a, b):
     if isinstance(a, torch.Tensor):
         return torch.equal(a, b)
     if isinstance(a, dict):
-        return a.keys() == b.keys() and all(_equal(a[k], b[k]) for k in a)
+        return a.keys() == b.keys() and all(equal(a[k], b[k]) for k in a)
     if isinstance(a, (list, tuple)):
-        return len(a) == len(b) and all(map(_equal, a, b))
+        return len(a) == len(b) and all(map(equal, a, b))
     return a == b
 
 
@@ -350,7 +350,7 @@ def test_a_terms_own_state_is_saved_without_its_help(make, kind):
     act(env, 15)
     other = restored(env, build, lived=8)
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
-    assert _equal(act(env, 10, 15), act(other, 10, 15))
+    assert equal(act(env, 10, 15), act(other, 10, 15))
 
 
 @pytest.mark.parametrize("model", [spies.HERE + "Delayed", *MODELS])
@@ -363,10 +363,10 @@ def test_an_actuators_memory_is_saved(make, model):
     env = build()
     env.reset()
     act(env, 15)
-    assert not _equal([g[0] for g in act(build(), 5)], [g[0] for g in act(make(), 5)])
+    assert not equal([g[0] for g in act(build(), 5)], [g[0] for g in act(make(), 5)])
     other = restored(env, build, lived=8)
     assert differing(Crawl(env, DERIVED), Crawl(other, DERIVED)) == []
-    assert _equal(act(env, 10, 15), act(other, 10, 15))
+    assert equal(act(env, 10, 15), act(other, 10, 15))
 
 
 REFUSED_AT_ONCE = [
@@ -420,7 +420,7 @@ def test_what_a_term_keeps_on_the_environment_is_saved_like_its_own(make):
     act(env, 15)
     env.max_episode_length = 40  # as a curriculum may set it
     other = restored(env, build, lived=8)
-    assert _equal(act(env, 30, 15), act(other, 30, 15))
+    assert equal(act(env, 30, 15), act(other, 30, 15))
     assert other.own_calls == env.own_calls
     fresh = build()
     fresh.reset()
@@ -476,4 +476,4 @@ def test_model_fields_that_were_edited_after_the_constants_were_derived_go_round
     env.scene.sim.expand("body_ipos")[:, 1] += 0.02
     env.scene.sim.expand("dof_armature")[:, 6:] += 0.01
     other = restored(env, make, lived=4)
-    assert _equal(act(env, 20, 3), act(other, 20, 3))
+    assert equal(act(env, 20, 3), act(other, 20, 3))
