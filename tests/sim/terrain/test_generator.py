@@ -12,6 +12,7 @@ import torch
 
 from sim.terrain.tiles import TERRAIN, Ramp, generator, placed
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.progress import listening
 from wheelleg_exp.sim.terrain import (
     DiscreteObstacles,
     Flat,
@@ -336,3 +337,10 @@ def test_a_kind_of_tile_of_a_users_own(make_env):
     ground = make_env("block", scene={"terrain": {**NODE, "sub_terrains": {"ramp": ramp}}}).scene.terrain
     assert isinstance(ground, TerrainGenerator)
     assert ground.height_at(torch.tensor([0.5, 1.0])) == pytest.approx(1.5)
+
+
+def test_long_builds_tell_how_far_they_are():
+    heard = []
+    with listening(lambda what, done, total: heard.append((what, done, total))):
+        placed(num_rows=2, num_cols=3).add_to(mujoco.MjSpec())
+    assert heard == [(what, done, 6) for what in ("making tiles", "laying tiles") for done in range(1, 7)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
@@ -22,6 +23,7 @@ from rich.progress import (
 from wheelleg_exp.cli.printing.streams import styled
 from wheelleg_exp.definitions.definition import percent
 from wheelleg_exp.errors import printable
+from wheelleg_exp.progress import listening
 from wheelleg_exp.rl.trainer import Iteration
 
 PLAIN_EVERY_S = 10.0
@@ -71,6 +73,17 @@ class ConsoleDisplay(LiveLines):
         self._quiet = quiet
         self._last_plain = time.monotonic()
         self._task: TaskID | None = None
+        self._listening = ExitStack()
+
+    def __enter__(self) -> Self:
+        self._listening.enter_context(listening(self._work))
+        return super().__enter__()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        super().__exit__(kind, error, trace)
+        self._listening.close()
 
     def environment(self, description: str) -> None:
         """Show the managers' tables."""
@@ -89,16 +102,30 @@ class ConsoleDisplay(LiveLines):
         """Show how far a rollout is."""
         self._advance("playing", done, total, "")
 
+    def _work(self, what: str, done: int, total: int) -> None:
+        """Show how far work is that is over before the job itself begins; in plain lines only when it takes long."""
+        if self._live:
+            self._advance(what, done, total, "")
+            if done == total and self._task is not None:
+                self._progress.remove_task(self._task)
+                self._task = None
+        elif self._is_due():
+            self.note(f"{what} {done}/{total}")
+
     def _advance(self, what: str, done: int, total: int, figures: str) -> None:
         if self._live:
             if self._task is None:
                 self._task = self._progress.add_task(what, total=total, figures=figures)
             self._progress.update(self._task, completed=done, total=total, figures=figures)
-            return
-        now = time.monotonic()
-        if done == total or now - self._last_plain >= PLAIN_EVERY_S:
-            self._last_plain = now
+        elif self._is_due() or done == total:
             self.note(f"{what} {done}/{total}  {figures}".rstrip())
+
+    def _is_due(self) -> bool:
+        """Return whether the last plain line is long enough ago for another."""
+        now = time.monotonic()
+        due = now - self._last_plain >= PLAIN_EVERY_S
+        self._last_plain = now if due else self._last_plain
+        return due
 
 
 def figures(scalars: Mapping[str, float]) -> str:

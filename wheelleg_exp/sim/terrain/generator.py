@@ -24,6 +24,7 @@ from wheelleg_exp.constraints import (
     relation,
 )
 from wheelleg_exp.memory import require_memory
+from wheelleg_exp.progress import told
 from wheelleg_exp.sim.terrain.base import GROUND, TERRAIN_KEY, TerrainBase
 from wheelleg_exp.sim.terrain.cache import cached_relief
 from wheelleg_exp.sim.terrain.geoms import add_box, add_tile
@@ -120,7 +121,8 @@ class TerrainGenerator(TerrainBase):
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add the tiles, ``ground/<row>_<column>``, and the border."""
         origins = self.relief.origins.reshape(-1, 3)
-        for number, (tile, origin) in enumerate(zip(self.relief.tiles, origins, strict=True)):
+        tiles = list(enumerate(zip(self.relief.tiles, origins, strict=True)))
+        for number, (tile, origin) in told("laying tiles", tiles):
             row, col = divmod(number, self.layout.num_cols)
             name = f"{GROUND}/{row}_{col}"
             add_tile(spec, name, self.dynamic_friction, tile, (origin[0], origin[1]), self.size)
