@@ -60,15 +60,10 @@ DERIVED = frozenset(
         ".sensors['contact']._readings",
         ".sensors['contact']._pressures",
         ".sensors['contact']._normals",
-        "._views['xmat']",  # outputs that are kept current from the first time on that a term asks for one
-        "._sim._current",
         "._has_worked",  # what messages tell: whether a term has run before, and what it returned
         ".form",
-        "._part_forms",
         ".robot.data._cache",  # quantities derived from the state, computed when they are asked for
         ".sensors['contact']._norms",
-        ".sensors['scan']._data",  # what is measured when it is read
-        ".sensors['scan']._outdated",
         ".robot.data.motion_at_start",  # read within a control step alone
         ".command_manager.step_errors",  # of the step alone
         ".reward_manager._factors",  # taken anew where a curriculum has changed a weight
