@@ -44,7 +44,7 @@ def place(env, pos, roll=0.0, pitch=0.0, yaw=0.0, ids=ALL):
     """Put the robot to a place in the world, and return what the camera has there."""
     angles = (torch.full((len(ids),), float(angle)) for angle in (roll, pitch, yaw))
     quat = rotation.quat_from_euler_xyz(*angles)
-    env.scene.robot.write_root_pose(ids, torch.tensor(pos).expand(len(ids), 3), quat)
+    env.scene.robot.write_root_pose_to_sim(torch.cat((torch.tensor(pos).expand(len(ids), 3), quat), dim=1), ids)
     env.scene.refresh()
     return env.scene["eye"].data
 
