@@ -25,6 +25,7 @@ LAYERS = (
     ("build", "rl"),
     ("config",),
     ("lint", "project", "gym"),
+    ("evaluation",),
     ("run",),
     ("recording",),
     ("verify",),

@@ -4,8 +4,8 @@
 |---|---|
 | ``main`` | finds the command, imports its module alone, returns the exit status |
 | ``common``, ``completion`` | what the commands share; completion in the shell |
-| ``train``, ``resume``, ``sweep``, ``replay``, ``play``, ``agents`` | commands that run |
-| ``compose``, ``explain``, ``check``, ``diff``, ``list``, ``list_runs``, ``new`` | commands on configs and projects |
+| ``train``, ``resume``, ``sweep``, ``replay``, ``play``, ``agents``, ``evaluate`` | commands that run |
+| ``configs``, ``list``, ``list_runs``, ``new`` | commands on configs and projects |
 | ``convert``, ``inspect``, ``verify``, ``report`` | commands that look |
 | ``inspecting``, ``printing`` | the actions of ``inspect``; how things look in a terminal |
 """

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 from wheelleg_exp.cli.common import Parser
-from wheelleg_exp.cli.doctor import ROBOT
+from wheelleg_exp.cli.configs.doctor import ROBOT
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
 

@@ -51,6 +51,7 @@ COMMANDS: dict[str, Command] = {
     "train": Command("train", "compose, check, train, and write one run directory"),
     "resume": Command("resume", "go on with a run that was stopped or killed, as if it had never been"),
     "play": Command("play", "run a policy and record it"),
+    "evaluate": Command("evaluate", "measure a policy on fixed scenarios, with intervals"),
     "zero-agent": Command("agents", "run a task with zero actions and record it", "run_zero"),
     "random-agent": Command("agents", "run a task with random actions and record it", "run_random"),
     "report": Command("report", "write one HTML file about a run, for people"),
@@ -58,11 +59,15 @@ COMMANDS: dict[str, Command] = {
     "verify": Command("verify", "hold a run against its own manifest, or two runs against each other", project=False),
     "inspect": Command("inspect", "tell what a recording holds, and answer questions about it"),
     "convert": Command("convert", "convert a robot file to MJCF, with a report", project=False),
-    "check": Command("check", "find every mistake in a config, and with --physics look at its numbers"),
-    "doctor": Command("doctor", "look at a robot as an expert would: what is wrong, how it is known, what to write"),
-    "compose": Command("compose", "print the composed config"),
-    "explain": Command("explain", "say what a key holds, who set it, what it means, what else could stand there"),
-    "diff": Command("diff", "compare two runs, tasks or lists of overrides by meaning"),
+    "check": Command("configs.check", "find every mistake in a config, and with --physics look at its numbers"),
+    "doctor": Command(
+        "configs.doctor", "look at a robot as an expert would: what is wrong, how it is known, what to write"
+    ),
+    "compose": Command("configs.compose", "print the composed config"),
+    "explain": Command(
+        "configs.explain", "say what a key holds, who set it, what it means, what else could stand there"
+    ),
+    "diff": Command("configs.diff", "compare two runs, tasks or lists of overrides by meaning"),
     "list": Command("list", "list tasks, terms, groups, options or runs"),
     "new": Command("new", "make a project of your own: a robot, a task, a term and a test", project=False),
     "completion": Command("completion", "print the shell's completion script", project=False),

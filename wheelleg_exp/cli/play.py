@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.run.directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
-    checkpoint = None if args.checkpoint is None else _checkpoint(directory, args.checkpoint)
+    checkpoint = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
 
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import print_figures, print_recording, shown
@@ -48,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _checkpoint(directory: RunDirectory, text: str) -> Path:
+def chosen_checkpoint(directory: RunDirectory, text: str) -> Path:
+    """Return the checkpoint that an iteration or a path names."""
     if text.isdigit():
         return directory.checkpoint(int(text))
     inside = directory.path / text

@@ -19,6 +19,7 @@ OPTIONS: dict[str, str] = {
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",
     "env.robot": "wheelleg_exp.sim.options.RobotOptions",
     "recording": "wheelleg_exp.recording.options.RecordingOptions",
+    "protocol": "wheelleg_exp.evaluation.options.Protocol",
     "run": "wheelleg_exp.run.options.RunOptions",
 }
 
@@ -74,6 +75,16 @@ class PlayRoot:
     seed: Seed
     play: Play
     recording: PlayRecording
+    env: Env
+    agent: Section
+
+
+@dataclass(frozen=True)
+class EvaluateRoot:
+    """The top of the tree that an evaluation reads: the run's own ``env`` and ``agent``, and the protocol."""
+
+    seed: Seed
+    protocol: Section
     env: Env
     agent: Section
 

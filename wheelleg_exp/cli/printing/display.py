@@ -112,11 +112,15 @@ class ConsoleDisplay(LiveLines):
         elif self._is_due():
             self.note(f"{what} {done}/{total}")
 
+    def test(self, name: str, done: int, total: int) -> None:
+        """Show how far a test of an evaluation is."""
+        self._advance(name, done, total, "")
+
     def _advance(self, what: str, done: int, total: int, figures: str) -> None:
         if self._live:
             if self._task is None:
                 self._task = self._progress.add_task(what, total=total, figures=figures)
-            self._progress.update(self._task, completed=done, total=total, figures=figures)
+            self._progress.update(self._task, description=what, completed=done, total=total, figures=figures)
         elif self._is_due() or done == total:
             self.note(f"{what} {done}/{total}  {figures}".rstrip())
 

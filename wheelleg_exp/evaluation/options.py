@@ -1,0 +1,108 @@
+"""What a protocol says: which tests, how many episodes, how long; ``configs/protocol/``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from wheelleg_exp.constraints import Count, NonNegative, Positive, Seed, Share
+
+Ground = Literal["flat", "own"]
+
+
+@dataclass(frozen=True)
+class Stand:
+    """``protocol.stand``: the command is zero.
+
+    Attributes:
+        episodes: number of episodes.
+        horizon_s: how long each is, s.
+        survival_s: the moments at which survival is told, s.
+    """
+
+    episodes: Count
+    horizon_s: Positive
+    survival_s: list[Positive]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """``protocol.walk``: every pair of a forward and a turning speed, held from the start.
+
+    Attributes:
+        episodes: number of episodes of each cell of the grid.
+        horizon_s: how long each is, s.
+        lin_vel_x: forward speeds, m/s.
+        ang_vel_z: turning speeds, rad/s.
+        steady_s: from when on the mean velocity is of a steady drive, s.
+        band: share of the command that a steady error may be.
+        std_lin_vel_x: of the skill score's exp(-e²/std²), m/s.
+        std_ang_vel_z: likewise, rad/s.
+    """
+
+    episodes: Count
+    horizon_s: Positive
+    lin_vel_x: list[float]
+    ang_vel_z: list[float]
+    steady_s: NonNegative
+    band: Share
+    std_lin_vel_x: Positive
+    std_ang_vel_z: Positive
+
+
+@dataclass(frozen=True)
+class Steps:
+    """``protocol.steps``: stand, drive, reverse, stop; on one axis at a time.
+
+    Attributes:
+        episodes: number of episodes of each cell.
+        stand_s: how long the robot stands first, s.
+        drive_s: how long each of the three commands holds, s.
+        lin_vel_x: forward speeds, m/s.
+        ang_vel_z: turning speeds, rad/s.
+        band: share of the command within which the velocity has settled.
+    """
+
+    episodes: Count
+    stand_s: Positive
+    drive_s: Positive
+    lin_vel_x: list[float]
+    ang_vel_z: list[float]
+    band: Share
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """``protocol``: fixed scenarios and how they are judged.
+
+    Attributes:
+        name: what results are called by.
+        seed: of the scenarios: of all that starts and randomisations are drawn from.
+        settle_s: seconds at the start of each episode that no metric but survival counts: the drop.
+        command: the velocity command of the task that is held.
+        fall_tilt: tilt from which on a robot has fallen, rad, whatever the task's terminations say.
+        contact_force: force from which on a wheel is on the ground, N.
+        torque_deadband: share of the effort limit that a torque must pass for its sign to count.
+        saturation: share of the effort limit from which on an actuator is at it.
+        target_height: of the base over the ground, m; null takes what the task's rewards name.
+        ground: ``flat``: a plane with the task's friction; ``own``: the task's ground.
+        resamples: of the bootstrap behind each interval.
+        stand: standing.
+        walk: the grid of commands.
+        steps: responses to steps of the command.
+    """
+
+    name: str
+    seed: Seed
+    settle_s: NonNegative
+    command: str
+    fall_tilt: Positive
+    contact_force: NonNegative
+    torque_deadband: Share
+    saturation: Share
+    target_height: Positive | None
+    ground: Ground
+    resamples: Count
+    stand: Stand | None = None
+    walk: Walk | None = None
+    steps: Steps | None = None

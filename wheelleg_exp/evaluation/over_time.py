@@ -1,0 +1,198 @@
+"""What a rollout saw, as whole tensors over time, and means of it over the steps that count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import torch
+
+from wheelleg_exp.sim.rotation import wrap_to_pi
+
+if TYPE_CHECKING:
+    from wheelleg_exp.env import ManagerBasedRLEnv
+    from wheelleg_exp.evaluation.effort_meter import EffortMeter
+    from wheelleg_exp.evaluation.robot_parts import RobotParts
+
+
+@dataclass
+class Trajectories:
+    """T control steps of N episodes; what follows an episode's end is of no meaning.
+
+    Attributes:
+        dt: the control step, s.
+        alive: whether the episode still runs after the step, (T, N) bool.
+        pos: of the root link, from the environment's origin, m, (T, N, 3).
+        height: of the root link over the ground straight below, m, (T, N).
+        roll: of the base, rad, (T, N).
+        pitch: of the base, rad, (T, N).
+        yaw: of the base, rad, in -pi to pi, (T, N).
+        vel: of the base's centre of mass in its own axes, m/s, (T, N, 3): what velocity commands are held against.
+        ang: angular velocity of the base in its own axes, rad/s, (T, N, 3).
+        command: what was asked for during the step, (T, N, 3).
+        action: what the policy gave, (T, N, A).
+        joint_pos: rad, (T, N, J).
+        joint_vel: rad/s, (T, N, J).
+        torque: of the actuators in the last physics step, N·m, (T, N, J).
+        down: whether each wheel was on the ground, (T, N, W) bool.
+        work: gross, net and positive mechanical work of the step, J, and the peak of the positive power, W, (T, N, 4).
+        saturated: share of the step at the effort limit, (T, N, J).
+        fell_at: the step in which each episode failed, from 1; 0 where it did not, (N,) long.
+        cut_at: the step in which each was cut off without failing, from 1; 0 where it was not, (N,) long.
+        ended_by: index of what ended it, (N,) long; -1 where nothing did.
+    """
+
+    dt: float
+    alive: torch.Tensor
+    pos: torch.Tensor
+    height: torch.Tensor
+    roll: torch.Tensor
+    pitch: torch.Tensor
+    yaw: torch.Tensor
+    vel: torch.Tensor
+    ang: torch.Tensor
+    command: torch.Tensor
+    action: torch.Tensor
+    joint_pos: torch.Tensor
+    joint_vel: torch.Tensor
+    torque: torch.Tensor
+    down: torch.Tensor
+    work: torch.Tensor
+    saturated: torch.Tensor
+    fell_at: torch.Tensor
+    cut_at: torch.Tensor
+    ended_by: torch.Tensor
+
+    @classmethod
+    def empty(cls, steps: int, n: int, parts: RobotParts, actions: int, env: ManagerBasedRLEnv) -> Self:
+        """Return room for T steps of N episodes, in which nobody is alive yet."""
+        joints, wheels = len(parts.joint_names), len(parts.wheels)
+
+        def room(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+            return torch.zeros(steps, n, *shape, dtype=dtype, device=env.device)
+
+        def row(value: int) -> torch.Tensor:
+            return torch.full((n,), value, dtype=torch.long, device=env.device)
+
+        return cls(
+            dt=env.step_dt,
+            alive=room(dtype=torch.bool),
+            **{name: room() for name in ("height", "roll", "pitch", "yaw")},
+            **{name: room(3) for name in ("pos", "vel", "ang", "command")},
+            **{name: room(joints) for name in ("joint_pos", "joint_vel", "torque", "saturated")},
+            action=room(actions),
+            down=room(wheels, dtype=torch.bool),
+            work=room(4),
+            fell_at=row(0),
+            cut_at=row(0),
+            ended_by=row(-1),
+        )
+
+    def take(
+        self,
+        step: int,
+        env: ManagerBasedRLEnv,
+        parts: RobotParts,
+        meter: EffortMeter,
+        command: torch.Tensor,
+        action: torch.Tensor,
+        alive: torch.Tensor,
+        force: float,
+    ) -> None:
+        """Take up one step of the environment."""
+        data = env.scene.robot.data
+        pos, gravity = data.root_pos_w, data.projected_gravity_b
+        self.alive[step], self.command[step], self.action[step] = alive, command, action
+        self.pos[step] = pos - env.scene.env_origins
+        self.height[step] = pos[:, 2] - env.scene.terrain.height_at(pos[:, :2])
+        self.roll[step] = torch.atan2(-gravity[:, 1], -gravity[:, 2])
+        self.pitch[step] = torch.asin(gravity[:, 0].clamp(-1.0, 1.0))
+        self.yaw[step] = data.heading_w
+        self.vel[step], self.ang[step] = data.root_lin_vel_b, data.root_ang_vel_b
+        self.joint_pos[step], self.joint_vel[step] = data.joint_pos, data.joint_vel
+        self.torque[step] = data.applied_torque
+        forces = env.scene[parts.contacts].data.net_forces_w[:, parts.wheel_bodies]
+        self.down[step] = torch.linalg.vector_norm(forces, dim=-1) > force
+        self.work[step] = torch.stack((meter.gross, meter.net, meter.positive, meter.peak), dim=1)
+        self.saturated[step] = meter.shares()
+
+    def end(self, step: int, failed: torch.Tensor, cut: torch.Tensor, why: torch.Tensor) -> None:
+        """Note who ended in a step; only the first end of each episode counts."""
+        running = (self.fell_at == 0) & (self.cut_at == 0)
+        self.ended_by = torch.where(running & (failed | cut), why, self.ended_by)
+        self.fell_at = torch.where(running & failed, step + 1, self.fell_at)
+        self.cut_at = torch.where(running & cut, step + 1, self.cut_at)
+
+    @property
+    def steps(self) -> int:
+        """Number of control steps, T."""
+        return len(self.alive)
+
+    @property
+    def fell(self) -> torch.Tensor:
+        """Who failed, (N,) bool."""
+        return self.fell_at > 0
+
+    def counted(self, begin_s: float, end_s: float | None = None) -> torch.Tensor:
+        """Return which steps count: those of living episodes that end after ``begin_s``, up to ``end_s``, (T, N)."""
+        moments = torch.arange(1, self.steps + 1, device=self.alive.device)
+        window = moments > round(begin_s / self.dt)
+        if end_s is not None:
+            window &= moments <= round(end_s / self.dt)
+        return self.alive & window.unsqueeze(1)
+
+    def unwrapped_yaw(self) -> torch.Tensor:
+        """Return the yaw without jumps, rad, (T, N)."""
+        turns = wrap_to_pi(self.yaw.diff(dim=0)).cumsum(dim=0)
+        return self.yaw[:1] + torch.cat((torch.zeros_like(self.yaw[:1]), turns))
+
+
+def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
+    """Return the mean of (T, N, ...) over the steps that count and over what follows, (N,); NaN without steps."""
+    flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
+    steps = counted.sum(dim=0)
+    total = torch.where(counted, flat, 0.0).sum(dim=0)
+    return torch.where(steps > 0, total / steps, torch.nan)
+
+
+def rms(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
+    """Return the root of the mean square of (T, N, ...) over the steps that count, (N,); NaN without steps."""
+    return mean(values.double().square(), counted).sqrt()
+
+
+def largest(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
+    """Return the largest of (T, N) over the steps that count, (N,); NaN without steps."""
+    found = torch.where(counted, values.double(), -torch.inf).amax(dim=0)
+    return torch.where(counted.any(dim=0), found, torch.nan)
+
+
+def total(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
+    """Return the sum of (T, N) over the steps that count, (N,); NaN without steps."""
+    found = torch.where(counted, values.double(), 0.0).sum(dim=0)
+    return torch.where(counted.any(dim=0), found, torch.nan)
+
+
+def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
+    """Return the least-squares slope of (T, N) over time, per second, (N,); NaN with fewer than two steps."""
+    time = torch.arange(len(values), dtype=torch.float64, device=values.device).unsqueeze(1) * dt
+    weight, y = counted.double(), torch.where(counted, values.double(), 0.0)
+    steps = weight.sum(dim=0).clamp(min=1)
+    centred = (time - (weight * time).sum(dim=0) / steps) * weight
+    found = (centred * y).sum(dim=0) / centred.square().sum(dim=0)
+    return torch.where(counted.sum(dim=0) >= 2, found, torch.nan)
+
+
+def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
+    """Return (T, N, ...) at the first step that counts, (N, ...); the last step's where none does."""
+    first = torch.where(counted.any(dim=0), counted.int().argmax(dim=0), len(values) - 1)
+    return values[first, torch.arange(values.shape[1], device=values.device)]
+
+
+def last_exit(outside: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
+    """Return how long after the first counted step (T, N) is last outside, s, (N,); NaN where it ends outside."""
+    begin = counted.int().argmax(dim=0)
+    steps = torch.arange(1, len(outside) + 1, device=outside.device).unsqueeze(1)
+    last = torch.where(counted & outside, steps, 0).amax(dim=0)
+    end = torch.where(counted, steps, 0).amax(dim=0)
+    after = ((last - begin) * dt).clamp(min=0.0)
+    return torch.where(counted.any(dim=0) & (last < end), after.double(), torch.nan)

@@ -1,0 +1,85 @@
+"""Fixed scenarios: which command each episode is given, when, and the digest that says that two tables are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import torch
+
+from wheelleg_exp.evaluation.options import Stand, Steps, Walk
+
+Vec3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Scenarios:
+    """One episode a row; those of a cell are asked for the same.
+
+    Attributes:
+        test: the test that they belong to.
+        horizon_s: how long every episode is, s.
+        times: when the commands begin, s, the first at 0, (K,).
+        cells: the commands of each cell, (C, K, 3): v_x, v_y in m/s, w_z in rad/s.
+        names: of the cells, (C,).
+        episodes: number of episodes of each cell.
+    """
+
+    test: str
+    horizon_s: float
+    times: tuple[float, ...]
+    cells: tuple[tuple[Vec3, ...], ...]
+    names: tuple[str, ...]
+    episodes: int
+
+    @property
+    def size(self) -> int:
+        """Number of episodes, N."""
+        return len(self.cells) * self.episodes
+
+    def cell_of(self) -> torch.Tensor:
+        """Return the cell of each episode, (N,) long: the first episodes are of the first cell."""
+        return torch.arange(len(self.cells)).repeat_interleave(self.episodes)
+
+    def commands(self) -> torch.Tensor:
+        """Return the commands of each episode, (N, K, 3)."""
+        return torch.tensor(self.cells)[self.cell_of()]
+
+    def digest(self, seed: int) -> str:
+        """Return the sha256 of the table and of the seed that its starts are drawn from."""
+        table = [self.test, self.horizon_s, self.times, self.cells, self.names, self.episodes, seed]
+        return hashlib.sha256(json.dumps(table).encode()).hexdigest()
+
+
+def combined_digest(tables: Sequence[Scenarios], seed: int) -> str:
+    """Return one sha256 of several tables, in order."""
+    return hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
+
+
+def standing(options: Stand) -> Scenarios:
+    """Return episodes whose command is zero."""
+    zero: Vec3 = (0.0, 0.0, 0.0)
+    return Scenarios("stand", float(options.horizon_s), (0.0,), ((zero,),), ("stand",), options.episodes)
+
+
+def walking(options: Walk) -> Scenarios:
+    """Return episodes over the grid of commands, forward speed by forward speed."""
+    pairs = [(float(x), float(z)) for x, z in product(options.lin_vel_x, options.ang_vel_z)]
+    cells = tuple(((x, 0.0, z),) for x, z in pairs)
+    names = tuple(f"vx={x:g} wz={z:g}" for x, z in pairs)
+    return Scenarios("walk", float(options.horizon_s), (0.0,), cells, names, options.episodes)
+
+
+def stepping(options: Steps) -> Scenarios:
+    """Return episodes that stand, are told c, then -c, then to stop, for each c of both axes."""
+    zero: Vec3 = (0.0, 0.0, 0.0)
+    forward = [(float(x), 0.0, 0.0) for x in options.lin_vel_x]
+    turning = [(0.0, 0.0, float(z)) for z in options.ang_vel_z]
+    cells = tuple((zero, c, (-c[0], 0.0, -c[2]), zero) for c in (*forward, *turning))
+    names = (*(f"vx={c[0]:g}" for c in forward), *(f"wz={c[2]:g}" for c in turning))
+    begin, drive = float(options.stand_s), float(options.drive_s)
+    times = (0.0, begin, begin + drive, begin + 2 * drive)
+    return Scenarios("steps", begin + 3 * drive, times, cells, names, options.episodes)

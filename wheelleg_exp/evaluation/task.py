@@ -1,0 +1,110 @@
+"""The environment of a task as an evaluation wants it: its robot, starts and observations, and no pushes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.evaluation.options import Ground, Protocol
+
+CONTACTS = "evaluation_contacts"
+_SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
+_DISTURBING = ("interval", "step")  # modes of events that act while an episode runs
+_MOST_CONTACTS = 8  # of one wheel: on a height field it has several
+
+
+def evaluation_cfg(
+    env_cfg: Mapping[str, Any], protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
+) -> dict[str, Any]:
+    """Return a task's ``env`` section changed for an evaluation.
+
+    Events that act during an episode, rewards, curricula and recorders are gone; commands, terminations, observations
+    with their noise, and events at startup and reset stay.
+
+    Args:
+        env_cfg: the composed ``env`` section, plain.
+        protocol: the protocol.
+        num_envs: number of episodes.
+        horizon_s: how long each is, s.
+        ground: whether the task's own ground stays.
+
+    Raises:
+        ConfigError: the task has no command of the protocol's name.
+    """
+    cfg = copy.deepcopy(dict(env_cfg))
+    commands = cfg["commands"]
+    if protocol.command not in commands:
+        raise ConfigError(
+            f"the task has no command '{protocol.command}'",
+            key="protocol.command",
+            expected="one of " + (", ".join(commands) or "(there are none)"),
+            nearest=nearest_name(protocol.command, commands),
+        )
+    cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
+    cfg["events"] = {name: node for name, node in cfg["events"].items() if _is_kept(node)}
+    cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
+    if ground == "flat":
+        cfg["scene"]["terrain"] = flat(cfg["scene"]["terrain"])
+    sensors = cfg["scene"].get("sensors") or {}
+    if contact_sensor(sensors) is None:
+        sensors = {**sensors, CONTACTS: _contacts(protocol)}
+    cfg["scene"]["sensors"] = sensors
+    return cfg
+
+
+def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
+    """Return the name of a contact sensor on every body, or None: a second one would only cost time."""
+    for name, node in sensors.items():
+        if isinstance(node, Mapping) and node.get("_target_") == _SENSOR and node.get("body_names") == [".*"]:
+            return name
+    return None
+
+
+def _is_kept(node: Any) -> bool:
+    return isinstance(node, Mapping) and node.get("mode") not in _DISTURBING
+
+
+def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a plane with the friction of another ground."""
+    friction = {name: terrain[name] for name in ("static_friction", "dynamic_friction", "restitution")}
+    return {"_target_": "wheelleg_exp.sim.terrain.Plane", **friction}
+
+
+def _contacts(protocol: Protocol) -> dict[str, Any]:
+    return {
+        "_target_": _SENSOR,
+        "body_names": [".*"],
+        "history_length": 1,
+        "track_air_time": False,
+        "force_threshold": protocol.contact_force,
+        "max_contacts": _MOST_CONTACTS,
+    }
+
+
+def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
+    """Build the environment; who has ended is left as it is, and stops counting.
+
+    Raises:
+        ConfigError: something in ``cfg`` is wrong, or the robot does not move freely.
+    """
+    env = ManagerBasedRLEnv(cfg, mjcf, seed)
+    env.autoreset = "disabled"
+    if not env.scene.robot.floating:
+        raise ConfigError(
+            "only robots whose base moves freely are evaluated", key="env.robot.base", expected="floating"
+        )
+    return env
+
+
+def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | None:
+    """Return the base height that is asked for, m: the protocol's, else what the task's rewards name, else None."""
+    if protocol.target_height is not None:
+        return float(protocol.target_height)
+    for node in env_cfg["rewards"].values():
+        if isinstance(node, Mapping) and node.get("target_height") is not None:
+            return float(node["target_height"])
+    return None

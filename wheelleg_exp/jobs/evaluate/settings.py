@@ -1,0 +1,51 @@
+"""What an evaluation reads: the env and agent that a run has kept, and a composed protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking.check import check_tree
+from wheelleg_exp.config.composing.amend import amend, placing
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.problems import raise_all
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.params import load_params, present_form
+
+
+def settings(run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> dict[str, Any]:
+    """Return ``env``, ``agent``, ``protocol`` and ``seed``, plain: the run's own but for the overrides.
+
+    Args:
+        run: the run.
+        overrides: those of ``protocol`` and ``seed`` choose and change the protocol, all others the run's parameters.
+        config_dirs: folders of the user's own protocols.
+
+    Raises:
+        WheellegError: an override, the run or the protocol is wrong.
+    """
+    mine = [text for text in overrides if _is_of_protocol(text)]
+    others = [text for text in overrides if not _is_of_protocol(text)]
+    composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
+    env, agent = load_params(run)
+    kept = {"env": present_form(env), "agent": agent}
+    tree = {**amend(kept, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
+    with composed.placing(), placing(others):
+        if errors := check_tree(tree, schema.EvaluateRoot):
+            raise_all(errors)
+        for key in ("asset", "base"):
+            if tree["env"]["robot"][key] != kept["env"]["robot"][key]:
+                raise ConfigError(
+                    "a policy is evaluated on the robot that it was trained on",
+                    key=f"env.robot.{key}",
+                    expected="the run's own value; another robot needs a new run",
+                )
+    return tree
+
+
+def _is_of_protocol(override: str) -> bool:
+    key = override.lstrip("+~").partition("=")[0]
+    return key.split(".")[0].split("@")[0] in ("protocol", "seed")
