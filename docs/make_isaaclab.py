@@ -32,7 +32,8 @@ def names() -> dict[str, Any]:
 
 def holders() -> dict[str, Any]:
     """Return what has the names here, alive."""
-    env = build_env(compose(["task=stand", "env.num_envs=1", "env.sim.nthread=1"]).config)
+    more = "+sensor@env.scene.sensors=[height_scanner,depth_camera,imu]"
+    env = build_env(compose(["task=stand", "env.num_envs=1", "env.sim.nthread=1", more]).config)
     managers = {f"{name}Manager": getattr(env, f"{name.lower()}_manager") for name in (
         "Action", "Command", "Observation", "Event", "Reward", "Termination", "Curriculum"
     )}  # fmt: skip
@@ -43,6 +44,9 @@ def holders() -> dict[str, Any]:
         "InteractiveScene": env.scene,
         **managers,
         "ContactSensorData": env.scene.sensors["contact_forces"].data,
+        "RayCasterData": env.scene.sensors["height_scanner"].data,
+        "CameraData": env.scene.sensors["depth_camera"].data,
+        "ImuData": env.scene.sensors["imu"].data,
         "mdp": mdp,
         "utils.math": math,
     }

@@ -6,6 +6,7 @@
 | `LazySensor` | nothing: the base class of those that measure when they are read |
 | `ContactSensor` | net normal contact forces on bodies, contact and air times: `ContactSensorData` |
 | `RayCaster` | where rays from a body meet the ground: `RayCasterData` |
+| `RayCasterCamera` | distances to the ground through a camera's pixels, by rays: `CameraData` |
 | `Imu` | pose, velocities and accelerations, with errors (`ImuNoise`): `ImuData` |
 | `Camera` | colours, distances and segmentation, drawn by MuJoCo: `CameraData` |
 | `GridPattern` ... | the patterns of the rays; `PatternBase` is their base class |
@@ -20,6 +21,7 @@ from wheelleg_exp.sim.sensors.imu import Imu, ImuData, ImuNoise
 from wheelleg_exp.sim.sensors.lazy import LazySensor
 from wheelleg_exp.sim.sensors.patterns import BpearlPattern, GridPattern, LidarPattern, PatternBase, PinholePattern
 from wheelleg_exp.sim.sensors.ray_caster import RayCaster, RayCasterData
+from wheelleg_exp.sim.sensors.ray_caster_camera import RayCasterCamera
 
 __all__ = [
     "BpearlPattern",
@@ -36,6 +38,7 @@ __all__ = [
     "PatternBase",
     "PinholePattern",
     "RayCaster",
+    "RayCasterCamera",
     "RayCasterData",
     "SensorBase",
 ]

@@ -38,6 +38,15 @@ class RayCasterData(Kept):
         self.quat_w = torch.zeros(num_envs, 4, device=device)
         self.ray_hits_w = torch.zeros(num_envs, rays, 3, device=device)
 
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return what has been measured."""
+        return {name: value.clone() for name, value in vars(self).items()}
+
+    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for name, value in vars(self).items():
+            value.copy_(saved[name])
+
 
 @relation(offset_fits)
 class RayCaster(LazySensor):
@@ -111,6 +120,22 @@ class RayCaster(LazySensor):
         pos = self._mount.pos_w[ids] + drift[:, :3]
         self._data.pos_w[ids] = pos
         self._data.quat_w[ids] = self._mount.quat_w[ids]
+        starts, directions, far = self._cast(ids, pos, drift)
+        far = far.unsqueeze(2)
+        hits = torch.where((far >= 0.0) & (far <= self._max_distance), starts + far * directions, torch.inf)
+        hits[..., 2] += drift[:, 5:]
+        self._data.ray_hits_w[ids] = hits
+
+    def _cast(
+        self, ids: torch.Tensor | slice, pos: torch.Tensor, drift: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return the rays' starts, m, their directions (n, R, 3), and how far they go, m, (n, R); negative is a miss.
+
+        Args:
+            ids: the environments.
+            pos: of the body, m, (n, 3).
+            drift: the errors of their episodes, m, (n, 6).
+        """
         turn = self._turn(ids)
         moved = rotation.rotate(turn, drift[:, 3:])
         moved[:, 2] = 0.0
@@ -118,10 +143,7 @@ class RayCaster(LazySensor):
         directions = self._directions.expand_as(starts)
         if self._alignment == "base":
             directions = directions @ turn.transpose(1, 2)
-        far = self._distances(ids, starts, directions).unsqueeze(2)
-        hits = torch.where((far >= 0.0) & (far <= self._max_distance), starts + far * directions, torch.inf)
-        hits[..., 2] += drift[:, 5:]
-        self._data.ray_hits_w[ids] = hits
+        return starts, directions, self._distances(ids, starts, directions)
 
     def _distances(self, ids: torch.Tensor | slice, starts: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
         """Return how far rays (n, R, 3) go to the ground, m, (n, R); negative is a miss."""
@@ -145,12 +167,12 @@ class RayCaster(LazySensor):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the drift, and what is held until the next measurement."""
-        held = {} if self.update_period == 0.0 else {name: value.clone() for name, value in vars(self._data).items()}
+        held = {} if self.update_period == 0.0 else self._data.state_dict()
         return {**super().state_dict(), "drift": self.drift.clone(), **held}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
         self.drift.copy_(saved["drift"])
-        for name, value in vars(self._data).items() if self.update_period > 0.0 else ():
-            value.copy_(saved[name])
+        if self.update_period > 0.0:
+            self._data.load_state_dict(saved)

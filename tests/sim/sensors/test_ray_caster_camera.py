@@ -1,0 +1,134 @@
+"""Depth by rays: held against the formula of a plane, the corners of a step, and what MuJoCo draws."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim import rotation
+
+pytestmark = pytest.mark.usefixtures("allow_test_terms")
+PREFIX = "wheelleg_exp.sim.sensors."
+STEP = {
+    "_target_": "managers.spies.Step",  # a box from x = 4 to 6, y = -1 to 1
+    "height": 0.25,
+    "static_friction": 0.5,
+    "dynamic_friction": 0.5,
+    "restitution": 0.0,
+}
+HALF = math.sqrt(0.5)
+OPTICS = {"width": 20, "height": 16, "focal_length": 20.0, "horizontal_aperture": 30.0, "vertical_aperture": 28.0}
+OPTICS |= {"horizontal_aperture_offset": 0.1, "vertical_aperture_offset": -0.05}
+# It looks down the body's -z, and its right is the body's -y.
+OFFSET = {"pos": [0.05, 0.0, -0.2], "rot": [0.0, HALF, -HALF, 0.0], "convention": "ros"}
+KINDS = ["distance_to_image_plane", "distance_to_camera"]
+
+
+@pytest.fixture
+def make(make_env):
+    def build(ground=None, drawn=None, **settings):
+        pattern = {"_target_": PREFIX + "PinholePattern", **OPTICS}
+        node = {"_target_": PREFIX + "RayCasterCamera", "body_name": "block", "pattern": pattern, "offset": OFFSET}
+        sensors = {"eye": {**node, "data_types": KINDS, **settings}}
+        if drawn:
+            sensors["drawn"] = {"_target_": PREFIX + "Camera", "body_name": "block", "offset": OFFSET} | OPTICS
+            sensors["drawn"]["data_types"] = KINDS
+        scene = {"sensors": sensors} | ({} if ground is None else {"terrain": ground})
+        env = make_env("block", num_envs=2, scene=scene, sim={"gravity": [0.0, 0.0, 0.0]})
+        env.reset()
+        return env
+
+    return build
+
+
+def place(env, pos, roll=0.0, pitch=0.0, yaw=0.0):
+    angles = (torch.full((2,), float(angle)) for angle in (roll, pitch, yaw))
+    env.scene.robot.write_root_pose_to_sim(torch.cat((torch.tensor(pos), rotation.quat_from_euler_xyz(*angles)), dim=1))
+    env.scene.refresh()
+    return env.scene["eye"].data
+
+
+def test_distances_to_a_plane_are_those_of_its_formula(make):
+    """The ray p + s d meets z = 0 at s = -p_z / d_z; directions by hand from the optics, in the body's axes."""
+    data = place(make(), [[0.0, 0.0, 1.0], [5.0, 2.0, 0.6]], roll=0.2, pitch=-0.3, yaw=1.0)
+    f_x, f_y = 20 * 20.0 / 30.0, 16 * 20.0 / 28.0
+    v, u = torch.meshgrid(torch.arange(16) + 0.5, torch.arange(20) + 0.5, indexing="ij")
+    right, down = (u - 10 - 0.1 * f_x) / f_x, (v - 8 + 0.05 * f_y) / f_y
+    ahead = torch.stack((-down, -right, -torch.ones_like(u)), dim=-1)
+    c, s = math.cos, math.sin
+    lowest = torch.tensor([-s(-0.3), c(-0.3) * s(0.2), c(-0.3) * c(0.2)])  # last row of Rz Ry Rx
+    for env, height in enumerate((1.0, 0.6)):
+        along = (-(height + lowest @ torch.tensor([0.05, 0.0, -0.2])) / (ahead @ lowest)).unsqueeze(-1)
+        torch.testing.assert_close(data.output["distance_to_image_plane"][env], along, atol=1e-5, rtol=1e-5)
+        ray = along * ahead.norm(dim=-1, keepdim=True)
+        torch.testing.assert_close(data.output["distance_to_camera"][env], ray, atol=1e-5, rtol=1e-5)
+    expected = torch.tensor([[f_x, 0.0, 10 + 0.1 * f_x], [0.0, f_y, 8 - 0.05 * f_y], [0.0, 0.0, 1.0]])
+    torch.testing.assert_close(data.intrinsic_matrices, expected.expand(2, 3, 3))
+
+
+@pytest.mark.pictures
+@pytest.mark.usefixtures("graphics")
+def test_it_measures_what_mujoco_draws(make):
+    """On a step; pixels whose neighbours see another surface are cut by the step's edges at slightly other places."""
+    env = make(STEP, drawn=True, max_distance=20.0)
+    by_rays = place(env, [[3.9, 0.4, 1.5], [5.8, -0.8, 0.9]], roll=0.15, pitch=-0.1, yaw=0.7)
+    drawn = env.scene["drawn"].data
+    for name in ("pos_w", "quat_w_world", "quat_w_ros", "quat_w_opengl", "intrinsic_matrices"):
+        torch.testing.assert_close(getattr(by_rays, name), getattr(drawn, name))
+    assert by_rays.image_shape == drawn.image_shape == (16, 20)
+    for kind in KINDS:
+        one, other = by_rays.output[kind], drawn.output[kind]
+        close = torch.isclose(one, other, atol=2e-3, rtol=0)
+        assert close.float().mean() > 0.98, kind
+        assert one.max() - one.min() > 0.2
+
+
+@pytest.mark.parametrize(("behavior", "beyond"), [("none", math.inf), ("zero", 0.0), ("max", 1.2)])
+def test_beyond_the_farthest_distance_is_nothing(make, behavior, beyond):
+    level = {"pos": [0.3, 0.0, 0.0], "convention": "world"}
+    env = make(offset=level, max_distance=1.2, depth_clipping_behavior=behavior)
+    data = place(env, [[0.0, 0.0, 0.5]] * 2)
+    down = (torch.arange(16) + 0.5 - 8 + 0.05 * 80 / 7) / (80 / 7)
+    along = torch.where(down > 0, 0.5 / down, math.inf)
+    seen = along <= 1.2
+    depth = data.output["distance_to_image_plane"][1, :, 3, 0]
+    torch.testing.assert_close(depth[seen], along[seen], atol=1e-5, rtol=1e-5)
+    assert seen.sum() == 4
+    assert (depth[~seen] == beyond).all()
+
+
+def test_the_robot_is_not_seen(make):
+    inside = {"pos": [0.0, 0.0, 0.0], "rot": OFFSET["rot"], "convention": "ros"}
+    data = place(make(offset=inside), [[0.0, 0.0, 1.0]] * 2)
+    torch.testing.assert_close(data.output["distance_to_image_plane"], torch.ones(2, 16, 20, 1))
+
+
+def test_with_a_period_it_holds_what_it_has_seen_and_goes_on_from_its_state(make):
+    env, other = make(update_period=0.03), make(update_period=0.03)
+    place(env, [[0.0, 0.0, 1.0]] * 2)
+    env.scene.robot.write_root_com_velocity_to_sim(torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]] * 2))
+    seen = []
+    for _ in range(3):  # two physics steps of 0.01 s each
+        env.step(torch.zeros(2, 1))
+        seen.append(env.scene["eye"].data.output["distance_to_image_plane"].clone())
+    assert not torch.equal(seen[0], seen[1])
+    other.load_state_dict(env.state_dict())
+    assert torch.equal(other.scene["eye"].data.output["distance_to_image_plane"], seen[2])
+    assert torch.equal(other.scene["eye"].data.quat_w_world, env.scene["eye"].data.quat_w_world)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"data_types": ["rgb"]}, "data_types"),
+        ({"pattern": {"_target_": PREFIX + "GridPattern", "resolution": 0.1, "size": [0.1, 0.1]}}, "PinholePattern"),
+        ({"offset": {"convention": "usd"}}, r"offset\.convention"),
+        ({"max_distance": 0.0}, "max_distance"),
+    ],
+)
+def test_what_cannot_be_is_told_with_its_key(make, settings, said):
+    with pytest.raises(ConfigError, match=said):
+        make(**settings)
