@@ -10,6 +10,8 @@ from wheelleg_exp.errors import AssetError, nearest_name
 
 # Beside a robot's MJCF, by their names in the config: the networks of its actuators, and the ground's own file.
 NETWORKS, GROUND = "networks", "ground"
+# Of other runs: the policy that teaches, and the networks that a training begins with.
+TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
 
 _PACKAGE = Path(__file__).resolve().parent
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import typing
 from dataclasses import dataclass, field
 from importlib import import_module
+from typing import Literal
 
 from wheelleg_exp.constraints import Natural, NonNegative, Seed
 from wheelleg_exp.terms.sections import Env, Section
@@ -48,6 +49,8 @@ class Root:
     agent: Section
     recording: Section
     run: Section
+    init_from: str | None = None
+    init_from_what: Literal["networks", "policy", "learning"] = "networks"
     check: Check | None = None
 
 

@@ -12,6 +12,7 @@ from wheelleg_exp.asset.cache import MODEL
 from wheelleg_exp.asset.report import Report
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_bytes, read_text, write_json, write_text
+from wheelleg_exp.paths import INITIAL, TEACHER
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.inventory import is_inside
 from wheelleg_exp.run.recorded import ROBOT, recorded_robot
@@ -82,6 +83,12 @@ def kept_sources(directory: RunDirectory) -> dict[str, str]:
         RunDirectoryError: they are not kept.
     """
     return dict(recorded_robot(directory)["sources"])
+
+
+def kept_networks(directory: RunDirectory) -> dict[str, Path]:
+    """Return the networks of other runs that a run has kept, by their paths beside its robot."""
+    named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
+    return {name: path for name, path in named.items() if path.is_file()}
 
 
 def _report(path: Path) -> Report:

@@ -62,6 +62,21 @@ class Iteration:
     env_steps: int
 
 
+@dataclass(frozen=True)
+class Initial:
+    """What a training begins with in place of networks that were drawn.
+
+    Attributes:
+        state: a checkpoint, or a part of one.
+        parts: what is loaded of it: ``actor``, ``critic``, ``optimizer``.
+        facts: whose it is, plain.
+    """
+
+    state: Mapping[str, Any]
+    parts: tuple[str, ...]
+    facts: Mapping[str, Any]
+
+
 class Trainer:
     """Trains a policy.
 
@@ -73,13 +88,19 @@ class Trainer:
         agent: the composed ``agent`` section, plain.
         seed: the run's seed.
         teacher: the checkpoint whose policy teaches, of a distillation.
+        initial: what the networks begin with; what explores and what is simulated begin anew.
 
     Raises:
-        ConfigError: rsl_rl refuses the section, or the teacher does not fit it.
+        ConfigError: rsl_rl refuses the section, or the teacher or the initial networks do not fit it.
     """
 
     def __init__(
-        self, env: RslRlVecEnv, agent: Mapping[str, Any], seed: int, teacher: Mapping[str, Any] | None = None
+        self,
+        env: RslRlVecEnv,
+        agent: Mapping[str, Any],
+        seed: int,
+        teacher: Mapping[str, Any] | None = None,
+        initial: Initial | None = None,
     ) -> None:
         self.env = env
         self.device = str(agent["device"])
@@ -90,6 +111,8 @@ class Trainer:
         self.algorithm = build_algorithm(env, agent)
         if teacher is not None:
             _load_teacher(self.algorithm, teacher)
+        if initial is not None:
+            _load_initial(self.algorithm, initial)
         self.log = EpisodeLog(env.num_envs)
         self._means = StepMeans(env.env)
 
@@ -287,6 +310,32 @@ def _load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
             "the teacher's network is not the one of this checkpoint",
             key="agent.teacher_checkpoint",
             expected="agent.teacher and agent.obs_groups.teacher as the actor and its groups that were trained",
+        ) from error
+
+
+def _load_initial(algorithm: Any, initial: Initial) -> None:
+    """Give the networks what a checkpoint's have learned; nothing is drawn, so that all else begins as without."""
+    whose = initial.facts.get("run") or initial.facts.get("checkpoint")
+    wrong = []
+    for role in (part for part in initial.parts if part in checkpoint.ROLES):
+        has = {name: list(value.shape) for name, value in initial.state[f"{role}_state_dict"].items()}
+        needs = {name: list(value.shape) for name, value in getattr(algorithm, role).state_dict().items()}
+        name = next((name for name in dict.fromkeys([*needs, *has]) if needs.get(name) != has.get(name)), None)
+        if name is not None:
+            wrong.append(f"the {role}'s {name} is {has.get(name, 'absent')} there and {needs.get(name, 'absent')} here")
+    if wrong:
+        raise ConfigError(
+            f"the networks of '{whose}' do not fit: {'; '.join(wrong)}",
+            key="init_from",
+            expected="the observations, actions and networks that it was trained with, or null",
+        )
+    try:
+        algorithm.load(dict(initial.state), dict.fromkeys(initial.parts, True), True)
+    except (RuntimeError, LookupError, ValueError, TypeError) as error:
+        raise ConfigError(
+            f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}",
+            key="init_from_what",
+            expected="networks, or the algorithm and the optimiser that it was trained with",
         ) from error
 
 

@@ -28,6 +28,8 @@ FIELDS: dict[str, tuple[str, Any]] = {
 # Keys of the fixed part; * stands for one key.
 KEYS: dict[str, str] = {
     "seed": "seed of every random stream of the run",
+    "init_from": "run (path, id, `latest`) or checkpoint whose networks the training begins with; null draws them",
+    "init_from_what": "what is taken over: networks (policy and critic), policy, or learning (the optimiser as well)",
     "task": "what is trained",
     "task.name": "name of the task; its run directories stand below <run.root>/<name>",
     "check": "findings of the check that are known and accepted",

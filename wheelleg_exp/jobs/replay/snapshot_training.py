@@ -198,14 +198,14 @@ def _converted_again(
     """Return the conversion, or None and why there is none."""
     from wheelleg_exp.asset.beside import find_beside
     from wheelleg_exp.asset.cache import convert_cached, source_digest
-    from wheelleg_exp.jobs.kept_robot import kept_sources
+    from wheelleg_exp.jobs.kept_robot import kept_networks, kept_sources
     from wheelleg_exp.paths import find_asset
 
     folders = [Path(folder) for folder in request.config_dirs]
     robot, roots = env["robot"], [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
     try:
         source = find_asset(_moved(str(robot["asset"]), request.moved), roots, key="env.robot.asset")
-        beside = find_beside(env, roots)
+        beside = find_beside(env, roots) | kept_networks(run)
         if source_digest(source, beside=beside) != kept_sources(run):
             return None, f"'{source.name}' or a file that it uses is not the recorded one"
         return convert_cached(source, base=robot["base"], cache_dir=cache, beside=beside), None

@@ -28,6 +28,8 @@ from wheelleg_exp.verify.settings import decides
 _FIXED: dict[Keys, str] = {
     ("seed",): "the random streams go on where they stood",
     ("task",): "the run is a run of its task",
+    ("init_from",): "the run has begun from where it has begun",
+    ("init_from_what",): "the run has begun from where it has begun",
     ("run",): "the run directory stands where it stands",
     ("env", "num_envs"): "the saved state has a row for each environment",
     ("env", "decimation"): "it is the clock of all that is saved",
@@ -45,6 +47,7 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
+_LATER = ("init_from", "init_from_what")  # keys that the configs of earlier runs lack
 # Of an observation term or group, what may change without changing the width or the meaning of the vector.
 _OBSERVATION_MAY = ("noise", "clip", "scale", "enable_corruption")
 
@@ -66,7 +69,8 @@ def kept_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> 
             raise RunDirectoryError(
                 f"its '{key}' is missing or wrong", key=str(run.path / CONFIG), expected="the config of the run"
             )
-    return {**tree, "env": present_form(env), "agent": agent}
+    earlier = {key: value for key, value in tree.items() if value is not None or key not in _LATER}
+    return {**earlier, "env": present_form(env), "agent": agent}
 
 
 def changed(kept: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:

@@ -8,12 +8,11 @@ from typing import Any
 
 from wheelleg_exp.asset import CachedConversion
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.paths import NETWORKS
+from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.directory import RunDirectory
 
 _KEY = "agent.teacher_checkpoint"
-_NAME = f"{NETWORKS}/teacher.pt"  # beside the MJCF
 
 
 def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
@@ -33,10 +32,10 @@ def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
     except RunDirectoryError as error:
         message = error.message if error.key is None else f"'{error.key}' {error.message}"
         raise ConfigError(message, key=_KEY, expected=error.expected, nearest=error.nearest) from error
-    return {_NAME: path}
+    return {TEACHER: path}
 
 
 def kept_teacher(asset: CachedConversion) -> dict[str, Any] | None:
     """Return the teacher's checkpoint that lies beside a robot; None where none does."""
-    path = asset.output.parent / _NAME
+    path = asset.output.parent / TEACHER
     return checkpoint.load(path) if path.is_file() else None

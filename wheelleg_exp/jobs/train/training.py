@@ -24,6 +24,7 @@ from wheelleg_exp.jobs.resume.recomputed import Proof
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.jobs.train.films import require_graphics
+from wheelleg_exp.jobs.train.initial import initial_file, kept_initial
 from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
 from wheelleg_exp.jobs.train.teacher import find_teacher, kept_teacher
@@ -94,11 +95,14 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
     """
     with composed.placing():
         require_recorded(composed.config)
+        with initial_file(composed.config, display.note) as initial:
+            networks = find_teacher(composed.config) | initial
+            asset = prepare_asset(composed.config, composed.asset_roots, networks)
         recipe = Recipe(
             config=composed.config,
             hydra_files=composed.hydra_files(),
             source_roots=source_roots(composed),
-            asset=prepare_asset(composed.config, composed.asset_roots, find_teacher(composed.config)),
+            asset=asset,
             config_dirs=composed.config_dirs,
         )
         trust([*recipe.config_dirs, *recipe.source_roots])
@@ -132,6 +136,8 @@ def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
             max_patch_mb=run.get("max_patch_mb"),
         )
         manifest.record(config_dirs=[str(folder) for folder in recipe.config_dirs])
+        if (initial := kept_initial(config, recipe.asset)) is not None:
+            manifest.record(init_from=dict(initial.facts))
         sync_folder(directory.path)
     except BaseException:
         if not (directory.path / MANIFEST_NAME).exists():  # nobody could tell what it is
@@ -152,7 +158,8 @@ def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
     samples = env.num_envs * int(agent["num_steps_per_env"])
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
     teacher = kept_teacher(recipe.asset) if "teacher" in agent else None
-    return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"], teacher), threads
+    initial = kept_initial(config, recipe.asset)
+    return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"], teacher, initial), threads
 
 
 @while_running()

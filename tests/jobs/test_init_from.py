@@ -1,0 +1,173 @@
+"""A training that begins with another run's networks: what it takes over, what it refuses, what it keeps."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+from jobs.small import TINY, Trained, cache_of, copied, wheelleg
+from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.run.directory import RunDirectory
+
+pytestmark = pytest.mark.train
+
+WORDS = ["task=stand", *TINY, "agent.save_interval=1", "recording.enabled=false", "agent.logger=null"]
+FROZEN = "agent.algorithm.learning_rate=1e-300"  # no float32 changes by so little: what training began with
+
+
+def train(root: Path, source: object, *words: str) -> RunDirectory:
+    said = wheelleg("train", *WORDS, f"init_from={source}", f"run.root={root}", *words)
+    assert said.status == 0, said.err
+    return RunDirectory.open(max((root / "stand").iterdir()), root)
+
+
+@pytest.fixture(scope="module")
+def begun(trained: Trained, tmp_path_factory) -> RunDirectory:
+    """Four iterations that begin with the shared run's networks; that run is removed afterwards."""
+    root = tmp_path_factory.mktemp("begun")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        source = copied(trained, root / "sources")
+        run = train(root / "runs", source.path, "agent.max_iterations=4")
+        shutil.rmtree(source.path)
+    return run
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def networks(path: Path, *roles: str) -> dict[str, torch.Tensor]:
+    state = checkpoint.load(path)
+    return {f"{role}.{name}": value for role in roles for name, value in state[f"{role}_state_dict"].items()}
+
+
+def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
+
+
+def test_the_first_rollout_is_made_with_the_other_run_s_networks_to_the_bit(trained: Trained, tmp_path):
+    run = train(
+        tmp_path, trained.run.path, "agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed", "seed=5"
+    )
+    last = trained.run.latest_checkpoint()
+    assert same(networks(run.checkpoint(0), "actor", "critic"), networks(last, "actor", "critic"))
+
+
+def test_the_policy_alone_leaves_the_critic_as_it_is_drawn(trained: Trained, tmp_path):
+    frozen = ("agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed")
+    run = train(tmp_path, trained.run.path, *frozen, "init_from_what=policy")
+    drawn = train(tmp_path, "null", *frozen)
+    last = trained.run.latest_checkpoint()
+    assert same(networks(run.checkpoint(0), "actor"), networks(last, "actor"))
+    assert same(networks(run.checkpoint(0), "critic"), networks(drawn.checkpoint(0), "critic"))
+
+
+def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(trained: Trained, tmp_path):
+    steps = {}
+    for what in ("networks", "learning"):
+        run = train(tmp_path, trained.run.path, "agent.max_iterations=1", f"init_from_what={what}")
+        state = checkpoint.load(run.checkpoint(0))
+        steps[what] = float(state["optimizer_state_dict"]["state"][0]["step"])
+        assert state["iter"] == 0
+    before = float(checkpoint.load(trained.run.latest_checkpoint())["optimizer_state_dict"]["state"][0]["step"])
+    assert steps == {"networks": before / 3, "learning": before + before / 3}  # three iterations have been trained
+
+
+def test_a_checkpoint_can_be_named_itself(trained: Trained, tmp_path):
+    run = train(tmp_path, trained.run.checkpoint(0), "agent.max_iterations=1")
+    assert run.manifest().data["init_from"]["checkpoint"] == "model_0.pt"
+
+
+def test_the_manifest_says_whose_networks_they_were(begun: RunDirectory, trained: Trained):
+    facts = begun.manifest().data["init_from"]
+    last = trained.run.latest_checkpoint()
+    assert (facts["run"], facts["task"], facts["checkpoint"]) == (trained.run.id, "stand", last.name)
+    assert facts["sha256"] == digest(last)
+    kept = begun.asset / facts["kept"]
+    assert facts["kept_sha256"] == digest(kept)
+    assert json.loads((begun.asset / "asset.json").read_text())["sources"][facts["kept"]] == digest(kept)
+
+
+def test_a_replay_needs_nothing_of_the_other_run(begun: RunDirectory, tmp_path):
+    said = wheelleg("replay", begun.path, "--root", tmp_path / "runs")
+    assert said.status == 0, said.err
+    assert "identical" in said.out
+    assert "kept MJCF" not in said.err  # the robot is converted again
+
+
+def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory, tmp_path):
+    path = tmp_path / "runs" / "stand" / begun.id
+    shutil.copytree(begun.path, path)
+    (path / "asset" / "networks" / "init_from.pt").unlink()
+    said = wheelleg("replay", path, "--root", tmp_path / "runs")
+    assert said.status == 2
+    assert "asset/networks/init_from.pt is missing" in said.err
+    said = wheelleg("verify", path)
+    assert said.status == 1
+    assert "init_from.pt" in said.out
+
+
+def test_it_goes_on_to_the_bit(begun: RunDirectory, trained: Trained, tmp_path, monkeypatch):
+    monkeypatch.setattr(circumstances, "_source", lambda *_: [])
+    run = train(tmp_path, trained.run.path, "agent.max_iterations=2")
+    said = wheelleg("resume", run.path, "agent.max_iterations=4")
+    assert said.status == 0, said.err
+    assert "not exact" not in said.out + said.err
+    assert digest(run.checkpoint(3)) == digest(begun.checkpoint(3))
+    said = wheelleg("resume", run.path, "init_from=latest", "agent.max_iterations=5")
+    assert said.status == 2
+    assert "the run has begun from where it has begun" in said.err
+
+
+LEGS = '{_target_: wheelleg_exp.managers.SceneEntityCfg, name: robot, joint_names: [".*0[12]$"]}'
+TERMS = "observation@env.observations.policy.terms"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["init_from=nobody"], ["init_from: there is no run 'nobody'"]),
+        ([f"+{TERMS}=[base_height]"], ["env.observations.policy.terms.base_height: is new"]),
+        (
+            [f"{TERMS}=[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel]"],
+            ["env.observations.policy.terms.last_action: is missing"],
+        ),
+        (["env.observations.policy.history_length=3"], ["env.observations.policy.history_length", "has 5 and this 3"]),
+        (["agent.actor.activation=relu"], ["agent.actor.activation", "has elu and this relu"]),
+        (
+            [f"+env.observations.policy.terms.joint_pos_rel.asset_cfg={LEGS}"],
+            ["[16, 135] there and [16, 125] here", "note: env.observations.policy.terms.joint_pos_rel.asset_cfg was"],
+        ),
+        (["action@env.actions=[wheel_vel,leg_pos]"], ["env.actions:", "in the order leg_pos, wheel_vel"]),
+    ],
+)
+def test_what_does_not_fit_is_named(trained: Trained, tmp_path, words, said):
+    found = wheelleg("train", *WORDS, f"init_from={trained.run.path}", f"run.root={tmp_path}", *words)
+    assert found.status == 2
+    for text in said:
+        assert text in found.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_keeps_its_place_and_means_something_else_is_told(trained: Trained, tmp_path):
+    scaled = "++env.observations.policy.terms.base_ang_vel.scale=0.5"
+    words = (f"init_from={trained.run.path}", f"run.root={tmp_path}", "agent.max_iterations=1", scaled)
+    found = wheelleg("train", *WORDS, *words)
+    assert found.status == 0
+    assert "note: env.observations.policy.terms.base_ang_vel.scale was 0.25 and is 0.5" in found.err
+
+
+def test_a_checkpoint_that_somebody_has_changed_is_refused(trained: Trained, tmp_path):
+    source = copied(trained, tmp_path / "sources")
+    path = source.latest_checkpoint()
+    path.write_bytes(path.read_bytes()[:-1] + b"x")
+    found = wheelleg("train", *WORDS, f"init_from={source.path}", f"run.root={tmp_path / 'runs'}")
+    assert found.status == 2
+    assert "init_from" in found.err
