@@ -103,6 +103,10 @@ class JointAction(JointTerm):
         torch.addcmul(self._offset, actions, self._scale, out=self.processed_actions)
         self._clip()
 
+    def raw_for(self, processed: torch.Tensor) -> torch.Tensor:
+        """Return the raw actions (N, action_dim) that become these processed ones, before any clip."""
+        return (processed - self._offset) / self._scale
+
 
 class _DefaultOffsetAction(JointAction):
     """A joint action whose offset may be the joints' default, and whose targets stay until the next action."""

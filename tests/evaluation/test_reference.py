@@ -1,0 +1,153 @@
+"""The reference controller against what an independent simulation of the same robot measured, and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.evaluation.reference import Pendulum, Reference, pendulum_of
+
+SECONDS, STEP_AT, KICK_AT = 9.0, 3.0, 4.0
+COMMANDS = (0.0, 0.1, 0.3, 0.8, 0.3, 0.0, 0.0, 0.0)  # m/s, from STEP_AT on
+TURNS = (0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.0, 0.0)  # rad/s
+KICKS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.28, 0.36)  # m/s, forwards, at KICK_AT
+
+
+def stock_env(*overrides: str, num_envs: int = 1) -> ManagerBasedRLEnv:
+    config = compose(["task=stand", f"env.num_envs={num_envs}", "env.sim.nthread=1", *overrides]).config
+    env = ManagerBasedRLEnv({**config["env"], "events": {}, "episode_length_s": 60.0}, prepare_asset(config).output, 0)
+    env.autoreset = "disabled"
+    return env
+
+
+@pytest.fixture(scope="module")
+def rolled():
+    """Eight robots: standing, driving, turning, kicked; columns of time, (T, 8)."""
+    env = stock_env(num_envs=len(COMMANDS))
+    policy, data = Reference(env), env.scene.robot.data
+    env.reset(0)
+    held = env.command_manager.get_term("base_velocity").command
+    columns = {name: [] for name in ("z", "pitch", "vx", "wz", "tilt", "x", "axle")}
+    for step in range(round(SECONDS / env.step_dt)):
+        if step == round(KICK_AT / env.step_dt):
+            env.scene.sim.view("qvel")[:, 0] += torch.tensor(KICKS, dtype=env.scene.sim.dtype)
+            data.invalidate()
+        env.step(policy())
+        if step + 1 >= round(STEP_AT / env.step_dt):  # the task draws zeros now and then
+            held[:, 0], held[:, 2] = torch.tensor(COMMANDS), torch.tensor(TURNS)
+        gravity = data.projected_gravity_b
+        columns["z"].append(data.root_pos_w[:, 2])
+        columns["x"].append(data.root_pos_w[:, 0])
+        columns["pitch"].append(torch.atan2(gravity[:, 0], -gravity[:, 2]))
+        columns["tilt"].append(torch.acos((-gravity[:, 2]).clamp(-1, 1)))
+        columns["vx"].append(data.root_lin_vel_b[:, 0])
+        columns["axle"].append(0.02 * (data.joint_vel[:, 4:].mean(dim=1) + data.root_ang_vel_b[:, 1]))  # rolling
+        columns["wz"].append(data.root_ang_vel_b[:, 2])
+    return {name: torch.stack(rows).double() for name, rows in columns.items()} | {"dt": env.step_dt}
+
+
+def after(rolled, seconds: float) -> int:
+    return round(seconds / rolled["dt"])
+
+
+def rms(values: torch.Tensor) -> float:
+    return float(values.square().mean().sqrt())
+
+
+def test_the_model_is_the_robot_that_was_authored():
+    """Masses, lengths and inertias as its description says; the pole as it was measured in a simulation."""
+    pendulum, _ = pendulum_of(stock_env())
+    assert pendulum.mass == pytest.approx(0.38)
+    assert pendulum.height == pytest.approx(0.0441, abs=1e-4)
+    assert pendulum.inertia == pytest.approx(1.03e-3, rel=0.01)
+    assert pendulum.rolling == pytest.approx(0.12 + 2 * 1.2e-5 / 0.02**2, rel=1e-3)
+    assert pendulum.track == pytest.approx(0.112)
+    assert pendulum.pole == pytest.approx(9.25, abs=0.01)
+    assert abs(pendulum.lean) < 1e-3
+
+
+def test_the_gains_are_those_that_were_published_for_it():
+    policy = Reference(stock_env())
+    assert policy.gains == pytest.approx([-339.1, -1105.2, -324.1, -112.2], rel=1e-3)
+    assert policy.bandwidth == pytest.approx(20.0)  # 1 N·m·s/rad on 0.05 kg·m²
+
+
+def test_light_armatures_are_followed_within_a_control_step():
+    policy = Reference(stock_env("robot=physical"))
+    assert policy.bandwidth == pytest.approx(60.0)
+    assert policy.gains == pytest.approx(Reference(stock_env()).gains, rel=1e-6)  # the armature drops out
+
+
+def test_the_linear_model_is_the_falling_of_an_inverted_pendulum_on_weightless_wheels():
+    """Without wheels' mass and radius the body turns about a fixed point: a pole of √(m g h / I)."""
+    pendulum = Pendulum(1.0, 0.5, 0.0, 0.25, 0.0, 1e-9, 0.1, 9.81)
+    assert pendulum.pole == pytest.approx(math.sqrt(9.81 / 0.5), rel=1e-6)
+    a, b = Pendulum(0.38, 0.0441, 0.0, 1.03e-3, 0.18, 0.02, 0.112, 9.81).linear()
+    assert max(np.linalg.eigvals(a).real) == pytest.approx(9.25, abs=0.02)
+    assert b[2, 0] > 0 > b[3, 0]  # wheels that speed up push the axle forward and the body back
+
+
+def test_it_stands_as_still_as_was_measured(rolled):
+    begin = after(rolled, 5.0)
+    height, pitch = rolled["z"][begin:, 0], rolled["pitch"][begin:, 0]
+    assert rms(height - 0.07) < 1.1e-3
+    assert float(pitch.mean()) == pytest.approx(math.radians(0.77), abs=math.radians(0.03))
+    assert float(pitch.std()) < 1e-4
+    settled = rolled["x"][begin:, 0]
+    assert float(settled.max() - settled.min()) < 1e-4
+
+
+@pytest.mark.parametrize(("env_id", "most"), [(1, 0.0022), (2, 0.0065)])
+def test_it_tracks_as_was_measured(rolled, env_id, most):
+    begin = after(rolled, STEP_AT + 3.0)
+    assert rms(rolled["vx"][begin:, env_id] - COMMANDS[env_id]) < most
+
+
+def test_a_step_of_the_command_first_moves_it_the_other_way_and_overshoots(rolled):
+    begin, dt = after(rolled, STEP_AT), rolled["dt"]
+    speed = rolled["axle"][begin:, 2]
+    assert -0.08 < float(speed.min()) < -0.02
+    assert float(speed.max()) == pytest.approx(0.39, abs=0.02)
+    outside = ((speed - 0.3).abs() > 0.03).nonzero().max()
+    assert float(outside) * dt == pytest.approx(2.0, abs=0.5)
+
+
+def test_too_large_a_step_throws_it(rolled):
+    assert bool((rolled["tilt"][:, 3] > 1.0).any())
+    assert not (rolled["tilt"][:, [0, 1, 2, 4, 5]] > 1.0).any()
+
+
+def test_a_kick_below_the_limit_is_survived_and_one_beyond_is_not(rolled):
+    assert not bool((rolled["tilt"][:, 6] > 1.0).any())
+    assert bool((rolled["tilt"][:, 7] > 1.0).any())
+
+
+def test_it_turns_at_the_speed_that_is_asked_for_while_it_drives_and_on_the_spot(rolled):
+    begin = after(rolled, STEP_AT + 3.0)
+    assert rms(rolled["wz"][begin:, 4] - 0.5) < 0.02
+    assert rms(rolled["wz"][begin:, 5] - 0.5) < 0.02
+    assert rms(rolled["vx"][begin:, 4] - 0.3) < 0.01
+
+
+def test_actions_become_the_targets_that_it_wants_whatever_their_scale_is():
+    scaled = "env.actions.wheel_vel.scale=2.5"
+    policies = [Reference(stock_env()), Reference(stock_env(scaled))]
+    wheels = [policy()[:, 4:] for policy in policies]
+    assert torch.allclose(wheels[0] * 5.0, wheels[1] * 2.5)
+    assert not policies[0]()[:, :4].any()  # the legs hold their defaults
+
+
+def test_actions_without_wheel_speeds_are_refused():
+    env = stock_env("action@env.actions=[leg_pos]")
+    with pytest.raises(ConfigError, match="sets wheel speeds"):
+        Reference(env)
+
+
+def test_a_robot_that_does_not_balance_is_refused(make_env):
+    with pytest.raises(ConfigError, match="one axle"):
+        pendulum_of(make_env("arm"))

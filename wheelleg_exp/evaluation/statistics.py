@@ -1,0 +1,146 @@
+"""Is it better, or was it luck: intervals over training seeds, and tests of paired episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+Array = np.ndarray[Any, Any]
+
+LEVEL = 0.95  # of every interval
+ALPHA = 0.05  # below it a difference counts as one
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value and where it may lie.
+
+    Attributes:
+        value: the statistic.
+        low: lower end of the 95 % interval.
+        high: upper end.
+        floor: the noise floor: a difference between two such values that chance alone exceeds once in 20 times.
+    """
+
+    value: float
+    low: float
+    high: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class PairedTest:
+    """Whether two columns of paired episodes differ.
+
+    Attributes:
+        test: ``McNemar`` or ``Wilcoxon``.
+        p: two-sided probability of a difference at least this large by chance.
+        pairs: how many pairs there are.
+        untied: how many of them differ.
+        difference: of shares (McNemar), or the median of the pairs' differences (Wilcoxon): the second minus the first.
+    """
+
+    test: str
+    p: float
+    pairs: int
+    untied: int
+    difference: float
+
+
+def interquartile_mean(values: Array) -> float:
+    """Return the mean of the middle half: a quarter is left out at either end, rounded down; NaN of nothing.
+
+    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice (2021). With fewer than four
+    values nothing is left out.
+    """
+    return float(stats.trim_mean(values, 0.25)) if len(values) else float("nan")
+
+
+def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
+    """Return the mean over training seeds with its percentile bootstrap interval, clustered by seed.
+
+    Of the episodes of one seed no two are independent draws of the method that was trained, so whole seeds are drawn
+    with replacement, and within each its episodes: Davison and Hinkley, Bootstrap Methods (1997), 3.8. With one seed
+    this is the interval over its episodes, and says nothing of another training.
+
+    Args:
+        values: the metric of each seed, (S,).
+        drawn: of each seed, the metric of its episodes drawn with replacement again and again, (B,) each.
+        generator: of the draws.
+    """
+    held = [np.asarray(column, dtype=np.float64)[np.isfinite(column)] for column in drawn]
+    held = [column for column in held if len(column)]
+    finite = [value for value in values if np.isfinite(value)]
+    if not held or not finite:
+        return Interval(float("nan"), float("nan"), float("nan"), float("nan"))
+    resamples, seeds = max(map(len, held)), len(held)
+    lengths = np.array([len(column) for column in held])
+    padded = np.stack([np.resize(column, resamples) for column in held])
+    chosen = generator.integers(seeds, size=(resamples, seeds))
+    places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
+    means = padded[chosen, places].mean(axis=1)
+    low, high = percentiles(means)
+    return Interval(float(np.mean(finite)), low, high, noise_floor(means, generator))
+
+
+def percentiles(drawn: Array) -> tuple[float, float]:
+    """Return the ends of the 95 % percentile interval of a bootstrap's values, (B,)."""
+    tail = 100 * (1 - LEVEL) / 2
+    low, high = np.percentile(drawn, (tail, 100 - tail))
+    return float(low), float(high)
+
+
+def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
+    """Return the 95 % quantile of the difference between two independent draws of a bootstrap, (B,).
+
+    Of two evaluations of one and the same method with as many seeds and episodes, one time in twenty the values lie
+    further apart: 1.96 √2 standard errors where the values are normal.
+    """
+    first, second = generator.choice(drawn, (2, len(drawn)))
+    return float(np.quantile(np.abs(first - second), LEVEL))
+
+
+def mcnemar(first: Array, second: Array) -> PairedTest:
+    """Return the exact McNemar test of paired outcomes, of two policies on the same scenarios.
+
+    Only scenarios in which one succeeded and the other did not tell them apart; under chance each is as likely:
+    the two-sided binomial test of Dwass (1955), McNemar (1947).
+
+    Args:
+        first: outcomes, 1 or 0, (E,).
+        second: outcomes of the same scenarios, (E,).
+    """
+    won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
+    p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
+    return PairedTest("McNemar", p, len(first), won + lost, (won - lost) / max(1, len(first)))
+
+
+def wilcoxon(first: Array, second: Array) -> PairedTest:
+    """Return the Wilcoxon signed-rank test of paired errors; pairs that are equal count for neither.
+
+    Args:
+        first: errors, (E,), finite.
+        second: errors of the same scenarios, (E,), finite.
+    """
+    difference = np.asarray(second, dtype=np.float64) - first
+    untied = int(np.count_nonzero(difference))
+    p = float(stats.wilcoxon(difference, zero_method="wilcox").pvalue) if untied else 1.0
+    return PairedTest("Wilcoxon", p, len(difference), untied, float(np.median(difference)) if len(difference) else 0.0)
+
+
+def holm(tests: Mapping[str, float]) -> dict[str, float]:
+    """Return the p values corrected for how many tests there are (Holm, 1979), by the same names.
+
+    Args:
+        tests: p by name.
+    """
+    ordered = sorted(tests, key=lambda name: tests[name])
+    corrected, least = {}, 0.0
+    for rank, name in enumerate(ordered):
+        least = max(least, min(1.0, (len(ordered) - rank) * tests[name]))
+        corrected[name] = least
+    return {name: corrected[name] for name in tests}
