@@ -162,6 +162,7 @@ def _figures() -> str:
     parts.append("## Plays and agents\n")
     parts.append("`wheelleg play`, `zero-agent`, `random-agent`; `figures.json`; the manifest's additions; the report.")
     parts += [f"{rollout.ABOUT}\n", *_definitions(rollout.FIGURES)]
+    parts += [f"{rollout.MOTION_ABOUT}\n", *_definitions(rollout.MOTION)]
     parts += [f"{rollout.CONTACTS_ABOUT}\n", *_definitions(rollout.CONTACTS)]
     parts.append("## Scalars of a training\n")
     parts.append(

@@ -9,6 +9,7 @@ import pytest
 from wheelleg_exp.cli.printing.figures import print_contacts, print_figures
 from wheelleg_exp.definitions.rollout import CONTACTS, FIGURES
 from wheelleg_exp.jobs.figures import ContactFigures, StandFigures
+from wheelleg_exp.jobs.motion_figures import MotionFigures
 
 PLAYED = StandFigures(
     episodes=8,
@@ -28,8 +29,8 @@ PLAYED = StandFigures(
 
 @pytest.fixture
 def printed(capsys):
-    def table(figures: StandFigures) -> dict[str, str]:
-        print_figures(figures)
+    def table(figures: StandFigures, motion: MotionFigures | None = None) -> dict[str, str]:
+        print_figures(figures, motion)
         lines = capsys.readouterr().out.splitlines()
         at = lines[0].index("value")
         return {line[:at].strip(): " ".join(line[at:].split()) for line in lines[1:]}
@@ -45,6 +46,18 @@ def test_each_figure_says_what_it_is_of(printed):
     assert found["base height, RMSE to target, after 1 s"] == "2.10 mm 1440 steps of 6 episodes"
     assert found["pitch, mean, after 1 s"] == "0.90 deg 1440 steps of 6 episodes"
     assert found["return, mean"] == "24.60 7 ended episodes"
+
+
+def test_motion_is_told_with_its_unit_and_group_by_group(printed):
+    motion = MotionFigures(0.0123, 1.5, 0.75, 0.25, {"wheels": 0.01}, {"wheels": 0.0004}, {"wheels": 2.0})
+    found = printed(PLAYED, motion)
+    assert found["strayed from its place, after 1 s"] == "12.3 mm 6 episodes"
+    assert found["actions change, after 1 s"] == "0.75 /s 1440 steps of 6 episodes"
+    assert found["torque, RMS, after 1 s (wheels)"] == "0.0100 N·m 1440 steps of 6 episodes"
+    assert found["at the effort limit, after 1 s (wheels)"].startswith("0.1%")
+    assert found["torque changes its sign, after 1 s (wheels)"].startswith("2.0 /s")
+    none = MotionFigures(None, None, None, None, {}, {}, {})
+    assert printed(PLAYED, none)["power, net of armature, after 1 s"].startswith("- ")
 
 
 def test_what_leaves_out_another_time_has_another_label(printed):

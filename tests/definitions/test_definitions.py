@@ -23,7 +23,12 @@ MADE = {
     "rewards": RewardShare,
     "training": Trend,
 }
-TABLES = {**recorded.TABLES, "play": rollout.FIGURES, "contacts": rollout.CONTACTS, "scalars": training.SCALARS}
+TABLES = {
+    **recorded.TABLES,
+    "play": {**rollout.FIGURES, **rollout.MOTION},
+    "contacts": rollout.CONTACTS,
+    "scalars": training.SCALARS,
+}
 
 
 @pytest.mark.parametrize("table", MADE)

@@ -21,6 +21,21 @@ def test_a_played_policy_is_judged_by_its_play(page, root):
     assert "Iterations 3 in 2 min 30 s" in text
 
 
+def test_a_play_tells_where_it_strayed_and_what_its_motors_bore(page, root):
+    """The motors of the group with the largest torque stand at the top; all groups in the table."""
+    run = make_run(root)
+    groups = {"torque_rms_nm": {"legs": 0.1, "wheels": 5.8}, "at_limit": {"legs": 0.0, "wheels": 0.25}}
+    signs = {"sign_changes_per_s": {"legs": 0.0, "wheels": 10.0}}
+    add_play(run, drift_m=0.0123, yaw_drift_deg=1.5, action_rate_per_s=75.0, power_net_w=0.5, **groups, **signs)
+    found = page(run)
+    assert "Drift 12 mm largest after 1 s, mean of its episodes; turned by 1.5°" in found.text
+    assert "Torque 5.8 N·m RMS of the wheels after 1 s; 25 % at the limit; changes its sign 10 times a s" in found.text
+    assert "Power 0.50 W" in found.text
+    standing = found.section("standing")
+    assert "Torque, RMS, after 1 s (legs) 0.100 N·m 1 500 steps of 7 episodes" in standing
+    assert "Strayed from its place, after 1 s 12.3 mm 7 episodes" in standing
+
+
 def test_a_policy_that_always_falls_is_said_to_fall(page, root):
     run = make_run(root)
     add_play(run, survival=0.0, ended_by={"base_contact": 8})

@@ -38,10 +38,11 @@ def run(args: argparse.Namespace) -> int:
     with ConsoleDisplay(quiet=True) as display:
         played = play(directory, checkpoint, args.overrides, args.command, display)
     if args.json:
-        print_json({"run": str(directory.path), "folder": str(played.folder), "figures": played.figures.as_dict()})
+        figures = {**played.figures.as_dict(), **played.motion.as_dict()}
+        print_json({"run": str(directory.path), "folder": str(played.folder), "figures": figures})
     else:
         print(f"played {shown(played.checkpoint)} without exploration noise")
-        print_figures(played.figures)
+        print_figures(played.figures, played.motion)
         print(f"\nrun directory: {shown(directory.path)}")
         print_recording(played.recording)
     played.failures.require_few("in this play")

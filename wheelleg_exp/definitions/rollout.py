@@ -54,6 +54,39 @@ FIGURES = {
     ),
 }
 
+MOTION_ABOUT = (
+    "How it moved and what its motors bore (`wheelleg play`): over the same control steps as height and pitch. Where a "
+    "figure has one value for each actuator group, its label names the group."
+)
+# By the keys of figures.json; the last three have one value for each actuator group.
+MOTION = {
+    "drift_m": Definition(
+        "strayed from its place",
+        "m",
+        "Largest distance in the plane from where the base was once settled, mean over the episodes that settled.",
+    ),
+    "yaw_drift_deg": Definition(
+        "turned from its heading", "°", "Largest turn from the heading that the base had once settled, likewise."
+    ),
+    "action_rate_per_s": Definition(
+        "actions change", "1/s", "Mean size of an action component's change from step to step, per second."
+    ),
+    "power_net_w": Definition(
+        "power, net of armature",
+        "W",
+        "Mean of the joints' mechanical power, sizes summed: (τ − I q̈) q̇ with the armature I, whose swinging takes no "
+        "energy in the end, over every physics step.",
+    ),
+    "torque_rms_nm": Definition("torque, RMS", "N·m", "Root mean square over joints and steps."),
+    "at_limit": Definition("at the effort limit", SHARE, "Of the physics steps: those at 99 % of the limit or more."),
+    "sign_changes_per_s": Definition(
+        "torque changes its sign",
+        "1/s",
+        "How often a joint's torque passes from beyond a thousandth of its limit on one side to beyond it on the "
+        "other.",
+    ),
+}
+
 CONTACTS_ABOUT = (
     "What each link of an agent's robot carries (`contacts`): over the control steps of all episodes and environments"
     " from 0.2 s after a reset on in which the robot is tilted by less than 0.2 rad."
@@ -71,6 +104,8 @@ CONTACTS = {
 
 def label(key: str, settle_s: float | None) -> str:
     """Return the label of a figure with the part of an episode that it is of; ``settle_s`` is None where not known."""
+    if key in MOTION:
+        return f"{MOTION[key].label}, {window(settle_s)}"
     text = FIGURES[key].label
     return f"{text}, {window(settle_s)}" if key.startswith(("height_", "pitch_")) else text
 

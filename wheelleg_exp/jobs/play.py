@@ -26,6 +26,7 @@ from wheelleg_exp.jobs.documents import command_document, config_document, json_
 from wheelleg_exp.jobs.episode_recording import EpisodeRecording
 from wheelleg_exp.jobs.figures import StandFigures, StandMeter
 from wheelleg_exp.jobs.kept_robot import kept_mjcf, kept_model_digest
+from wheelleg_exp.jobs.motion_figures import MotionFigures, MotionMeter
 from wheelleg_exp.jobs.threads import set_threads
 from wheelleg_exp.managers.finite import require_finite_actions
 from wheelleg_exp.rl.episode_log import FailureCount
@@ -47,6 +48,7 @@ class Played:
         folder: what was written, below the run.
         recording: the recording, or None.
         figures: how the policy stood.
+        motion: how it moved, and what its motors bore.
         failures: the episodes that ended because a number was not finite.
     """
 
@@ -55,6 +57,7 @@ class Played:
     folder: Path
     recording: Path | None
     figures: StandFigures
+    motion: MotionFigures
     failures: FailureCount
 
 
@@ -90,7 +93,9 @@ def play(
         display.note("note: the compiled model is not the one of the training; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
-    meter = StandMeter(env, float(tree["play"]["settle_s"]))
+    settle_s = float(tree["play"]["settle_s"])
+    meter, motion = StandMeter(env, settle_s), MotionMeter(env, settle_s)
+    env.observers += [meter.observe, motion.observe]
     failures = FailureCount(env.num_envs, tree["agent"])
     own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
     name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
@@ -104,7 +109,7 @@ def play(
                 recording.warn(display.note)
             with recording or nullcontext():
                 _roll(adapter, policy, meter, failures, display)
-                content |= meter.figures().as_dict()
+                content |= meter.figures().as_dict() | motion.figures().as_dict()
                 if recording is not None:
                     recording.figures(content)
             dataset = close_dataset(folder / "dataset", env)
@@ -114,7 +119,8 @@ def play(
     except BaseException:  # an interrupted play leaves nothing that looks like one
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Played(run, checkpoint, folder, recording.path if recording else None, meter.figures(), failures)
+    path = recording.path if recording else None
+    return Played(run, checkpoint, folder, path, meter.figures(), motion.figures(), failures)
 
 
 def _recording(
@@ -166,7 +172,6 @@ def _require_playable(kept: dict[str, Any], tree: dict[str, Any]) -> None:
 def _roll(adapter: RslRlVecEnv, policy: Any, meter: StandMeter, failures: FailureCount, display: Display) -> None:
     """Step until every environment has finished its first episode."""
     env = adapter.env
-    env.observers.append(meter.observe)
     for step in range(env.max_episode_length):
         actions = policy(adapter.get_observations())
         require_finite_actions(env, actions)

@@ -177,9 +177,30 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
         lean = figures.get("pitch_mean_deg")
         note = f"; mean lean {number(lean, 2)}°" if _is_number(lean) else ""
         yield Card("Pitch", number(figures["pitch_rms_deg"], 2), "°", f"RMS {when}{note}")
+    yield from _of_motion(figures, when)
     if _is_number(figures.get("mean_return")):
         note = f"mean of {counted(episodes, 'ended episode')}" if episodes else "mean of an episode"
         yield Card("Return", number(figures["mean_return"]), "", note)
+
+
+def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
+    """Yield where it strayed, how smooth it is and what its motors bear; an older play does not tell."""
+    turned = figures.get("yaw_drift_deg")
+    if _is_number(figures.get("drift_m")):
+        note = f"; turned by {number(turned, 2)}°" if _is_number(turned) else ""
+        yield Card("Drift", number(1e3 * figures["drift_m"], 2), "mm", f"largest {when}, mean of its episodes{note}")
+    torques = {group: value for group, value in (figures.get("torque_rms_nm") or {}).items() if _is_number(value)}
+    if torques:
+        group = max(torques, key=lambda name: torques[name])
+        limit, signs = (figures.get(key, {}).get(group) for key in ("at_limit", "sign_changes_per_s"))
+        told = (
+            f"RMS of the {group} {when}; {percent(limit)} at the limit; changes its sign {number(signs, 2)} times a s"
+        )
+        yield Card("Torque", number(torques[group], 2), "N·m", told)
+    if _is_number(figures.get("action_rate_per_s")):
+        yield Card("Action rate", number(figures["action_rate_per_s"], 2), "/s", f"mean change of an action {when}")
+    if _is_number(figures.get("power_net_w")):
+        yield Card("Power", number(figures["power_net_w"], 2), "W", f"mechanical, net of armature, mean {when}")
 
 
 def _of_training(subject: Subject) -> Iterator[Card]:

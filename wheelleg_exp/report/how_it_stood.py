@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.definitions.rollout import label, window
+from wheelleg_exp.definitions.rollout import MOTION, label, window
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.report.blocks import Beside, Block, Cell, Code, More, Note, Table, Text
 from wheelleg_exp.report.does_it_stand import ended, played, tone_of
@@ -29,6 +29,13 @@ _WORDS: Mapping[str, Callable[[Any], str]] = {
     "pitch_rms_deg": lambda v: _scaled(v, 1.0, "°"),
     "pitch_mean_deg": lambda v: _scaled(v, 1.0, "°"),
     "mean_return": number,
+    "drift_m": lambda v: _scaled(v, 1e3, "mm"),
+    "yaw_drift_deg": lambda v: _scaled(v, 1.0, "°"),
+    "action_rate_per_s": lambda v: _scaled(v, 1.0, "/s"),
+    "power_net_w": lambda v: _scaled(v, 1.0, "W"),
+    "torque_rms_nm": lambda v: _scaled(v, 1.0, "N·m"),
+    "at_limit": percent,
+    "sign_changes_per_s": lambda v: _scaled(v, 1.0, "/s"),
 }
 _TOLD = ("settle_s", "settled_episodes", "settled_steps", "ended_by", "non_finite")  # told elsewhere
 _OF_PLAY = ("checkpoint", "checkpoint_sha256", "seed", "overrides")
@@ -99,16 +106,22 @@ def _figures(subject: Subject, figures: Mapping[str, Any]) -> Table:
     settle_s = figures.get("settle_s")
     rows = [
         [
-            Cell(capital(label(key, settle_s))),
-            Cell(words(figures[key]), number=True, tone=tone_of(figures[key]) if key == "survival" else ""),
+            Cell(capital(label(key, settle_s) + group)),
+            Cell(words(value), number=True, tone=tone_of(value) if key == "survival" else ""),
             Cell(_of(key, figures)),
         ]
         for key, words in _WORDS.items()
         if key in figures and not (key == "unfinished" and not figures[key])
+        for group, value in _by_group(figures[key])
     ]
     others = [key for key in figures if key not in (*_WORDS, *_TOLD, *_OF_PLAY)]
     rows += [[Cell(capital(spoken(str(key)))), Cell(number(figures[key]), number=True), Cell("")] for key in others]
     return Table("The agent" if subject.status == AGENT else "The last play", ("Figure", "Value", "Of"), rows)
+
+
+def _by_group(value: Any) -> list[tuple[str, Any]]:
+    """Return a figure's values, each with what stands behind the label: the actuator group where it has several."""
+    return [(f" ({group})", each) for group, each in value.items()] if isinstance(value, Mapping) else [("", value)]
 
 
 def _of(key: str, figures: Mapping[str, Any]) -> str:
@@ -119,7 +132,13 @@ def _of(key: str, figures: Mapping[str, Any]) -> str:
         count = ended(figures)
         return "" if count is None else counted(count, "ended episode")
     steps, settled = figures.get("settled_steps"), figures.get("settled_episodes")
-    if not key.startswith(("height_", "pitch_")) or not isinstance(steps, int) or not isinstance(settled, int):
+    if key in ("drift_m", "yaw_drift_deg"):
+        return counted(settled, "episode") if isinstance(settled, int) else ""
+    if (
+        not (key.startswith(("height_", "pitch_")) or key in MOTION)
+        or not isinstance(steps, int)
+        or not isinstance(settled, int)
+    ):
         return ""
     return f"{counted(steps, 'step')} of {counted(settled, 'episode')}"
 

@@ -5,21 +5,33 @@ from __future__ import annotations
 import math
 import shutil
 import sys
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.printing.tables import hanging, print_table
 from wheelleg_exp.definitions.definition import percent
-from wheelleg_exp.definitions.rollout import CONTACTS, label
+from wheelleg_exp.definitions.rollout import CONTACTS, MOTION, label
 
 if TYPE_CHECKING:
     from wheelleg_exp.jobs.figures import ContactFigures, StandFigures
+    from wheelleg_exp.jobs.motion_figures import MotionFigures
 
 _SETTLED = ("height_rmse_m", "height_mean_m", "pitch_rms_deg", "pitch_mean_deg")  # leave out how an episode begins
 
+_MOTION: Mapping[str, Callable[[float], str]] = {
+    "drift_m": lambda value: f"{1e3 * value:.1f} mm",
+    "yaw_drift_deg": lambda value: f"{value:.2f} deg",
+    "action_rate_per_s": lambda value: f"{value:.2f} /s",
+    "power_net_w": lambda value: f"{value:.3f} W",
+    "torque_rms_nm": lambda value: f"{value:.4f} N·m",
+    "at_limit": percent,
+    "sign_changes_per_s": lambda value: f"{value:.1f} /s",
+}
 
-def print_figures(figures: StandFigures) -> None:
-    """Print how a policy stood, each figure with what it is of."""
+
+def print_figures(figures: StandFigures, motion: MotionFigures | None = None) -> None:
+    """Print how a policy stood and moved, each figure with what it is of."""
     ended, settled = _counted(figures.ended, "ended episode"), _settled(figures)
     of = {"survival": ended, "mean_return": ended, **dict.fromkeys(_SETTLED, settled)}
     values = {
@@ -34,6 +46,7 @@ def print_figures(figures: StandFigures) -> None:
         (label("episodes", None), f"{figures.episodes}", "the first of each environment"),
         *(((label("unfinished", None), f"{figures.unfinished}", ""),) if figures.unfinished else ()),
         *((label(key, figures.settle_s), value, of[key]) for key, value in values.items()),
+        *(() if motion is None else _motion(motion, figures)),
         *((f"{label('ended_by', None)} {name}", f"{count}", "") for name, count in figures.ended_by.items()),
     ]
     of_numbers = label("non_finite", None)
@@ -71,6 +84,19 @@ def shown(path: Path) -> str:
     """Return a path as one would type it from here."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+
+
+def _motion(motion: MotionFigures, figures: StandFigures) -> Iterator[tuple[str, str, str]]:
+    """Yield a row for each figure of how a policy moved, those of actuator groups group by group."""
+    ways, settled = _counted(figures.settled_episodes, "episode"), _settled(figures)
+    found = motion.as_dict()
+    for key, shown in _MOTION.items():
+        name, value = label(key, figures.settle_s), found[key]
+        of = ways if MOTION[key].label.startswith(("strayed", "turned")) else settled
+        if isinstance(value, dict):
+            yield from ((f"{name} ({group})", shown(each), of) for group, each in value.items())
+        else:
+            yield name, "-" if value is None else shown(value), of
 
 
 def _settled(figures: StandFigures) -> str:
