@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from wheelleg_exp.evaluation.result import Figure
+from wheelleg_exp.evaluation.statistics import percentiles
 from wheelleg_exp.managers.streams import stream_seed
 
 Array = np.ndarray[Any, Any]
@@ -125,14 +126,38 @@ class Metric:
     better: str = "lower"
     rows: Rows = everything
 
-    def values(self, episodes: Mapping[str, Array]) -> list[Array]:
-        """Return the columns over the episodes that the metric is of, (E,) each."""
-        mine = episodes["test"] == self.test
+    def kept(self, episodes: Mapping[str, Array]) -> Array:
+        """Return which of all the episodes the metric is of, (E,) bool."""
+        mine = np.asarray(episodes["test"] == self.test)
         rows = {name: column[mine] for name, column in episodes.items()}
         kept = self.rows(rows)
         for name in self.columns:
             kept = kept & ~np.isnan(rows[name])
-        return [rows[name][kept] for name in self.columns]
+        mine[mine] = kept
+        return mine
+
+    def values(self, episodes: Mapping[str, Array]) -> list[Array]:
+        """Return the columns over the episodes that the metric is of, (E,) each."""
+        kept = self.kept(episodes)
+        return [episodes[name][kept] for name in self.columns]
+
+
+def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Array:
+    """Return a metric of its episodes drawn with replacement again and again, (B,); of equal seeds the same draws.
+
+    Args:
+        metric: the metric.
+        episodes: the columns.
+        seed: of the resampling, whose stream has the metric's name.
+        resamples: how often is drawn, B.
+    """
+    columns = metric.values(episodes)
+    count = len(columns[0])
+    if not count:
+        return np.full(resamples, np.nan)
+    generator = np.random.default_rng(stream_seed(seed, f"bootstrap.{metric.name}"))
+    drawn = generator.integers(count, size=(resamples, count))
+    return metric.reduce([column[drawn] for column in columns])
 
 
 def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Figure:
@@ -141,20 +166,16 @@ def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: 
     Args:
         metric: the metric.
         episodes: the columns.
-        seed: of the resampling, whose stream has the metric's name.
+        seed: of the resampling.
         resamples: how often is drawn.
     """
     columns = metric.values(episodes)
-    count = len(columns[0])
-    if not count:
+    if not len(columns[0]):
         return Figure(float("nan"), float("nan"), float("nan"), 0, metric.unit, metric.better)
-    value = float(metric.reduce(columns))
-    draws = np.random.default_rng(stream_seed(seed, f"bootstrap.{metric.name}"))
-    drawn = draws.integers(count, size=(resamples, count))
-    found = metric.reduce([column[drawn] for column in columns])
-    numbers = found[np.isfinite(found)]
-    low, high = np.percentile(numbers, (2.5, 97.5)) if len(numbers) else (np.nan, np.nan)
-    return Figure(value, float(low), float(high), count, metric.unit, metric.better)
+    found = resampled(metric, episodes, seed, resamples)
+    found = found[np.isfinite(found)]
+    low, high = percentiles(found) if len(found) else (float("nan"), float("nan"))
+    return Figure(float(metric.reduce(columns)), low, high, len(columns[0]), metric.unit, metric.better)
 
 
 def metrics_of(test: str, columns: Sequence[str], band: float = 0.1) -> list[Metric]:

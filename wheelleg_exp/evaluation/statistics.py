@@ -33,21 +33,22 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class PairedTest:
-    """Whether two columns of paired episodes differ.
+class Test:
+    """Whether two columns of episodes differ.
 
     Attributes:
-        test: ``McNemar`` or ``Wilcoxon``.
+        test: ``McNemar`` or ``Wilcoxon`` of pairs; ``Fisher`` or ``Mann-Whitney`` where episodes are no pairs.
         p: two-sided probability of a difference at least this large by chance.
-        pairs: how many pairs there are.
-        untied: how many of them differ.
-        difference: of shares (McNemar), or the median of the pairs' differences (Wilcoxon): the second minus the first.
+        pairs: how many pairs there are; episodes of the lesser group where there are none.
+        untied: how many of the pairs differ; None without pairs.
+        difference: of shares, or the median of the pairs' differences: the second minus the first; of medians
+            without pairs.
     """
 
     test: str
     p: float
     pairs: int
-    untied: int
+    untied: int | None
     difference: float
 
 
@@ -63,28 +64,47 @@ def interquartile_mean(values: Array) -> float:
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
     """Return the mean over training seeds with its percentile bootstrap interval, clustered by seed.
 
-    Of the episodes of one seed no two are independent draws of the method that was trained, so whole seeds are drawn
-    with replacement, and within each its episodes: Davison and Hinkley, Bootstrap Methods (1997), 3.8. With one seed
-    this is the interval over its episodes, and says nothing of another training.
+    With one seed this is the interval over its episodes, and says nothing of another training.
 
     Args:
         values: the metric of each seed, (S,).
         drawn: of each seed, the metric of its episodes drawn with replacement again and again, (B,) each.
         generator: of the draws.
     """
-    held = [np.asarray(column, dtype=np.float64)[np.isfinite(column)] for column in drawn]
-    held = [column for column in held if len(column)]
     finite = [value for value in values if np.isfinite(value)]
-    if not held or not finite:
-        return Interval(float("nan"), float("nan"), float("nan"), float("nan"))
-    resamples, seeds = max(map(len, held)), len(held)
-    lengths = np.array([len(column) for column in held])
+    value = float(np.mean(finite)) if finite else float("nan")
+    return interval(value, clustered_means(drawn, generator), generator)
+
+
+def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> Array:
+    """Return means over training seeds drawn with replacement, each with an own draw of its episodes, (B,).
+
+    Of the episodes of one seed no two are independent draws of the method that was trained, so whole seeds are drawn,
+    and within each its episodes: Davison and Hinkley, Bootstrap Methods (1997), 3.8. One seed's draws stay in order.
+
+    Args:
+        drawn: of each seed, the metric of its episodes drawn with replacement again and again, (B,) each.
+        generator: of the draws.
+    """
+    held = [np.asarray(column, dtype=np.float64) for column in drawn]
+    held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
+    if len(held) < 2:
+        return held[0] if held else np.zeros(0)
+    seeds, lengths = len(held), np.array([len(column) for column in held])
+    resamples = int(lengths.max())
     padded = np.stack([np.resize(column, resamples) for column in held])
     chosen = generator.integers(seeds, size=(resamples, seeds))
     places = (generator.random((resamples, seeds)) * lengths[chosen]).astype(np.int64)
-    means = padded[chosen, places].mean(axis=1)
-    low, high = percentiles(means)
-    return Interval(float(np.mean(finite)), low, high, noise_floor(means, generator))
+    means: Array = padded[chosen, places].mean(axis=1)
+    return means
+
+
+def interval(value: float, drawn: Array, generator: np.random.Generator) -> Interval:
+    """Return a value with the percentile interval and the noise floor of its bootstrap's values, (B,)."""
+    finite = drawn[np.isfinite(drawn)]
+    if not len(finite):
+        return Interval(value, float("nan"), float("nan"), float("nan"))
+    return Interval(value, *percentiles(finite), noise_floor(finite, generator))
 
 
 def percentiles(drawn: Array) -> tuple[float, float]:
@@ -104,7 +124,7 @@ def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
     return float(np.quantile(np.abs(first - second), LEVEL))
 
 
-def mcnemar(first: Array, second: Array) -> PairedTest:
+def mcnemar(first: Array, second: Array) -> Test:
     """Return the exact McNemar test of paired outcomes, of two policies on the same scenarios.
 
     Only scenarios in which one succeeded and the other did not tell them apart; under chance each is as likely:
@@ -116,10 +136,10 @@ def mcnemar(first: Array, second: Array) -> PairedTest:
     """
     won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
     p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
-    return PairedTest("McNemar", p, len(first), won + lost, (won - lost) / max(1, len(first)))
+    return Test("McNemar", p, len(first), won + lost, (won - lost) / max(1, len(first)))
 
 
-def wilcoxon(first: Array, second: Array) -> PairedTest:
+def wilcoxon(first: Array, second: Array) -> Test:
     """Return the Wilcoxon signed-rank test of paired errors; pairs that are equal count for neither.
 
     Args:
@@ -129,7 +149,21 @@ def wilcoxon(first: Array, second: Array) -> PairedTest:
     difference = np.asarray(second, dtype=np.float64) - first
     untied = int(np.count_nonzero(difference))
     p = float(stats.wilcoxon(difference, zero_method="wilcox").pvalue) if untied else 1.0
-    return PairedTest("Wilcoxon", p, len(difference), untied, float(np.median(difference)) if len(difference) else 0.0)
+    return Test("Wilcoxon", p, len(difference), untied, float(np.median(difference)) if len(difference) else 0.0)
+
+
+def fisher(first: Array, second: Array) -> Test:
+    """Return Fisher's exact test of outcomes, 1 or 0, of two policies on scenarios of their own."""
+    table = [[int(column.sum()), int(len(column) - column.sum())] for column in (first, second)]
+    p = float(stats.fisher_exact(table).pvalue)
+    return Test("Fisher", p, min(len(first), len(second)), None, float(second.mean() - first.mean()))
+
+
+def mann_whitney(first: Array, second: Array) -> Test:
+    """Return the Mann-Whitney test of errors of two policies on scenarios of their own."""
+    equal = len(np.unique(np.concatenate((first, second)))) == 1
+    p = 1.0 if equal else float(stats.mannwhitneyu(first, second).pvalue)
+    return Test("Mann-Whitney", p, min(len(first), len(second)), None, float(np.median(second) - np.median(first)))
 
 
 def holm(tests: Mapping[str, float]) -> dict[str, float]:

@@ -1,0 +1,108 @@
+"""Evaluations side by side, made by hand: what differs is found, what does not is not, and words say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.evaluation.comparison import differences, over_seeds, verdict
+from wheelleg_exp.evaluation.metrics import figure, metrics_of
+from wheelleg_exp.evaluation.result import Evaluation
+
+N = 64
+
+
+def made(survived, height, drift=0.0, *, starts="a", scenarios="s") -> Evaluation:
+    """Return an evaluation of ``stand`` whose columns are these."""
+    columns = {
+        "test": np.full(N, "stand"),
+        "survived": np.broadcast_to(np.asarray(survived, dtype=float), N).copy(),
+        "height_rmse_m": np.broadcast_to(np.asarray(height, dtype=float), N).copy(),
+        "drift_max_m": np.broadcast_to(np.asarray(drift, dtype=float), N).copy(),
+        "time_to_failure_s": np.full(N, 60.0),
+    }
+    metrics = {m.name: figure(m, columns, 1, 4000) for m in metrics_of("stand", list(columns))}
+    return Evaluation({"name": "stand", "resamples": 4000}, 1, scenarios, {"stand": starts}, columns, metrics)
+
+
+def by_name(found):
+    return {row.metric: row for row in found}
+
+
+def noise(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.8, 1.2, N)
+
+
+def test_the_same_policy_against_itself_differs_in_nothing():
+    one = made(1.0, 1e-3 * noise(0))
+    found = differences([one], [one])
+    assert {row.outcome for row in found} == {""}
+    assert by_name(found)["stand/height_rmse"].interval.value == 0.0
+    assert "No difference between A and B is beyond chance" in verdict(found, "A", "B", (1, 1))
+
+
+def test_small_gains_on_the_same_scenarios_are_found_by_pairs():
+    """A tenth of a thousandth less in every scenario is much less than scenarios differ."""
+    base = 1e-3 * noise(0)
+    found = by_name(differences([made(1.0, base - 1e-7 * noise(1))], [made(1.0, base)]))
+    height = found["stand/height_rmse"]
+    assert (height.test.test, height.outcome) == ("Wilcoxon", "better")
+    assert height.interval.high < 0.0
+    assert found["stand/survival"].test.test == "McNemar"
+    assert found["stand/survival"].outcome == ""
+
+
+def test_without_pairs_the_same_gain_is_not_found():
+    base = 1e-3 * noise(0)
+    found = by_name(differences([made(1.0, base - 1e-7 * noise(1), starts="b")], [made(1.0, base)]))
+    assert (found["stand/height_rmse"].test.test, found["stand/height_rmse"].outcome) == ("Mann-Whitney", "")
+
+
+def test_who_falls_more_is_worse_and_the_words_say_in_what():
+    fallen = np.arange(N) >= 20
+    found = differences([made(fallen, 1e-3)], [made(1.0, 1e-3)])
+    row = by_name(found)["stand/survival"]
+    assert (row.outcome, row.test.untied) == ("worse", 20)
+    assert row.interval.value == pytest.approx(-20 / N)
+    assert row.p == pytest.approx(2 / 2**20 * sum(r.test is not None and bool(r.better) for r in found))
+    said = verdict(found, "A", "B", (1, 1))
+    assert said.startswith("A is worse than B in 1 metric of ")
+    assert "(stand/survival), and better in none." in said
+    assert "tells policies apart, not methods" in said
+
+
+def test_one_is_better_in_this_and_worse_in_that():
+    found = differences([made(1.0, 1e-3, 0.5)], [made(1.0, 2e-3, 0.1)])
+    said = verdict(found, "A", "B", (3, 3))
+    assert said.startswith("A is better than B in 1 metric of 5 (stand/height_rmse), and worse in 2 metrics (")
+    assert said.endswith("(stand/drift, stand/drift_worst).")
+
+
+def test_seeds_that_scatter_more_than_methods_differ_leave_the_interval_about_zero():
+    first = [made(1.0, h) for h in (1e-3, 2e-3, 3e-3)]
+    second = [made(1.0, h) for h in (1.1e-3, 2.1e-3, 3.1e-3)]
+    row = by_name(differences(first, second))["stand/height_rmse"]
+    assert row.first == pytest.approx(2e-3)
+    assert row.interval.low < 0.0 < row.interval.high
+
+
+def test_trainings_are_told_one_by_one_with_mean_and_interval():
+    found = {row.metric: row for row in over_seeds([made(1.0, h) for h in (1e-3, 2e-3, 3e-3)])}
+    row = found["stand/height_rmse"]
+    assert row.values == pytest.approx((1e-3, 2e-3, 3e-3))
+    assert (row.mean.value, row.mean.low, row.mean.high) == pytest.approx((2e-3, 1e-3, 3e-3))
+    assert row.interquartile_mean == pytest.approx(2e-3)
+
+
+def test_other_scenarios_are_no_comparison():
+    with pytest.raises(RunDirectoryError, match="different scenarios"):
+        differences([made(1.0, 1e-3)], [made(1.0, 1e-3, scenarios="t")])
+
+
+def test_a_metric_that_nobody_has_is_no_difference():
+    one = replace(made(1.0, np.nan))
+    row = by_name(differences([one], [one]))["stand/height_rmse"]
+    assert (row.outcome, row.test) == ("", None)

@@ -1,0 +1,221 @@
+"""Evaluations side by side: one method over several training seeds, and one against another, in numbers and words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.evaluation import statistics
+from wheelleg_exp.evaluation.metrics import Array, Metric, metrics_of, resampled
+from wheelleg_exp.evaluation.result import Evaluation
+from wheelleg_exp.evaluation.statistics import ALPHA, Interval, Test
+from wheelleg_exp.managers.streams import stream_seed
+
+
+@dataclass(frozen=True)
+class OverSeeds:
+    """One metric of several trainings that differ by their seed.
+
+    Attributes:
+        metric: ``group/metric``.
+        unit: of all numbers.
+        better: ``higher``, ``lower``, or empty.
+        values: of each training.
+        mean: over the trainings, with its interval clustered by training.
+        interquartile_mean: over the trainings.
+    """
+
+    metric: str
+    unit: str
+    better: str
+    values: tuple[float, ...]
+    mean: Interval
+    interquartile_mean: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One metric of one method against another's.
+
+    Attributes:
+        metric: ``group/metric``.
+        unit: of all numbers.
+        better: ``higher``, ``lower``, or empty.
+        first: of the method in question: the mean over its trainings.
+        second: of the one that it is held against.
+        interval: first minus second, with its bootstrap interval.
+        test: of the episodes; None for metrics that no single column of episodes makes up.
+        p: of the test, corrected for how many metrics are tested (Holm); None without a test.
+    """
+
+    metric: str
+    unit: str
+    better: str
+    first: float
+    second: float
+    interval: Interval
+    test: Test | None
+    p: float | None
+
+    @property
+    def outcome(self) -> str:
+        """``better`` or ``worse`` where the first method is so beyond chance, else empty.
+
+        The corrected test has to say so; where there is none, the interval has to leave out 0.
+        """
+        value, low, high = self.interval.value, self.interval.low, self.interval.high
+        sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
+        if not sure or not self.better or value == 0.0 or math.isnan(value):
+            return ""
+        return "better" if (value > 0.0) == (self.better == "higher") else "worse"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values, None for what is no number."""
+        return plain({**asdict(self), "outcome": self.outcome})
+
+
+def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
+    """Return every metric that all evaluations have, over them.
+
+    Args:
+        evaluations: of trainings that differ by their seed, in the same scenarios.
+
+    Raises:
+        RunDirectoryError: they are of different scenarios.
+    """
+    require_same_scenarios(evaluations)
+    found = []
+    for metric in _shared(evaluations):
+        values = tuple(evaluation.value(metric.name) for evaluation in evaluations)
+        mean = statistics.clustered(values, _draws(metric, evaluations), _generator(evaluations[0], metric, "seeds"))
+        finite = np.array([value for value in values if math.isfinite(value)])
+        iqm = statistics.interquartile_mean(finite)
+        found.append(OverSeeds(metric.name, metric.unit, metric.better, values, mean, iqm))
+    return found
+
+
+def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
+    """Return how one method differs from another in every metric that both have.
+
+    Episodes that began alike are pairs, and several trainings of a method count with their mean in each scenario.
+
+    Args:
+        first: evaluations of the method in question, one for each training seed.
+        second: those of the one that it is held against.
+
+    Raises:
+        RunDirectoryError: they are of different scenarios.
+    """
+    everyone = [*first, *second]
+    require_same_scenarios(everyone)
+    found = [_difference(metric, first, second, paired(everyone, metric.test)) for metric in _shared(everyone)]
+    corrected = statistics.holm({row.metric: row.test.p for row in found if row.test is not None and row.better})
+    return [replace(row, p=corrected.get(row.metric)) for row in found]
+
+
+def paired(evaluations: Sequence[Evaluation], test: str) -> bool:
+    """Return whether the episodes of a test began alike in all evaluations."""
+    return len({evaluation.starts_sha256.get(test) for evaluation in evaluations}) == 1
+
+
+def verdict(found: Sequence[Difference], first: str, second: str, seeds: tuple[int, int]) -> str:
+    """Return in words what the differences come to.
+
+    Args:
+        found: the differences.
+        first: what the method in question is called.
+        second: what the other is called.
+        seeds: of how many trainings each is.
+    """
+    tested = [row for row in found if row.better]
+    better = [row.metric for row in tested if row.outcome == "better"]
+    worse = [row.metric for row in tested if row.outcome == "worse"]
+    if not better and not worse:
+        said = f"No difference between {first} and {second} is beyond chance, in none of {len(tested)} metrics."
+    elif not worse:
+        said = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in none."
+    elif not better:
+        said = f"{first} is worse than {second} in {_listed(worse, len(tested))}, and better in none."
+    else:
+        said = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in {_listed(worse)}."
+    if min(seeds) == 1:
+        said += " One training of a method alone tells policies apart, not methods: another seed may train another."
+    return said
+
+
+def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
+    """Raise RunDirectoryError unless all evaluations are of the same scenarios."""
+    digests = list(dict.fromkeys(evaluation.scenarios_sha256 for evaluation in evaluations))
+    if len(digests) > 1:
+        raise RunDirectoryError(
+            "evaluations of different scenarios are no comparison: " + ", ".join(d[:12] for d in digests),
+            expected="one protocol, with the same numbers and seed, for all of them",
+        )
+
+
+def plain(value: Any) -> Any:
+    """Return a value for JSON: None for what is no number."""
+    if isinstance(value, Mapping):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _shared(evaluations: Sequence[Evaluation]) -> list[Metric]:
+    """Return the metrics that all evaluations have, with what they are of the episodes."""
+    first = evaluations[0]
+    band = float((first.protocol.get("walk") or {}).get("band", 0.1))
+    tests = list(dict.fromkeys(first.episodes["test"].tolist()))
+    columns = [name for name in first.episodes if all(name in one.episodes for one in evaluations)]
+    found = [metric for test in tests for metric in metrics_of(test, columns, band)]
+    return [metric for metric in found if all(metric.name in one.metrics for one in evaluations)]
+
+
+def _draws(metric: Metric, evaluations: Sequence[Evaluation]) -> list[Array]:
+    resamples = int(evaluations[0].protocol["resamples"])
+    return [resampled(metric, one.episodes, one.seed, resamples) for one in evaluations]
+
+
+def _generator(evaluation: Evaluation, metric: Metric, use: str) -> np.random.Generator:
+    return np.random.default_rng(stream_seed(evaluation.seed, f"bootstrap.{use}.{metric.name}"))
+
+
+def _difference(
+    metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluation], are_pairs: bool
+) -> Difference:
+    means = [float(np.mean([one.value(metric.name) for one in group])) for group in (first, second)]
+    generator = _generator(first[0], metric, "difference")
+    drawn = [statistics.clustered_means(_draws(metric, group), generator) for group in (first, second)]
+    count = min(map(len, drawn))
+    interval = statistics.interval(means[0] - means[1], drawn[0][:count] - drawn[1][:count], generator)
+    test = _test(metric, first, second, are_pairs) if len(metric.columns) == 1 else None
+    return Difference(metric.name, metric.unit, metric.better, means[0], means[1], interval, test, None)
+
+
+def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluation], are_pairs: bool) -> Test | None:
+    (name,) = metric.columns
+    if are_pairs:
+        kept = np.logical_and.reduce([metric.kept(one.episodes) for one in (*first, *second)])
+        one, other = (np.mean([each.episodes[name][kept] for each in group], axis=0) for group in (first, second))
+    else:
+        one, other = (np.concatenate([metric.values(each.episodes)[0] for each in group]) for group in (first, second))
+    finite = np.isfinite(one) & np.isfinite(other) if are_pairs else None
+    if finite is not None:
+        one, other = one[finite], other[finite]
+    if not len(one) or not len(other):
+        return None
+    outcomes = bool(np.isin(np.concatenate((one, other)), (0.0, 1.0)).all())
+    if are_pairs:
+        return statistics.mcnemar(other, one) if outcomes else statistics.wilcoxon(other, one)
+    return statistics.fisher(other, one) if outcomes else statistics.mann_whitney(other, one)
+
+
+def _listed(names: Sequence[str], of: int | None = None) -> str:
+    counted = f"{len(names)} metric" + ("s" if len(names) > 1 else "")
+    return f"{counted}{'' if of is None else f' of {of}'} ({', '.join(names)})"
