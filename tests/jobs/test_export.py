@@ -1,0 +1,337 @@
+"""The bundle of a deployer: it does what the simulation recorded, runs on its own, and refuses what it cannot do."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+import yaml
+
+from jobs.small import TINY, Trained, trained_once, wheelleg
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.jobs.export import bundle as as_they_stand
+from wheelleg_exp.jobs.export import export as job
+from wheelleg_exp.jobs.export.deployment import as_configured
+from wheelleg_exp.jobs.export.export import export
+from wheelleg_exp.jobs.kept_robot import kept_mjcf
+from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.params import load_params
+
+pytestmark = pytest.mark.train
+
+ALONE = """
+import sys
+
+class Nothing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("torch", "wheelleg_exp", "rsl_rl", "onnx", "tensordict"):
+            raise ImportError(f"{name} is not installed here")
+
+sys.meta_path.insert(0, Nothing())
+sys.path[:] = [p for p in sys.path if p] + [sys.argv[1]]
+sys.argv[:] = sys.argv[2:]
+import runpy
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory) -> Path:
+    """The bundle of the one training that tests share."""
+    folder = tmp_path_factory.mktemp("exported") / "bundle"
+    trained: Trained = trained_once(tmp_path_factory)
+    said = wheelleg("export", trained.run.path, "-o", folder)
+    assert said.status == 0, said.err
+    return folder
+
+
+@pytest.fixture
+def runner(monkeypatch):
+    """The runner's module as a bundle has it."""
+    monkeypatch.syspath_prepend(str(Path(as_they_stand.__file__).parent))
+    monkeypatch.delitem(sys.modules, "runner", raising=False)
+    import runner
+
+    return runner
+
+
+def alone(folder: Path, script: str, *words: str) -> subprocess.CompletedProcess:
+    """Run a file of a bundle in a process that cannot import what trained it."""
+    command = [sys.executable, "-c", ALONE, folder, folder / script, *words]
+    return subprocess.run(command, cwd="/", env={}, capture_output=True, text=True, timeout=100)
+
+
+def spec_of(folder: Path) -> dict:
+    return json.loads((folder / "policy.json").read_text())
+
+
+def checked(folder: Path) -> dict:
+    return dict(np.load(folder / "check.npz"))
+
+
+def exported(run: RunDirectory, output: Path | None = None, checkpoint: Path | None = None):
+    return export(run, checkpoint, output, ["wheelleg", "export"])
+
+
+def test_the_runner_repeats_observations_actions_and_targets_of_recorded_episodes(bundle, runner):
+    recorded = checked(bundle)
+    assert recorded["reset"].sum() >= 2 or len(recorded["reset"]) == 18  # an episode of 0.3 s
+    worst = runner.check(bundle)
+    assert max(worst[name] for name in ("observations", "actions", "targets")) <= 1e-6
+    assert worst["actions_float32"] <= 1e-5
+    assert np.abs(recorded["actions"]).max() > 1e-3
+
+
+def test_the_networks_of_the_bundle_agree_and_the_run_has_the_same(bundle, tmp_path_factory):
+    recorded, run = checked(bundle), trained_once(tmp_path_factory).run
+    for model in (bundle / "policy.onnx", run.exported / "policy.onnx"):
+        (actions,) = onnxruntime.InferenceSession(model).run(None, {"obs": recorded["observations"]})
+        np.testing.assert_allclose(actions, recorded["actions"], atol=1e-5)
+    script = torch.jit.load(bundle / "policy.pt")
+    with torch.no_grad():
+        actions = script(torch.from_numpy(recorded["observations"]))
+    np.testing.assert_allclose(actions.numpy(), recorded["actions"], atol=1e-5)
+
+
+def test_a_runner_that_is_another_policy_is_told(bundle, runner, tmp_path):
+    for name in ("policy.npz", "check.npz"):
+        (tmp_path / name).write_bytes((bundle / name).read_bytes())
+    for key, value in (("scale", 0.151), ("offset", 0.96)):
+        spec = spec_of(bundle)
+        spec["actions"][0][key][0] = value
+        (tmp_path / "policy.json").write_text(json.dumps(spec))
+        worst = runner.check(tmp_path)
+        assert worst["targets"] > 1e-6
+        assert worst["actions"] <= 1e-6
+
+
+def test_an_export_whose_runner_differs_writes_nothing(trained, tmp_path, monkeypatch):
+    monkeypatch.setattr(job, "TOLERANCE", -1.0)
+    with pytest.raises(SimulationFailure, match="is not the policy"):
+        exported(trained.run, tmp_path / "made" / "bundle")
+    assert list((tmp_path / "made").iterdir()) == []
+
+
+def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
+    said = alone(bundle, "runner.py")
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.count("largest difference") == 4
+    said = alone(bundle, "runner.py", "--onnx")
+    assert said.returncode == 0, said.stderr
+    said = alone(bundle, "simulate.py", "--seconds", "0.2", "--command", "0", "0", "0")
+    assert said.returncode == 0, said.stdout + said.stderr
+    assert "simulated 0.20 s at 60 Hz" in said.stdout
+
+
+def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle, runner):
+    policy = runner.Policy(bundle)
+    readings = {"base_ang_vel": [1, 2, 3], "base_quat": [1, 0, 0, 0], "commands.base_velocity": [0, 0, 0]}
+    readings |= {"joint_pos": policy.spec["default_joint_pos"], "joint_vel": np.zeros(6)}
+    policy.step(readings)
+    np.testing.assert_allclose(policy.observation[:15], [0.25, 0.5, 0.75] * 5)
+    np.testing.assert_allclose(policy.observation[15:30], [0, 0, -1] * 5)
+    np.testing.assert_array_equal(policy.observation[-30:], 0)
+    first = policy.action
+    policy.step(readings | {"base_ang_vel": [4, 0, 0]})
+    np.testing.assert_allclose(policy.observation[9:15], [0.25, 0.5, 0.75, 1, 0, 0])
+    np.testing.assert_allclose(policy.observation[-6:], first)
+    np.testing.assert_array_equal(policy.observation[-12:-6], 0)
+    policy.reset()
+    policy.step(readings)
+    np.testing.assert_allclose(policy.action, first)
+
+
+def test_targets_follow_from_actions_by_hand(bundle, runner):
+    policy = runner.Policy(bundle)
+    policy.action = np.array([0.1, -0.2, 0.3, -0.4, 1.0, -20.0], np.float32)
+    policy.processed = [policy.process(term, np.zeros(6)) for term in policy.spec["actions"]]
+    targets = policy.targets(np.zeros(6))
+    # l01, l02, r01, r02 of the action; l01, r01, l02, r02, l03, r03 of the robot; wheels turn at most 45 rad/s.
+    expected = [0.9599 + 0.015, 0.9599 + 0.045, -1.885 - 0.03, -1.885 - 0.06, 0, 0]
+    np.testing.assert_allclose(targets["position"], expected, atol=1e-6)
+    np.testing.assert_allclose(targets["velocity"], [0, 0, 0, 0, 5, -45], atol=1e-6)
+    np.testing.assert_array_equal(targets["effort"], 0)
+
+
+def test_a_missing_or_wrong_reading_is_told_by_name(bundle, runner):
+    with pytest.raises(ValueError, match="'base_ang_vel' must be 3 numbers"):
+        runner.Policy(bundle).step({"joint_pos": np.zeros(6)})
+
+
+def test_gravity_follows_from_the_orientation(runner):
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(runner.projected_gravity([1, 0, 0, 0]), [0, 0, -1], atol=1e-7)
+    np.testing.assert_allclose(runner.projected_gravity([half, half, 0, 0]), [0, -1, 0], atol=1e-7)  # rolled
+    np.testing.assert_allclose(runner.projected_gravity([half, 0, half, 0]), [1, 0, 0], atol=1e-7)  # nose down
+    np.testing.assert_allclose(runner.projected_gravity([half, 0, 0, half]), [0, 0, -1], atol=1e-7)  # turned
+
+
+def test_the_specification_holds_what_a_deployer_needs(bundle):
+    spec = spec_of(bundle)
+    assert (spec["step_dt"], spec["decimation"]) == (pytest.approx(1 / 60), 2)
+    assert spec["joint_names"] == ["l01", "r01", "l02", "r02", "l03", "r03"]
+    assert spec["stiffness"] == [3, 3, 3, 3, 0, 0]
+    assert spec["damping"] == pytest.approx([0.3] * 4 + [1.0] * 2)
+    assert spec["effort_limit"] == [2, 2, 2, 2, 9, 9]
+    assert spec["commands"] == {"base_velocity": {"lin_vel_x": [0, 0], "lin_vel_y": [0, 0], "ang_vel_z": [0, 0]}}
+    assert [a["joint_names"] for a in spec["actions"]] == [["l01", "l02", "r01", "r02"], ["l03", "r03"]]
+    assert spec["observation_width"] == 135
+    metadata = {entry.key: entry.value for entry in onnx.load(bundle / "policy.onnx").metadata_props}
+    assert json.loads(metadata["policy.json"]) == spec
+    assert metadata["joint_names"] == "l01,r01,l02,r02,l03,r03"
+    assert metadata["observation_names"].startswith("base_ang_vel,projected_gravity,velocity_commands")
+    text = (bundle / "README.md").read_text()
+    assert [name for name in (*spec["readings"], *spec["joint_names"]) if f"`{name}`" not in text] == []
+    missing = [path.name for path in bundle.iterdir() if path.is_file() and path.name not in text]
+    assert missing == ["README.md"]
+
+
+def test_a_bundle_below_its_run_is_of_the_run(run):
+    first, second = exported(run), exported(run, checkpoint=run.checkpoint(0))
+    assert [made.folder.relative_to(run.path).as_posix() for made in (first, second)] == [
+        "exported/bundle",
+        "exported/bundle-2",
+    ]
+    entries = [entry for entry in run.manifest().data["additions"] if entry["kind"] == "export"]
+    assert [entry["results"]["checkpoint"] for entry in entries] == ["model_2.pt", "model_0.pt"]
+    assert "exported/bundle/robot/robot.xml" in entries[0]["files"]
+    assert wheelleg("verify", run.path).status == 0
+    (first.folder / "policy.json").write_text("{}")
+    assert wheelleg("verify", run.path).status == 1
+
+
+def test_a_folder_that_exists_is_left_as_it_is(trained, tmp_path):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(RunDirectoryError, match="is not overwritten"):
+        exported(trained.run, tmp_path / "taken")
+    assert list(tmp_path.glob(".*")) == []
+
+
+def edited(run: RunDirectory, part: str, change) -> RunDirectory:
+    path = run.params / f"{part}.yaml"
+    content = yaml.safe_load(path.read_text())
+    change(content)
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    return run
+
+
+def test_what_needs_the_simulation_is_refused_by_name(run):
+    def look_at_the_world(env):
+        env["observations"]["policy"]["terms"]["base_ang_vel"] = {
+            "_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"
+        }
+
+    with pytest.raises(ConfigError, match="root_lin_vel_w") as told:
+        exported(edited(run, "env", look_at_the_world))
+    assert told.value.key == "env.observations.policy.terms.base_ang_vel"
+    assert "base_ang_vel" in told.value.expected
+    assert not (run.exported / "bundle").exists()
+    assert list(run.exported.glob(".*")) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("class_name", "RNNModel"), ("distribution_cfg", {"class_name": "BetaDistribution"}), ("activation", "gelu")],
+)
+def test_a_network_that_the_runner_does_not_know_is_refused_by_name(run, key, value):
+    with pytest.raises(ConfigError, match=r"a runner does not know") as told:
+        exported(edited(run, "agent", lambda agent: agent["actor"].update({key: value})))
+    assert told.value.key.startswith(f"agent.actor.{key}")
+
+
+VARIANTS = {
+    "no_history": [
+        "env.observations.policy.history_length=0",
+        "action@env.actions=[leg_pos_delayed,wheel_vel]",
+        "agent.actor.obs_normalization=true",
+        "+agent.clip_actions=0.05",
+        "env.commands.base_velocity.ranges.lin_vel_x=[-0.3,0.3]",
+        "+env.observations.policy.terms.joint_vel_rel.clip=[-0.2,0.2]",
+        "observation@env.observations.policy.terms=[base_ang_vel,base_roll_pitch,velocity_commands,joint_pos_rel_late,"
+        "joint_vel_rel,last_action,gait_phase,base_lin_vel,joint_effort,base_height]",
+    ],
+    "by_time": [
+        "+env.observations.policy.history_order=time",
+        "env.observations.policy.history_length=3",
+        "env.observations.policy.enable_corruption=true",
+        "action@env.actions=[leg_pos_ema,wheel_rel_pos]",
+        "env.robot.actuators.wheels.stiffness=1.0",
+        "robot=motor",
+        "agent.actor.activation=tanh",
+        "+env.observations.policy.terms.joint_vel_rel.modifiers=[{_target_: wheelleg_exp.mdp.modifiers.DigitalFilter, "
+        "A: [-0.5], B: [0.3, 0.2]}, {_target_: wheelleg_exp.mdp.modifiers.Clip, bounds: [-3.0, 3.0]}]",
+        "+env.observations.policy.terms.base_ang_vel.modifiers=[{_target_: wheelleg_exp.mdp.modifiers.Integrator, "
+        "dt: 0.1}]",
+    ],
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_path, runner):
+    words = [*TINY, "agent.max_iterations=1", "recording.enabled=false", f"run.root={tmp_path / 'runs'}"]
+    said = wheelleg("train", *words, *VARIANTS[variant])
+    assert said.status == 0, said.err
+    (path,) = (tmp_path / "runs" / "stand").iterdir()
+    made = exported(RunDirectory.open(path, tmp_path))
+    worst = runner.check(made.folder)
+    assert max(worst[name] for name in ("observations", "actions", "targets")) <= 1e-6
+    said = alone(made.folder, "simulate.py", "--seconds", "0.1")
+    assert said.returncode == 0, said.stdout + said.stderr
+    spec, text = spec_of(made.folder), (made.folder / "README.md").read_text()
+    if variant == "no_history":
+        assert np.abs(checked(made.folder)["actions"]).max() == np.float32(0.05)
+        assert spec["actions"][0]["trained_with"] == {"delay_steps": [0, 2]}
+        assert "action `leg_pos_delayed`: 0 to 2 physics steps of 8.333 ms late" in text
+        assert "observation `joint_pos_rel_late`: 0 to 2 physics steps" in text
+    else:
+        assert spec["actions"][0]["alpha"] == pytest.approx([0.3] * 4)
+
+
+@pytest.mark.parametrize("profile", ["article", "explicit", "motor"])
+def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained, tmp_path, runner, monkeypatch):
+    """The same actions from the same pose: two programs, one robot."""
+    monkeypatch.delitem(sys.modules, "simulate", raising=False)
+    import simulate
+
+    params, agent = load_params(trained.run)
+    laws = {"explicit": "IdealPDActuator", "motor": "DCMotor"}
+    for group in params["robot"]["actuators"].values():
+        if profile in laws:
+            group["_target_"] = f"wheelleg_exp.sim.actuators.{laws[profile]}"
+        if profile == "motor":
+            group["saturation_effort"] = 3.0
+    env = ManagerBasedRLEnv(as_configured(params), kept_mjcf(trained.run), 0)
+    env.autoreset = "disabled"
+    job._write_robot(tmp_path / "robot", kept_mjcf(trained.run), params, env)
+    spec = job.specification(env, agent, {})
+    robot = simulate.Robot(spec, tmp_path / "robot" / "scene.xml")
+    actions = 2.0 * torch.randn(12, 1, 6, generator=torch.Generator().manual_seed(0))
+    for action in actions:
+        env.step(action)
+        targets = {"position": np.zeros(6), "velocity": np.zeros(6), "effort": np.zeros(6)}
+        found = env.scene.robot.targets
+        targets = {
+            "position": found.pos[0].numpy(),
+            "velocity": found.vel[0].numpy(),
+            "effort": found.effort[0].numpy(),
+        }
+        for _ in range(spec["decimation"]):
+            robot.drive(targets)
+            simulate.mujoco.mj_step(robot.model, robot.data)
+    readings, data = robot.readings({}), env.scene.robot.data
+    np.testing.assert_allclose(readings["joint_pos"], data.joint_pos[0], atol=2e-4)
+    np.testing.assert_allclose(readings["joint_vel"], data.joint_vel[0], atol=2e-2)
+    np.testing.assert_allclose(readings["base_ang_vel"], data.root_ang_vel_b[0], atol=2e-2)
+    np.testing.assert_allclose(readings["base_lin_vel"], data.root_lin_vel_b[0], atol=2e-3)
+    gravity = runner.projected_gravity(readings["base_quat"])
+    np.testing.assert_allclose(gravity, data.projected_gravity_b[0], atol=2e-4)
+    np.testing.assert_allclose(readings["joint_effort"], data.applied_torque[0], atol=5e-3)
+    assert np.abs(data.joint_vel[0]).max() > 1.0

@@ -1,0 +1,45 @@
+"""``wheelleg export RUN``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from wheelleg_exp.cli.common import add_json, add_root, print_json
+from wheelleg_exp.errors import EXIT_OK
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="the folder to make; by default exported/bundle of the run"
+    )
+    add_root(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write a deployer's bundle and say how near its runner is to the simulation."""
+    from wheelleg_exp.cli.play import chosen_checkpoint
+    from wheelleg_exp.run.directory import RunDirectory
+
+    directory = RunDirectory.open(args.run, args.root)
+    checkpoint = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
+
+    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.jobs.export.export import export
+
+    made = export(directory, checkpoint, args.output, args.command)
+    if args.json:
+        found = {"run": str(directory.path), "checkpoint": str(made.checkpoint), "folder": str(made.folder)}
+        print_json({**found, "largest_difference": made.differences, "lacks": made.notes})
+        return EXIT_OK
+    print(f"exported {shown(made.checkpoint)} to {shown(made.folder)}")
+    told = ", ".join(f"{name} {difference:.1g}" for name, difference in made.differences.items())
+    print(f"its runner in NumPy differs from the simulation by at most: {told}")
+    for note in made.notes:
+        print(f"it lacks {note}")
+    print(f"next: python {shown(made.folder / 'simulate.py')}   (numpy and mujoco)")
+    return EXIT_OK

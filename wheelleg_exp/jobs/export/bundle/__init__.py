@@ -1,0 +1,7 @@
+"""Files that a bundle takes as they stand: they run without this package, and import NumPy, and MuJoCo to simulate.
+
+| module | what it is in a bundle |
+|---|---|
+| ``runner`` | the policy: from sensor readings to joint targets |
+| ``simulate`` | the robot in MuJoCo, driven by the runner |
+"""

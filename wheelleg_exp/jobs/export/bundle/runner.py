@@ -1,0 +1,278 @@
+"""The policy of this bundle in NumPy: sensor readings in, joint targets out.
+
+    policy = Policy()                      # the folder of this file
+    policy.reset()                         # when an episode begins
+    targets = policy.step({"base_ang_vel": ..., "base_quat": ..., "joint_pos": ..., "commands.<name>": ...})
+
+Call ``step`` every ``step_dt`` seconds. ``policy.json`` names each reading with its width and unit (``readings``) and
+the joints in order (``joint_names``); README.md tells the rest. ``python runner.py`` holds this file against actions
+that were recorded in training's own simulation.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+F = np.float32
+ACTIVATIONS: dict[str, Callable[..., Any]] = {
+    "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
+    "relu": lambda x: np.maximum(x, 0.0),
+    "leaky_relu": lambda x: np.where(x > 0, x, 0.01 * x),
+    "selu": lambda x: 1.0507009873554805 * np.where(x > 0, x, 1.6732632423543772 * np.expm1(np.minimum(x, 0.0))),
+    "tanh": np.tanh,
+    "sigmoid": lambda x: 1.0 / (1.0 + np.exp(-x)),
+    "softplus": lambda x: np.logaddexp(x, 0.0),
+    "swish": lambda x: x / (1.0 + np.exp(-x)),
+    "identity": lambda x: x,
+}
+
+
+def array(values: Any, missing: float = 0.0) -> np.ndarray:
+    """Return numbers as float32; null becomes ``missing``."""
+    return np.array([missing if value is None else value for value in values], F)
+
+
+def projected_gravity(quat: Any) -> np.ndarray:
+    """Return the unit vector of gravity in the axes of a link with orientation (w, x, y, z)."""
+    w, x, y, z = np.asarray(quat, np.float64) / np.linalg.norm(quat)
+    return np.array([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], F)
+
+
+class Term:
+    """One term of the observation: its value, then modifiers, clip, scale and history."""
+
+    def __init__(self, spec: Mapping[str, Any], step_dt: float) -> None:
+        self.spec, self.dt = spec, step_dt
+        self.columns = spec.get("columns")
+        self.arrays = {key: array(spec[key]) for key in ("subtract", "middle", "range", "scale") if key in spec}
+        self.length = max(1, spec["history_length"])
+
+    def reset(self) -> None:
+        self.history: np.ndarray | None = None  # the first sample fills every slot
+        self.memory: dict[int, list[np.ndarray]] = {}
+
+    def value(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
+        spec, kind, time = self.spec, self.spec["function"], F(steps) * F(self.dt)
+        if kind == "last_action":
+            return action[self.columns]
+        if kind == "time":
+            return array([time])
+        if kind == "remaining_time":
+            return array([F(spec["episode_length_s"]) - time])
+        if kind == "gait_phase":
+            cycles = F(steps) * F(self.dt / spec["period"])
+            angles = [F(2 * np.pi) * np.fmod(cycles + F(offset), F(1)) for offset in spec["offsets"]]
+            return array([*np.sin(angles), *np.cos(angles)])
+        if kind == "travel_error":
+            return self.travelled(readings)
+        x = readings[spec["reading"]]
+        x = x if self.columns is None else x[self.columns]
+        if kind == "minus_default":
+            return x - self.arrays["subtract"]
+        if kind == "sin_cos":
+            return np.concatenate((np.sin(x), np.cos(x)))
+        if kind == "within_limits":
+            return F(2) * (x - self.arrays["middle"]) / self.arrays["range"]
+        if kind == "roll_pitch":
+            return array([np.arctan2(-x[1], -x[2]), np.arcsin(np.clip(x[0], -1, 1))])
+        return x
+
+    def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Sum up by how much the wheels and the gyroscope have gone beyond the command, m and rad, within bounds."""
+        command = readings[self.spec["command"]][[0, 2]]
+        total, before = self.memory.get(-1, [np.zeros(2, F), command])
+        if -1 in self.memory:  # nothing is missed before the first step
+            rolled = np.mean(readings["joint_vel"][self.columns]) * F(self.spec["wheel_radius"])
+            missed = array([rolled, readings["base_ang_vel"][2]]) - before
+            most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
+            total = np.clip(total + missed * F(self.dt), -most, most)
+        self.memory[-1] = [total, command]
+        return total
+
+    def modified(self, number: int, spec: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
+        kind = spec["kind"]
+        if kind == "scale":
+            return x * F(spec["multiplier"])
+        if kind == "bias":
+            return x + F(spec["value"])
+        if kind == "clip":
+            return np.clip(x, F(spec["bounds"][0]), F(spec["bounds"][1]))
+        if kind == "integrator":
+            total, before = self.memory.get(number, [np.zeros_like(x), np.zeros_like(x)])
+            total = total + (x + before) / F(2) * F(spec["dt"])
+            self.memory[number] = [total, x]
+            return total
+        forward, feedback = array(spec["B"]), array(spec["A"])  # a digital filter; newest first
+        empty = [np.zeros((*x.shape, len(forward)), F), np.zeros((*x.shape, len(feedback)), F)]
+        ins, outs = self.memory.get(number, empty)
+        ins = np.concatenate((x[:, None], ins[:, :-1]), axis=1)
+        y = ins @ forward - outs @ feedback
+        self.memory[number] = [ins, np.concatenate((y[:, None], outs), axis=1)[:, : len(feedback)]]
+        return y
+
+    def sample(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
+        x = self.value(readings, action, steps)
+        for number, spec in enumerate(self.spec["modifiers"]):
+            x = self.modified(number, spec, x)
+        if self.spec["clip"] is not None:
+            x = np.clip(x, F(self.spec["clip"][0]), F(self.spec["clip"][1]))
+        x = x * self.arrays["scale"] if "scale" in self.arrays else x
+        old = np.repeat(x[None], self.length, axis=0) if self.history is None else self.history
+        self.history = np.concatenate((old[1:], x[None]))  # oldest first, (history_length, width)
+        return self.history
+
+
+class Policy:
+    """The policy with all that it remembers: histories, its last action, filters, moving averages.
+
+    Args:
+        folder: the bundle.
+        onnx: let onnxruntime run the network instead of NumPy.
+
+    Attributes:
+        spec: ``policy.json``.
+        observation: what the network saw last, before normalisation.
+        action: what it answered, clipped as in training.
+    """
+
+    def __init__(self, folder: str | Path = Path(__file__).parent, onnx: bool = False) -> None:
+        self.spec = json.loads((Path(folder) / "policy.json").read_text(encoding="utf-8"))
+        self.groups = [[Term(term, self.spec["step_dt"]) for term in g["terms"]] for g in self.spec["observations"]]
+        self.session: Any = None
+        if onnx:
+            import onnxruntime
+
+            self.session = onnxruntime.InferenceSession(Path(folder) / "policy.onnx")
+        with np.load(Path(folder) / "policy.npz") as weights:
+            self.weights = {name: weights[name].astype(np.float64) for name in weights.files}
+        self.limit = array(self.spec["velocity_limit"], np.inf)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode: the next readings fill every history."""
+        self.steps = 0
+        self.action = np.zeros(self.spec["action_width"], F)
+        self.averages: dict[str, np.ndarray] = {}
+        for term in (term for terms in self.groups for term in terms):
+            term.reset()
+
+    def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Return the targets of all joints: ``position`` (rad), ``velocity`` (rad/s), ``effort`` (N·m), (J,) each.
+
+        Args:
+            readings: what the sensors say now and what is asked for, by name; ``base_quat`` (w, x, y, z) may stand for
+                ``projected_gravity``.
+        """
+        self.observation = self.observe(readings)
+        action = self.network(self.observation)
+        bound = self.spec["clip_actions"]
+        self.action = action if bound is None else np.clip(action, F(-bound), F(bound))
+        self.steps += 1
+        joint_pos = array(readings["joint_pos"])
+        self.processed = [self.process(term, joint_pos) for term in self.spec["actions"]]
+        return self.targets(joint_pos)
+
+    def observe(self, readings: Mapping[str, Any]) -> np.ndarray:
+        """Take up readings and return the observation of the network."""
+        found = {name: array(value) for name, value in readings.items()}
+        if "projected_gravity" not in found and "base_quat" in found:
+            found["projected_gravity"] = projected_gravity(found["base_quat"])
+        for name, known in self.spec["readings"].items():
+            if name not in found or found[name].shape != (known["width"],):
+                raise ValueError(f"reading '{name}' must be {known['width']} numbers: {known['meaning']}")
+        pieces = []
+        for terms, group in zip(self.groups, self.spec["observations"], strict=True):
+            histories = [term.sample(found, self.action, self.steps) for term in terms]
+            if group["history_order"] == "time":  # step by step, each with all terms
+                pieces.append(np.concatenate(histories, axis=1).ravel())
+            else:  # term by term
+                pieces += [history.ravel() for history in histories]
+        return np.concatenate(pieces)
+
+    def network(self, observation: np.ndarray) -> np.ndarray:
+        """Return the mean action of an observation: computed in float64, where the order of sums does not matter."""
+        if self.session is not None:
+            return self.session.run(None, {"obs": observation[None]})[0][0]
+        x = observation.astype(np.float64)
+        if "mean" in self.weights:
+            x = (x - self.weights["mean"]) / self.weights["deviation"]
+        for number, name in enumerate(self.spec["network"]["activations"]):
+            x = self.weights[f"weight_{number}"] @ x + self.weights[f"bias_{number}"]
+            x = ACTIVATIONS[name](x)
+        return x.astype(F)
+
+    def process(self, term: Mapping[str, Any], joint_pos: np.ndarray) -> np.ndarray:
+        """Return what one action term makes of its part of the action."""
+        raw = self.action[term["start"] : term["stop"]]
+        kind = term["function"]
+        if kind == "binary":
+            above = raw > F(term["threshold"]) if term["strict"] else raw >= F(term["threshold"])
+            x = np.where(above if term["opens_above"] else ~above, array(term["open"]), array(term["close"]))
+        else:
+            x = raw * array(term["scale"]) + array(term["offset"])
+        if term["clip"] is not None:
+            x = np.clip(x, array([b[0] for b in term["clip"]], -np.inf), array([b[1] for b in term["clip"]], np.inf))
+        if kind == "to_limits":
+            low, high = array(term["low"], -np.inf), array(term["high"], np.inf)
+            if term["rescale"]:
+                x = (low + high) / F(2) + np.clip(x, F(-1), F(1)) * ((high - low) / F(2))
+            if "alpha" in term:  # a moving average, which begins where the joints are
+                last = self.averages.get(term["name"], joint_pos[term["joint_ids"]])
+                x = np.clip(last + array(term["alpha"]) * (x - last), low, high)
+                self.averages[term["name"]] = x
+        return x
+
+    def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
+        """Return the targets anew; only those relative to the joints' positions differ from those of ``step``."""
+        count = len(self.spec["joint_names"])
+        found = {"position": array(self.spec["default_joint_pos"]), "velocity": np.zeros(count, F)}
+        found["effort"] = np.zeros(count, F)
+        for term, x in zip(self.spec["actions"], self.processed, strict=True):
+            ids = term["joint_ids"]
+            found[term["drives"]][ids] = x + array(joint_pos)[ids] if term["function"] == "relative" else x
+        found["velocity"] = np.clip(found["velocity"], -self.limit, self.limit)
+        return found
+
+
+def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
+    """Return the largest differences from what was recorded: |a - b| / max(1, |b|).
+
+    ``actions_float32`` is what the network answered in float32, as in training, where the order of sums matters.
+    """
+    policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
+    with np.load(Path(folder) / "check.npz") as file:
+        recorded = {name: file[name] for name in file.files}
+    names = [name for name in recorded if name.startswith("reading:")]
+    for step in range(len(recorded["reset"])):
+        if recorded["reset"][step]:
+            policy.reset()
+        targets = policy.step({name.removeprefix("reading:"): recorded[name][step] for name in names})
+        joined = np.stack([targets[name] for name in ("position", "velocity", "effort")])
+        found = {"observations": policy.observation, "actions": policy.action, "targets": joined}
+        for name, value in (found | {"actions_float32": policy.action}).items():
+            wanted = recorded[name][step]
+            difference = np.abs(value - wanted) / np.maximum(1.0, np.abs(wanted))
+            worst[name] = max(worst[name], float(np.max(difference, initial=0.0)))
+    return worst
+
+
+def main(words: list[str]) -> int:
+    """Print the differences and return whether one is too large."""
+    limits = json.loads((Path(__file__).parent / "policy.json").read_text(encoding="utf-8"))["check"]
+    status = 0
+    for name, difference in check(onnx="--onnx" in words).items():
+        rounds = "--onnx" in words or name == "actions_float32"
+        limit = limits["tolerance_float32" if rounds else "tolerance"]
+        print(f"{name}: largest difference {difference:.2g}, at most {limit:g}")
+        status |= not difference <= limit
+    return int(status)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,153 @@
+"""The robot of this bundle in MuJoCo, driven by its policy: ``python simulate.py --seconds 20 --command 0.2 0 0``.
+
+Needs numpy and mujoco (``--view``: a display as well; ``--onnx``: onnxruntime). It ends with status 1 if the robot has
+fallen. ``robot/scene.xml`` is training's own scene on level ground; drives work as they did in training.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from runner import Policy, array, projected_gravity
+
+HERE = Path(__file__).parent
+LAWS = ("implicit", "pd", "dc_motor")
+FALLEN = 0.5  # cosine of the tilt, 60 degrees
+
+
+class Robot:
+    """The simulated robot: its readings, and drives that take targets.
+
+    Args:
+        spec: ``policy.json``.
+        scene: an MJCF with the robot, its drives as actuators named after the joints, and ground.
+    """
+
+    def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
+        self.spec = spec
+        self.model = mujoco.MjModel.from_xml_path(str(scene))
+        self.model.opt.timestep = spec["physics_dt"]  # XML keeps six digits
+        self.data = mujoco.MjData(self.model)
+        joints = [self.model.joint(name) for name in spec["joint_names"]]
+        self.qpos = [int(joint.qposadr[0]) for joint in joints]
+        self.qvel = [int(joint.dofadr[0]) for joint in joints]
+        driven = {self.model.actuator(i).name: i for i in range(self.model.nu)}
+        self.drives = [(drive, [driven[name] for name in drive["joint_names"]]) for drive in spec["actuators"]]
+        for drive, _ in self.drives:
+            if drive["law"] not in LAWS:
+                raise SystemExit(f"the drive '{drive['name']}' is a {drive['class']}, which is not simulated here")
+        if not spec["root"]["floating"]:
+            raise SystemExit("this robot stands on a fixed base, which is not simulated here")
+        self.root = self.model.body(spec["root"]["body"])
+        self.reset()
+
+    def reset(self) -> None:
+        """Stand the robot at its default pose."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:7] = [*self.spec["root"]["pos"], *self.spec["root"]["quat"]]
+        self.data.qpos[self.qpos] = self.spec["default_joint_pos"]
+        self.data.qvel[self.qvel] = self.spec["default_joint_vel"]
+        mujoco.mj_forward(self.model, self.data)
+
+    def readings(self, commands: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the policy asks for."""
+        data, effort = self.data, np.zeros(len(self.qpos))
+        for drive, actuators in self.drives:
+            effort[drive["joint_ids"]] = data.actuator_force[actuators]
+        back = np.empty(4)
+        mujoco.mju_negQuat(back, data.qpos[3:7])
+        velocity = np.empty(3)
+        mujoco.mju_rotVecQuat(velocity, data.qvel[:3], back)
+        return {
+            "base_ang_vel": data.qvel[3:6],  # of a free joint these are in the body's own axes
+            "base_quat": data.qpos[3:7],
+            "base_lin_vel": velocity + np.cross(data.qvel[3:6], self.root.ipos),
+            "base_height": data.qpos[2:3],
+            "joint_pos": data.qpos[self.qpos],
+            "joint_vel": data.qvel[self.qvel],
+            "joint_effort": effort,
+            **{f"commands.{name}": command for name, command in commands.items()},
+        }
+
+    def drive(self, targets: Mapping[str, np.ndarray]) -> None:
+        """Turn targets into controls, before each physics step."""
+        q, qd = self.data.qpos[self.qpos], self.data.qvel[self.qvel]
+        for drive, actuators in self.drives:
+            ids, limit = drive["joint_ids"], array(drive["effort_limit"], np.inf)
+            kp, kd = array(drive["stiffness"]), array(drive["damping"])
+            torque = kp * targets["position"][ids] + kd * targets["velocity"][ids] + targets["effort"][ids]
+            if drive["law"] != "implicit":  # the solver's own drive subtracts kp q + kd qd and clips
+                torque = np.clip(torque - kp * q[ids] - kd * qd[ids], -limit, limit)
+            if drive["law"] == "dc_motor":
+                stall, top = drive["saturation_effort"], array(drive["velocity_limit"], np.inf)
+                beyond = top * (1 + limit / stall)
+                speed = np.clip(qd[ids], -beyond, beyond) / top
+                torque = np.clip(
+                    torque, np.maximum(stall * (-1 - speed), -limit), np.minimum(stall * (1 - speed), limit)
+                )
+            self.data.ctrl[actuators] = torque
+
+    def step(self, policy: Policy, commands: Mapping[str, Any]) -> None:
+        """Advance by one control step."""
+        targets = policy.step(self.readings(commands))
+        for _ in range(self.spec["decimation"]):
+            self.drive(targets)
+            mujoco.mj_step(self.model, self.data)
+            targets = policy.targets(self.data.qpos[self.qpos])
+
+    @property
+    def upright(self) -> float:
+        """Cosine of the tilt."""
+        return -float(projected_gravity(self.data.qpos[3:7])[2])
+
+
+def main() -> int:
+    """Let the robot act for a while, and print how it stood."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=10.0, help="how long")
+    parser.add_argument("--command", type=float, nargs="+", default=None, help="what is asked for; zeros by default")
+    parser.add_argument("--view", action="store_true", help="show it in MuJoCo's viewer, in real time")
+    parser.add_argument("--onnx", action="store_true", help="let onnxruntime run the network")
+    args = parser.parse_args()
+    spec = json.loads((HERE / "policy.json").read_text(encoding="utf-8"))
+    policy, robot = Policy(HERE, args.onnx), Robot(spec)
+    widths = {name: spec["readings"][f"commands.{name}"]["width"] for name in spec["commands"]}
+    if args.command is not None and list(widths.values()) != [len(args.command)]:
+        parser.error(f"--command takes one command, and this policy has {widths}")
+    commands = {name: np.zeros(width) if args.command is None else args.command for name, width in widths.items()}
+    view: Any = nullcontext()
+    if args.view:
+        import mujoco.viewer
+
+        view = mujoco.viewer.launch_passive(robot.model, robot.data)
+    heights, fallen = [], None
+    start = time.monotonic()
+    with view as viewer:
+        for step in range(round(args.seconds / spec["step_dt"])):
+            robot.step(policy, commands)
+            heights.append(robot.data.qpos[2])
+            if robot.upright < FALLEN:
+                fallen = (step + 1) * spec["step_dt"]
+                break
+            if viewer is not None:
+                viewer.sync()
+                time.sleep(max(0.0, start + (step + 1) * spec["step_dt"] - time.monotonic()))
+    x, y = robot.data.qpos[:2] - spec["root"]["pos"][:2]
+    print(f"simulated {len(heights) * spec['step_dt']:.2f} s at {1 / spec['step_dt']:.4g} Hz")
+    print(f"base height {np.mean(heights):.4f} m on average, {min(heights):.4f} to {max(heights):.4f} m")
+    print(f"it ended {np.hypot(x, y):.3f} m from where it began, tilted by {np.degrees(np.arccos(robot.upright)):.1f}°")
+    print("it stood to the end" if fallen is None else f"it fell after {fallen:.2f} s")
+    return int(fallen is not None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""``policy.json`` of a bundle: everything between sensor readings and joint targets, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.jobs.export.actions import action_specs
+from wheelleg_exp.jobs.export.drives import drive_specs, finite, per_joint
+from wheelleg_exp.jobs.export.observations import observation_specs, readings_of
+from wheelleg_exp.jobs.export.readings import COMMANDS, reading
+
+FORMAT_VERSION = 1
+
+
+def specification(
+    env: ManagerBasedRLEnv, agent: Mapping[str, Any], ranges: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return what a deployer must know of an environment and its agent, but for the network.
+
+    Lists by joint are in the order of ``joint_names``; null stands for a limit that there is not. Names are Isaac
+    Lab's where it has one.
+
+    Args:
+        env: the environment, of one simulation and without events: numbers are the config's own.
+        agent: the agent's section.
+        ranges: of each command, [low, high] by component, as they were at the end of training.
+
+    Raises:
+        ConfigError: a runner without the simulation cannot do what a term does.
+    """
+    robot, layout = env.scene.robot, env.scene.robot.layout
+    groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])
+    actions, drives = action_specs(env), drive_specs(env)
+    names = readings_of(groups)
+    return {
+        "format_version": FORMAT_VERSION,
+        "step_dt": env.step_dt,
+        "physics_dt": env.physics_dt,
+        "decimation": env.decimation,
+        "robot_profile": robot.options.profile,
+        "joint_names": list(robot.joint_names),
+        "default_joint_pos": layout.default_joint_pos.tolist(),
+        "default_joint_vel": layout.default_joint_vel.tolist(),
+        "joint_pos_limits": [[finite(low), finite(high)] for low, high in layout.joint_pos_limits.tolist()],
+        **per_joint(env, drives),
+        "readings": {name: _reading(env, name) for name in names},
+        "commands": {
+            name.removeprefix(COMMANDS): dict(ranges.get(name.removeprefix(COMMANDS), {}))
+            for name in names
+            if name.startswith(COMMANDS)
+        },
+        "observation_width": sum(_width(term) for group in groups for term in group["terms"]),
+        "observations": groups,
+        "action_width": env.action_manager.total_action_dim,
+        "clip_actions": agent.get("clip_actions"),
+        "actions": actions,
+        "actuators": drives,
+        "root": {
+            "body": robot.body_names[0],
+            "floating": robot.floating,
+            "pos": layout.default_root_pos.tolist(),
+            "quat": layout.default_root_quat.tolist(),
+        },
+    }
+
+
+def _width(term: Mapping[str, Any]) -> int:
+    return int(term["width"]) * max(1, int(term["history_length"]))
+
+
+def _reading(env: ManagerBasedRLEnv, name: str) -> dict[str, Any]:
+    known = reading(name)
+    return {"width": known.of(env).shape[1], "unit": known.unit, "meaning": known.meaning}
