@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -13,6 +13,7 @@ from mujoco.batch import Batch, SimulationError
 
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.still_geoms import StillGeoms
 from wheelleg_exp.state import cloned
 from wheelleg_exp.threads import usable_cores
 
@@ -46,6 +47,7 @@ class BatchEngine(Engine):
         self._views: dict[str, torch.Tensor] = {}
         self.expanded = {}
         self.asked = set()
+        self._still: dict[tuple[int, ...], StillGeoms] = {}
         self._unedited: dict[str, torch.Tensor] = {}
         self._at_set_const: dict[str, torch.Tensor] | None = None
         self.state = torch.from_numpy(self.batch.state)
@@ -141,8 +143,15 @@ class BatchEngine(Engine):
         if geom_groups is not None:
             groups = np.isin(np.arange(mujoco.mjNGROUP), geom_groups)
         points, vectors = (rays.double().contiguous().numpy() for rays in (origins, directions))
+        still = self._still.get(tuple(geom_groups or ()))
+        if still is not None and still.are_still(self.expanded):
+            return torch.from_numpy(still.ray(points, vectors))
         distances, _ = self.batch.ray(points, vectors, geomgroup=groups, ids=_rows(ids))
         return torch.from_numpy(distances)
+
+    def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
+        """Say that a group's geoms never move (see ``Engine.cast_alone``)."""
+        self._still[(geom_group,)] = StillGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that the next step depends on: state rows, warnings, per-simulation model fields."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import mujoco
@@ -119,6 +119,17 @@ class Engine(Kept, ABC):
             geom_groups: MuJoCo's groups of the geoms that stop a ray; None is all.
             ids: the simulations that the rays are in, (n,); None is all.
         """
+
+    def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
+        """Say that a group's geoms never move: rays onto this group may be cast in a model of them alone.
+
+        An engine may leave it be, since no result depends on it.
+
+        Args:
+            geom_group: the group.
+            alone: returns the model of these geoms, by the same names.
+        """
+        del geom_group, alone
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:

@@ -91,6 +91,7 @@ class Scene(Kept):
         """Compile the spec, start the simulations and stand the robot at its default state."""
         self.model = self.spec.compile()
         self.sim = make_engine(self._sim_options, self.model, self.num_envs)
+        self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)
         self._unstable: torch.Tensor | None = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         self.robot.connect(self.sim, self._stream)
         for sensor in self.sensors.values():

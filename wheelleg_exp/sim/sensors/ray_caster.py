@@ -98,8 +98,9 @@ class RayCaster(LazySensor):
         pos, quat = offset_pose(self._offset, sim.device)
         turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0]
         directions = torch.nn.functional.normalize(directions, dim=1) @ turn.T
-        self._starts, self._directions = starts + pos, directions
         self.num_rays = len(starts)
+        one_point = bool((starts == starts[:1]).all())
+        self._starts, self._directions = starts[: 1 if one_point else None] + pos, directions
         is_down = bool((self._directions == self._directions.new_tensor([0.0, 0.0, -1.0])).all())
         self._looks_down = is_down and self._alignment != "base"
         self._data = RayCasterData(sim.num_envs, self.num_rays, sim.device)
@@ -140,6 +141,7 @@ class RayCaster(LazySensor):
         moved = rotation.rotate(turn, drift[:, 3:])
         moved[:, 2] = 0.0
         starts = self._starts @ turn.transpose(1, 2) + (pos + moved).unsqueeze(1)
+        starts = starts.expand(-1, self.num_rays, -1)
         directions = self._directions.expand_as(starts)
         if self._alignment == "base":
             directions = directions @ turn.transpose(1, 2)

@@ -135,6 +135,10 @@ class TerrainBase(Kept):
         """
         return self._probe.height_at(xy)
 
+    def model_alone(self) -> mujoco.MjModel:
+        """Return a model of the ground and nothing else."""
+        return self._probe.model()
+
     @property
     def has_formula(self) -> bool:
         """Whether ``height_at`` is a formula, and costs less than rays."""

@@ -22,14 +22,21 @@ class Probe:
 
     def __init__(self, add_to: Callable[[mujoco.MjSpec], None]) -> None:
         self._add_to = add_to
+        self._model: mujoco.MjModel | None = None
         self._engine: Engine | None = None
+
+    def model(self) -> mujoco.MjModel:
+        """Return the model of the ground alone."""
+        if self._model is None:
+            spec = mujoco.MjSpec()
+            self._add_to(spec)
+            self._model = spec.compile()
+        return self._model
 
     def height_at(self, xy: torch.Tensor, beside: float = 0.0) -> torch.Tensor:
         """Return the height of the ground at points (..., 2), m, (...); ``beside`` where there is none."""
         if self._engine is None:
-            spec = mujoco.MjSpec()
-            self._add_to(spec)
-            self._engine = BatchEngine(spec.compile(), 1, 1)
+            self._engine = BatchEngine(self.model(), 1, 1)
         far = torch.full_like(xy[..., :1], _FAR)
         origins = torch.cat((xy, far), dim=-1).reshape(1, -1, 3)
         down = torch.tensor([0.0, 0.0, -1.0], device=xy.device).expand_as(origins)

@@ -1,0 +1,79 @@
+"""Rays onto a ground that never moves: in a model of it alone they go as far as in the whole one."""
+
+from __future__ import annotations
+
+import mujoco
+import pytest
+import torch
+
+from wheelleg_exp.sim.batch import BatchEngine
+
+GROUND = """
+  <geom name="ground" type="plane" size="0 0 .1"/>
+  <geom name="ground/step" type="box" size=".5 .5 .2" pos="1 0 .2" euler="0 10 20"/>
+  <geom name="ground/ball" type="sphere" size=".3" pos="-1 .4 .1"/>"""
+ROBOT = (
+    """<body name="block" pos="0 0 .5"><freejoint/><geom name="cube" group="1" type="box" size=".1 .1 .1"/></body>"""
+)
+
+
+def model(*parts):
+    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{''.join(parts)}</worldbody></mujoco>")
+
+
+@pytest.fixture
+def engines():
+    """The same simulations twice, of which the second casts rays onto the ground apart."""
+    whole, apart = (BatchEngine(model(GROUND, ROBOT), 5, 2) for _ in range(2))
+    made = []
+    apart.cast_alone(0, lambda: made.append(model(GROUND)) or made[-1])
+    apart.made = made
+    return whole, apart
+
+
+def rays(count=37):
+    generator = torch.Generator().manual_seed(1)
+    origins = 2.0 * torch.rand(5, count, 3, generator=generator) - torch.tensor([1.0, 1.0, -0.3])
+    return origins, torch.randn(5, count, 3, generator=generator) - torch.tensor([0.0, 0.0, 0.5])
+
+
+def test_they_go_as_far_to_the_bit(engines):
+    whole, apart = engines
+    far = whole.ray(*rays(), (0,))
+    assert torch.equal(apart.ray(*rays(), (0,)), far)
+    assert len(apart.made) == 1
+    assert 0.2 < float((far < 0).float().mean()) < 0.8
+    ids = torch.tensor([3, 1])
+    some = [part[ids] for part in rays()]
+    assert torch.equal(apart.ray(*some, (0,), ids), far[ids])
+    assert apart.ray(*(part[:0] for part in rays()), (0,), ids[:0]).shape == (0, 37)
+
+
+def test_rays_that_may_meet_the_robot_are_cast_in_its_own_simulation(engines):
+    whole, apart = engines
+    for engine in engines:
+        engine.view("qpos")[:, 2] = torch.tensor([0.5, 1.0, 2.0, 3.0, 4.0], dtype=torch.float64)
+        engine.forward()
+    for groups in (None, (0, 1), (1,)):
+        assert torch.equal(apart.ray(*rays(), groups), whole.ray(*rays(), groups))
+    assert apart.made == []
+
+
+def test_a_ground_that_somebody_moves_in_one_simulation_is_cast_there(engines):
+    for engine in engines:
+        engine.expand("geom_pos")[2, 1] = torch.tensor([0.0, 0.0, 0.5], dtype=torch.float64)
+        engine.forward()
+    whole, apart = engines
+    far = whole.ray(*rays(), (0,))
+    assert torch.equal(apart.ray(*rays(), (0,)), far)
+    assert not torch.equal(far, BatchEngine(whole.model, 5, 1).ray(*rays(), (0,)))
+
+
+@pytest.mark.parametrize(
+    "alone", [GROUND.replace('pos="1 0 .2"', 'pos="1 0 .3"'), GROUND.splitlines()[1], GROUND + "<geom size='1'/>"]
+)
+def test_a_ground_that_is_not_the_whole_model_s_is_left_alone(alone):
+    engine = BatchEngine(model(GROUND, ROBOT), 5, 1)
+    far = engine.ray(*rays(), (0,))
+    engine.cast_alone(0, lambda: model(alone))
+    assert torch.equal(engine.ray(*rays(), (0,)), far)
