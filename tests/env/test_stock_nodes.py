@@ -45,8 +45,8 @@ SIZE = [
     "env.episode_length_s=0.2",
     "env.scene.sensors.contact_forces.track_air_time=true",
 ]
-# Of every sensor, whatever its name, what it takes from the last solve; no constant follows from frictions.
-DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms", "._at_set_const['geom_friction']"}
+# Of every sensor, whatever its name, what it takes from the last solve.
+DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms"}
 DERIVED |= {
     f".sensors['{name}'].{what}"
     for name in ("height_scanner", "lidar", "camera")
