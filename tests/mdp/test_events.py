@@ -127,7 +127,7 @@ def _mass(make_env, operation, params, **fields):
     ],
 )
 def test_masses_are_drawn_from_the_default_for_each_environment_and_body(make_env, operation, params, low, high):
-    _, model, ids, mass, inertia = _mass(make_env, operation, params)
+    env, model, ids, mass, inertia = _mass(make_env, operation, params)
     drawn = mass[:, ids]
     assert (drawn >= np.array(low) - 1e-6).all()
     assert (drawn <= np.array(high) + 1e-6).all()
@@ -136,6 +136,7 @@ def test_masses_are_drawn_from_the_default_for_each_environment_and_body(make_en
     assert (mass[:, others] == model.body_mass[others]).all()
     ratio = drawn / model.body_mass[ids]
     np.testing.assert_allclose(inertia[:, ids], model.body_inertia[ids] * ratio[..., None])
+    assert env.scene.sim.batch.expanded("body_ipos") is None  # centres of mass stay
 
 
 def test_masses_drawn_again_do_not_add_up(make_env):
@@ -366,6 +367,21 @@ def test_the_drawn_velocity_is_that_of_the_com_in_world_axes(make_env):
     torch.testing.assert_close(data.root_ang_vel_w, torch.tensor([[0.0, 3.0, 0.0]] * 4), atol=1e-5, rtol=0)
 
 
+@pytest.mark.parametrize("name", ["reset_root_state_uniform", "reset_root_state_with_random_orientation"])
+def test_a_default_state_that_was_changed_is_where_episodes_begin(make_env, name):
+    """Pose and velocity; a draw is added to both."""
+    half = math.sqrt(0.5)
+    env, data = _placed(make_env, name, pose_range={"x": [0.5, 0.5]}, velocity_range={"z": [2.0, 2.0]})
+    data.default_root_state[1] = torch.tensor([1.0, 2.0, 3.0, half, 0.0, 0.0, half, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    env.reset()
+    torch.testing.assert_close(data.root_pos_w[1], env.scene.env_origins[1] + torch.tensor([1.5, 2.0, 3.0]))
+    torch.testing.assert_close(data.root_pos_w[0], env.scene.env_origins[0] + torch.tensor([0.6, 0.2, 0.5]))
+    torch.testing.assert_close(data.root_vel_w[1], torch.tensor([0.1, 0.2, 2.3, 0.4, 0.5, 0.6]), atol=1e-5, rtol=0)
+    torch.testing.assert_close(data.root_vel_w[0], torch.tensor([0.0, 0.0, 2.0, 0.0, 0.0, 0.0]), atol=1e-5, rtol=0)
+    if name == "reset_root_state_uniform":
+        torch.testing.assert_close(data.root_quat_w[1], torch.tensor([half, 0.0, 0.0, half]))
+
+
 def test_draws_are_independent_between_axes_and_environments(make_env):
     env, data = _placed(make_env, num_envs=400, pose_range={"x": [-1, 1], "y": [-1, 1]}, velocity_range={})
     offset = data.root_pos_w - env.scene.env_origins - torch.tensor([0.1, 0.2, 0.5])
@@ -434,13 +450,17 @@ def test_only_the_joints_asked_for_are_reset(make_env):
 @pytest.mark.parametrize("targets", [True, False])
 def test_everything_goes_back_to_its_default(make_env, targets):
     env = make_env(events={"d": _event("reset_scene_to_default", mode="reset", reset_joint_targets=targets)})
+    env.scene.robot.data.default_root_state[2, 7] = 0.5  # m/s
     env.reset()
     start = env.scene.sim.view("qpos").clone()
     for _ in range(20):
         env.step(torch.ones(4, 4))
     env.reset()
     torch.testing.assert_close(env.scene.sim.view("qpos"), start, atol=1e-7, rtol=0)
-    assert env.scene.sim.view("qvel").abs().max() == 0
+    velocity = torch.zeros(4, 6)
+    velocity[2, 0] = 0.5
+    torch.testing.assert_close(env.scene.robot.data.root_vel_w, velocity)
+    assert env.scene.robot.data.joint_vel.abs().max() == 0
     at_default = torch.allclose(env.scene.robot.data.joint_pos_target, env.scene.robot.data.default_joint_pos)
     assert at_default == targets
 

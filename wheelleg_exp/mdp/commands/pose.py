@@ -84,7 +84,7 @@ class UniformPose2dCommand(RangedCommand):
         """Draw places and headings."""
         drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
         self.pos_command_w[env_ids] = self._places(env_ids, drawn[:, :2])
-        self.pos_command_w[env_ids, 2] += self.robot.default_root_pos[2]
+        self.pos_command_w[env_ids, 2] += self.robot.data.default_root_state[env_ids, 2]
         self.heading_command_w[env_ids] = self._way(env_ids) if self._simple_heading else drawn[:, 2]
 
     def post_process(self) -> None:

@@ -50,21 +50,23 @@ class reset_root_state_uniform(TermBase):
         ids = all_ids(env, env_ids)
         robot = self._robot
         u = rotation.uniform(self._low, self._high, len(ids), self._generator)
-        position = robot.default_root_pos + env.scene.env_origins[ids] + u[:, 0:3]
-        robot.write_root_pose_to_sim(torch.cat((position, self.orientation(u[:, 3:6])), dim=1), ids)
-        robot.write_root_velocity_to_sim(u[:, 6:12], ids)
+        start = robot.data.default_root_state[ids]
+        position = start[:, 0:3] + env.scene.env_origins[ids] + u[:, 0:3]
+        pose = torch.cat((position, self.orientation(start[:, 3:7], u[:, 3:6])), dim=1)
+        robot.write_root_pose_to_sim(pose, ids)
+        robot.write_root_velocity_to_sim(start[:, 7:13] + u[:, 6:12], ids)
 
-    def orientation(self, euler: torch.Tensor) -> torch.Tensor:
-        """Return the orientations (n, 4) for drawn angles (n, 3)."""
-        turn = rotation.quat_from_euler_xyz(*euler.unbind(dim=1))
-        return rotation.quat_mul(self._robot.default_root_quat.expand_as(turn), turn)
+    def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
+        """Return the orientations (n, 4) for the default ones (n, 4) and drawn angles (n, 3)."""
+        return rotation.quat_mul(default, rotation.quat_from_euler_xyz(*euler.unbind(dim=1)))
 
 
 class reset_root_state_with_random_orientation(reset_root_state_uniform):
     """As ``reset_root_state_uniform``, with an orientation uniform on SO(3)."""
 
-    def orientation(self, euler: torch.Tensor) -> torch.Tensor:
+    def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
         """Return random orientations (n, 4)."""
+        del default
         return rotation.random_quat(len(euler), self._generator)
 
 
@@ -113,9 +115,10 @@ class reset_root_state_from_terrain(TermBase):
         chosen = torch.randint(places.shape[2], (len(ids),), generator=self._generator, device=ids.device)
         place = places[terrain.terrain_levels[ids], terrain.terrain_types[ids], chosen]
         u = rotation.uniform(self._low, self._high, len(ids), self._generator)
+        start = robot.data.default_root_state[ids]
         turn = rotation.quat_from_euler_xyz(*u[:, 0:3].unbind(dim=1))
-        robot.write_root_pose_to_sim(torch.cat((place + robot.default_root_pos, turn), dim=1), ids)
-        robot.write_root_velocity_to_sim(u[:, 3:9], ids)
+        robot.write_root_pose_to_sim(torch.cat((place + start[:, 0:3], turn), dim=1), ids)
+        robot.write_root_velocity_to_sim(start[:, 7:13] + u[:, 3:9], ids)
 
 
 def reset_joints_by_scale(
