@@ -148,6 +148,38 @@ def test_events_of_a_mode_run_in_the_order_of_the_config(make_env):
     assert [key for key, _, _ in spies.LOG] == ["zeta", "alpha", "mid"]
 
 
+def test_the_counters_are_there_before_anything_else_is(make_env):
+    seen = {}
+    spies.VALUES["k"] = lambda env, ids: seen.update(vars(env))
+    make_env(events={"e": {"_target_": spies.HERE + "writes", "mode": "prestartup", "key": "k"}})
+    assert seen["common_step_counter"] == 0
+    assert seen["episode_length_buf"].tolist() == [0] * 4
+    assert {name for name in seen if name.endswith("_manager")} <= {"scene_manager", "event_manager"}
+
+
+def test_a_class_that_runs_before_the_start_is_never_reset(make_env):
+    made = {
+        mode: {"_target_": spies.HERE + "SpyEvent", "mode": mode, "name": mode} for mode in ("prestartup", "startup")
+    }
+    env = make_env(events=made)
+    assert spies.LOG[:2] == ["event prestartup made", "event prestartup None"]
+    spies.LOG.clear()
+    env.reset()
+    assert spies.LOG == ["event startup reset [0, 1, 2, 3]"]
+
+
+def test_a_mode_that_no_event_has_is_warned_of(make_env):
+    env = make_env(events={"e": _event("my_mode")})
+    with pytest.warns(UserWarning, match=r"'my_mod'.*'my_mode'"):
+        env.apply_event("my_mod")
+    env.event_manager.apply("startup")  # which nobody has to have
+    assert spies.LOG == []
+
+
+def test_events_log_nothing(make_env):
+    assert make_env(events={"e": _interval(0.05), "r": _event("reset")}).event_manager.reset(torch.arange(4)) == {}
+
+
 @pytest.mark.parametrize(
     ("fields", "key"),
     [

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
 import torch
 
+from wheelleg_exp.errors import nearest_name
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.finite import require_finite_writes
 from wheelleg_exp.managers.manager_base import ManagerBase, table
 from wheelleg_exp.managers.returned import NoForm
 from wheelleg_exp.managers.term import Term, instantiate_term
 from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.terms.binding import EVENT_MODES
 
 
 class EventManager(ManagerBase):
@@ -62,7 +65,7 @@ class EventManager(ManagerBase):
         """Run the terms of ``prestartup``, ``startup``, ``reset``, or a mode of the caller's own.
 
         Args:
-            mode: the mode; one that no term has does nothing.
+            mode: the mode; one of the caller's own that no term has is warned of, and does nothing.
             env_ids: environments, or None for all.
             global_env_step_count: control steps so far; needed for ``reset``.
 
@@ -72,6 +75,10 @@ class EventManager(ManagerBase):
         """
         if mode == "interval":
             raise ValueError("interval events are applied by apply_interval(dt)")
+        if mode not in (*EVENT_MODES, *self._modes):
+            nearest = nearest_name(mode, self._modes)
+            hint = f"; did you mean '{nearest}'?" if nearest else ""
+            warnings.warn(f"no event has the mode '{mode}'{hint}", stacklevel=2)
         for name, term in self._modes.get(mode, {}).items():
             ids = env_ids
             if mode == "reset":
@@ -117,11 +124,11 @@ class EventManager(ManagerBase):
         asked.clear()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Redraw the per-environment timers of ``env_ids``."""
+        """Redraw the per-environment timers of ``env_ids``, and reset the terms but those of ``prestartup``."""
         for name, term in self._modes.get("interval", {}).items():
             if not term.fields.get("is_global_time", False):
                 self._draw_timer(name, term, env_ids)
-        self._reset_terms(env_ids)
+        self._reset_terms(env_ids, but=self._modes.get("prestartup", {}))
         return {}
 
     def state_dict(self) -> dict[str, Any]:

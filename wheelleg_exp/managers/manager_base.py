@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -90,9 +90,9 @@ class ManagerBase(Kept):
         for name, term in self._terms.items():
             term.load_state_dict(saved["terms"][name])
 
-    def _reset_terms(self, env_ids: torch.Tensor) -> None:
-        for term in self._terms.values():
-            if term.stateful is not None:
+    def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:
+        for name, term in self._terms.items():
+            if term.stateful is not None and name not in but:
                 with term.blamed():
                     term.stateful.reset(env_ids)
 
