@@ -72,3 +72,11 @@ def test_a_weight_changed_by_a_curriculum_goes_round_and_a_configured_one_does_n
     assert second.reward_manager.get_term_cfg("alive").fields["weight"] == 3.0
     assert second.reward_manager.get_term_cfg("other").fields["weight"] == 7.0
     assert second.curriculum_manager.reset(torch.arange(4)) == {"Curriculum/c": 3.0}
+
+
+def test_what_terms_returned_last_can_be_asked_for(make_env):
+    spies.VALUES.update(a={"mean": torch.tensor(2.5), "top": 4}, b=torch.tensor(1.5), c=None)
+    env = make_env(curriculum={"a": _state("a"), "b": _state("b"), "c": _state("c")})
+    assert env.curriculum_manager.get_active_iterable_terms(0) == []
+    env.reset()
+    assert env.curriculum_manager.get_active_iterable_terms(3) == [("a", [2.5, 4]), ("b", [1.5])]

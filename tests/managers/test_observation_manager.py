@@ -135,6 +135,27 @@ def test_a_terms_own_history_is_overridden_by_the_groups(make_env):
     assert none.observation_manager.group_obs_term_dim["policy"] == [(1,), (1,)]
 
 
+def test_a_group_without_a_history_of_its_own_leaves_flattening_to_its_terms(make_env):
+    terms = {"x": _value("x", history_length=4, flatten_history_dim=True)}
+    options = {"flatten_history_dim": False, "concatenate_terms": False}
+    own = _env(make_env, terms, **options)
+    assert own.observation_manager.group_obs_term_dim["policy"] == [(4,)]
+    group = _env(make_env, terms, history_length=2, **options)
+    assert group.observation_manager.group_obs_term_dim["policy"] == [(2, 1)]
+
+
+def test_what_was_observed_last_can_be_asked_for_term_by_term(make_env):
+    groups = {
+        "a": {"terms": {"x": _value("x"), "y": _value("y")}, "history_length": 2},
+        "b": {"terms": {"y": _value("y")}},
+    }
+    env = make_env(observations=groups)
+    spies.VALUES.update(x=torch.tensor([1.0, 2.0, 3.0, 4.0]), y=7.0)
+    env.observation_manager.compute()
+    found = env.observation_manager.get_active_iterable_terms(2)
+    assert found == [("a-x", [3.0, 3.0]), ("a-y", [7.0, 7.0]), ("b-y", [7.0])]
+
+
 def test_scale_is_inside_the_history(make_env):
     env = _env(make_env, {"x": _value(scale=2.0)}, history_length=2)
     assert _series(env, "x", 1.0, 3.0)[0].tolist() == [2, 6]

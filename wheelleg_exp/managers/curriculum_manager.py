@@ -40,6 +40,13 @@ class CurriculumManager(ManagerBase):
         self._reset_terms(env_ids)
         return log
 
+    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[Any]]]:
+        """Return the last returned state of each term, of a mapping all values; the same for every environment."""
+        del env_idx
+        states = {name: state for name, state in self._state.items() if state is not None}
+        parts = ((name, state.values() if isinstance(state, Mapping) else [state]) for name, state in states.items())
+        return [(name, [_number(value) for value in values]) for name, values in parts]
+
     def state_dict(self) -> dict[str, Any]:
         """Return the last returned states as plain numbers, and the terms' states."""
         last = {name: _plain(state) for name, state in self._state.items()}

@@ -92,6 +92,15 @@ class ObservationManager(Kept):
         """Return a group's observation term by term."""
         return {name: self.part(group, name, value) for name in self._groups[group]}
 
+    def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
+        """Return what one environment observed last by term, as ``<group>-<term>``."""
+        shown = ((group, self.split(group, value)) for group, value in self.obs_buf.items())
+        return [
+            (f"{group}-{name}", value[env_idx].flatten().tolist())
+            for group, values in shown
+            for name, value in values.items()
+        ]
+
     def sample_between(self) -> None:
         """Take up samples between two physics steps of a control step, of terms that are seen late."""
         for term in self._late:
