@@ -14,7 +14,7 @@ import torch
 from omegaconf import OmegaConf
 
 from wheelleg_exp.constraints import NonNegative
-from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, RecorderTerm, TermBase
+from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, RecorderTerm, SceneEntityCfg, TermBase
 from wheelleg_exp.sim.actuators import IdealPDActuator, ImplicitActuator
 from wheelleg_exp.sim.layout import JointTargets
 from wheelleg_exp.sim.sensors import SensorBase
@@ -174,6 +174,12 @@ class SpyEvent(Spy):
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         LOG.append(f"{self.kind} {None if env_ids is None else env_ids.tolist()}")
+
+
+def default_entity(env: Env, asset_cfg: SceneEntityCfg = SceneEntityCfg("robot", joint_names=["left_hip"])):  # noqa: B008
+    """Note which joints an entity stands for that no config names."""
+    LOG.append(asset_cfg.joint_ids)
+    return torch.zeros(env.num_envs)
 
 
 def spy_prestartup(env: Env, env_ids: torch.Tensor | None) -> None:

@@ -90,6 +90,15 @@ def test_a_velocity_action_sets_velocity_targets_within_the_velocity_limit(make_
     assert env.scene.robot.data.joint_vel_target[0].tolist() == [0, 0, 10, -20]
 
 
+def test_the_default_velocity_is_the_offset_of_a_velocity_action(make_env):
+    init = {"pos": [0, 0, 1], "rot": [1, 0, 0, 0], "joint_pos": {}, "joint_vel": {"left_axle": 1.5}}
+    node = {"_target_": A + "JointVelocityAction", "joint_names": [".*_axle"], "scale": 2.0, "use_default_offset": True}
+    env = make_env(actions={"a": node}, robot={"init_state": init})
+    env.action_manager.process_action(torch.ones(4, 2))
+    env.action_manager.apply_action()
+    assert env.scene.robot.data.joint_vel_target[0, 2:].tolist() == [3.5, 2.0]
+
+
 def test_an_effort_action_sets_efforts_and_moves_the_joint(make_env):
     env = _env(make_env, "arm", a={"_target_": "JointEffortAction", "joint_names": ["hinge"], "scale": 2.0})
     env.step(torch.full((4, 1), 1.5))

@@ -99,6 +99,24 @@ def test_the_share_that_stands_is_the_one_asked_for(make_env):
     assert torch.equal(standing, term.is_standing_env)
 
 
+def test_the_share_that_follows_a_heading_is_the_one_asked_for(make_env):
+    ranges = RANGES | {"heading": [3.0, 3.0], "ang_vel_z": [0.1, 0.2]}
+    _, term = _env(make_env, ranges=ranges, heading_command=True, rel_heading_envs=0.3, num_envs=3000)
+    drawn = term.command[:, 2].clone()
+    term.compute(0.02)
+    steered = term.command[:, 2] != drawn
+    assert float(steered.float().mean()) == pytest.approx(0.3, abs=0.03)
+    assert (term.command[steered, 2] == 0.2).all()
+
+
+def test_who_stands_still_is_made_to_in_every_step(make_env):
+    env, term = _env(make_env, rel_standing_envs=1.0, resampling_time_range=[9.0, 9.0])
+    for _ in range(2):
+        term.command[:] = 1.0
+        env.command_manager.compute(0.02)
+        assert (term.command == 0).all()
+
+
 def _turn_to(env, yaw):
     half = torch.tensor(yaw / 2)
     quat = torch.tensor([[torch.cos(half), 0.0, 0.0, torch.sin(half)]]).expand(4, 4)
@@ -161,6 +179,19 @@ def test_metrics_start_again_at_a_reset_for_the_environments_that_reset(make_env
     assert (term.metrics[:, 0] > 0).all()
     log = env.command_manager.reset(torch.tensor([1]))
     assert float(log["Metrics/v/error_vel_xy"]) == 0.0
+
+
+def test_who_is_reset_in_a_step_gets_one_sample_of_the_new_command_in_it(make_env):
+    env, term = _env(make_env, episode_length_s=0.02, resampling_time_range=[0.5, 0.5], rel_standing_envs=1.0)
+    drawn, draw = [], term.draw
+    term.draw = lambda ids: (draw(ids), drawn.append(term.command.clone()))
+    env.step(STILL)
+    (command,) = drawn
+    data = env.scene.robot.data
+    error = (command[:, :2] - data.root_lin_vel_b[:, :2]).norm(dim=1) * 0.02 / 0.5
+    torch.testing.assert_close(term.metrics[0], error)
+    assert (error > 0.0).all()
+    assert (term.command == 0).all()  # and its first observation shows that it stands
 
 
 def test_the_metric_is_sampled_before_the_command_is_redrawn(make_env):

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
 from managers import spies
 from wheelleg_exp.config.checking.check_terms import check_nested_targets
@@ -191,6 +192,21 @@ def test_an_entity_finds_joints_in_the_robots_or_its_own_order(make_env):
         cfg = _entity(name="robot", joint_names=names, preserve_order=preserve)
         env = make_env(rewards={"term": node | {"asset_cfg": cfg}})
         assert env.reward_manager.get_term_cfg("term").params["asset_cfg"].joint_ids.tolist() == expected
+
+
+def test_an_entity_that_is_a_default_is_not_resolved_and_stands_for_all_joints(make_env):
+    """Isaac Lab resolves what stands among a term's parameters alone."""
+    default, given = (
+        {"_target_": spies.HERE + "default_entity", "weight": 1.0},
+        _entity(name="robot", joint_names=["right_hip"]),
+    )
+    env = make_env(rewards={"a": default, "b": default | {"asset_cfg": given}})
+    env.reset()
+    spies.LOG.clear()
+    env.step(torch.zeros(4, 4))
+    everything, one = spies.LOG
+    assert everything == slice(None)
+    assert one.tolist() == [1]
 
 
 @pytest.mark.parametrize(

@@ -134,6 +134,24 @@ def test_robots_on_tiles_go_up_and_down_and_out_of_bounds(make_env):
     assert env.step(STILL)[2].tolist() == [False, True, True, False]
 
 
+def test_a_second_reset_before_any_motion_sends_robots_down(make_env):
+    """Nobody has come far, and a command was drawn: only who stands still stays."""
+    ranges = {"lin_vel_x": [0.2, 0.2], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
+    node = {"_target_": C + "terrain_levels_vel", "command_name": "v"}
+    for standing, expected in ((0.0, [2, 0, 1, 1]), (1.0, [3, 0, 2, 2])):
+        speed = VELOCITY | {"ranges": ranges, "rel_standing_envs": standing}
+        env = make_env(scene={"terrain": TILES}, commands={"v": speed}, curriculum={"c": node})
+        env.reset()
+        env.step(STILL)
+        terrain, ids = env.scene.terrain, torch.arange(4)
+        terrain.terrain_levels[:] = T([3, 0, 2, 2])
+        terrain.update_env_origins(ids, torch.zeros(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool))
+        place = env.scene.env_origins + T([0.0, 0.0, 0.5])
+        env.scene.robot.write_root_pose_to_sim(torch.cat((place, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1), ids)
+        env.reset()
+        assert terrain.terrain_levels.tolist() == expected
+
+
 LEVELS = {
     "_target_": C + "lin_vel_cmd_levels",
     "reward_term_name": "alive",

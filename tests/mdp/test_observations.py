@@ -92,6 +92,12 @@ def test_actions_of_all_terms_or_one():
     close(observations.last_action(env, action_name="legs"), [[7.0]])
 
 
+def test_commands_by_name():
+    env = fake_env(commands={"v": T([[1.0, 2.0]]), "p": T([[3.0]])})
+    close(observations.generated_commands(env, "p"), [[3.0]])
+    close(observations.generated_commands(env, "v"), [[1.0, 2.0]])
+
+
 def test_an_unlimited_joint_has_no_place_between_limits(make_env):
     node = {"_target_": "wheelleg_exp.mdp.observations.joint_pos_limit_normalized"}
     with pytest.raises(WheellegError, match=r"left_axle|limit"):

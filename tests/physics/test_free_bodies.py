@@ -72,6 +72,34 @@ def test_the_stone_falls_as_on_other_planets(world, gravity):
     assert float(watch(env, 20)["root_lin_vel_w"][-1, 0, 2]) == pytest.approx(-gravity * 0.2, rel=1e-6)
 
 
+def test_each_stone_falls_along_the_parabola_of_the_gravity_that_was_drawn_for_it(world):
+    dt, steps, thrown = 0.005, 60, torch.tensor([1.5, -0.5, 2.0], dtype=torch.float64)
+    drawn = at_reset(
+        "randomize_physics_scene_gravity",
+        gravity_distribution_params=[[-3.0, -3.0, -15.0], [3.0, 3.0, 4.0]],
+        operation="add",
+        per_env=True,
+    )
+    env = world(
+        STONE,
+        dt,
+        num_envs=6,
+        observations=seen("root_pos_w", "root_lin_vel_w", "projected_gravity"),
+        events={"gravity": drawn, "throw": placed({"z": 1.0}, dict(zip("xyz", thrown.tolist(), strict=True)))},
+    )
+    shown = watch(env, steps)
+    gravity = env.scene.sim.expanded["opt.gravity"].double()
+    assert ((gravity - torch.tensor([0.0, 0.0, -G])).abs() <= torch.tensor([3.0, 3.0, 15.0])).all()
+    assert (gravity.std(dim=0) > 0.5).all()
+    t, start = steps * dt, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    # Semi-implicit steps: the sum of 1 ... n in place of n^2 / 2.
+    place = start + thrown * t + gravity * dt**2 * steps * (steps + 1) / 2
+    torch.testing.assert_close(shown["root_lin_vel_w"][-1], thrown + gravity * t, atol=5e-6, rtol=0)
+    torch.testing.assert_close(shown["root_pos_w"][-1], place, atol=5e-6, rtol=0)
+    level = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64).expand(steps + 1, 6, 3)
+    torch.testing.assert_close(shown["projected_gravity"], level, atol=2e-6, rtol=0)  # the config's direction
+
+
 def test_a_payload_changes_no_fall_and_divides_what_a_force_does(world):
     force, steps, dt = 3.0, 40, 0.005
     env = world(

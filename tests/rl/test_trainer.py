@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import os
 import subprocess
@@ -289,6 +290,19 @@ def test_the_adapter_tells_time_outs_apart_from_failures(make_trainer):
         _, _, dones, extras = adapter.step(torch.zeros(16, 6))
     assert dones.dtype == torch.long
     assert extras["time_outs"].tolist() == [i != 3 for i in range(16)]
+
+
+def test_episode_lengths_that_are_set_shift_no_timers_and_no_commands(make_trainer):
+    adapter = make_trainer().env
+    env = adapter.env
+    command = env.command_manager.get_term("base_velocity")
+    before = copy.deepcopy((command.time_left, command.command, env.event_manager.state_dict()["time_left"]))
+    drawn = torch.arange(16)  # of 18 control steps
+    adapter.episode_length_buf = drawn
+    after = command.time_left, command.command, env.event_manager.state_dict()["time_left"]
+    assert str(before) == str(after)
+    adapter.step(torch.zeros(16, 6))
+    assert env.episode_length_buf.tolist() == (drawn + 1).tolist()
 
 
 def test_reading_the_observations_changes_nothing(adapter):

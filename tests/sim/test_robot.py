@@ -280,3 +280,18 @@ def test_a_robots_state_goes_round(env, make_env):
         _substep(other)
     assert torch.equal(env.scene.sim.state, other.scene.sim.state)
     assert torch.equal(mine.applied_torque, theirs.applied_torque)
+
+
+def test_a_reset_of_the_scene_leaves_state_and_targets_to_events_and_actions(make_env):
+    env = make_env(events={})
+    robot, gen = env.scene.robot, torch.Generator().manual_seed(2)
+    env.reset()
+    for _ in range(3):
+        env.step(torch.ones(4, 4))
+    robot.set_joint_position_target(torch.randn(4, 4, generator=gen))
+    robot.set_joint_effort_target(torch.randn(4, 4, generator=gen))
+    kept = [t.clone() for t in (*vars(robot.targets).values(), env.scene.sim.view("qpos"), env.scene.sim.view("qvel"))]
+    env.scene.reset(torch.tensor([1, 3]))
+    now = [*vars(robot.targets).values(), env.scene.sim.view("qpos"), env.scene.sim.view("qvel")]
+    assert len(kept) == 5
+    assert all(map(torch.equal, kept, now))

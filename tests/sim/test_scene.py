@@ -200,6 +200,29 @@ def test_derived_quantities_are_fresh_after_env_step(make_env):
             np.testing.assert_allclose(data.body_lin_vel_w[i, row], velocity[3:], atol=1e-5)
 
 
+def test_a_joint_without_an_actuator_moves_freely(make_env):
+    actuators = make_env().cfg["robot"]["actuators"]
+    del actuators["axles"]
+    hips = {"_target_": "wheelleg_exp.mdp.actions.JointPositionAction", "joint_names": [".*_hip"]}
+    env = make_env(robot={"actuators": actuators}, actions={"a": hips})
+    env.reset()
+    assert env.scene.model.nu == 2
+    env.step(torch.zeros(4, 2))
+    assert (env.scene.robot.data.applied_torque[:, 2:] == 0).all()
+    assert "left_axle" in str(env.scene_manager)
+
+
+def test_the_log_tells_the_share_of_robots_that_end_beyond_a_velocity_limit(make_env):
+    """PhysX clamps a joint's speed; MuJoCo does not."""
+    env = make_env()
+    env.reset()
+    speed = torch.zeros(4, 4)
+    speed[0, 2], speed[3, 0], speed[1, 3] = 20.5, -30.5, 19.5  # rad/s; the limits are 20 of axles and 30 of hips
+    env.scene.robot.write_joint_velocity_to_sim(speed)
+    assert float(env.reset()[1]["log"]["Diagnostics/joint_over_speed"]) == 0.5
+    assert float(env.reset()[1]["log"]["Diagnostics/joint_over_speed"]) == 0.0
+
+
 # ---- friction ----
 
 

@@ -96,6 +96,36 @@ def test_the_largest_norm_looks_over_the_history(env):
     assert sensor.max_force_norm()[:, 0].tolist() == [5.0, 0.0, 0.0, 0.0]
 
 
+def test_a_history_of_three_at_two_physics_steps_spans_one_and_a_half_control_steps(env):
+    """A contact in the last physics step of a control step counts in the next one too, and not in the one after."""
+    _settle(env)
+    sensor, robot = env.scene["contact"], env.scene.robot
+    env.step(STILL)
+    pose = torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]] * 4)
+    robot.write_root_pose_to_sim(pose, torch.arange(4))
+    env.scene.refresh()
+    seen = []
+    for _ in range(2):
+        env.step(STILL)
+        seen.append(float(sensor.max_force_norm()[0, 0]))
+    assert seen[0] == pytest.approx(WEIGHT, abs=0.02)
+    assert seen[1] == 0.0
+
+
+def test_without_a_history_there_is_the_force_of_the_last_physics_step_alone(make_env):
+    node = env_config("block")["scene"]["sensors"]["contact"] | {"history_length": 0}
+    env = make_env("block", scene={"sensors": {"contact": node}})
+    env.reset()
+    _settle(env)
+    sensor = env.scene["contact"]
+    assert float(sensor.max_force_norm()[0, 0]) == pytest.approx(WEIGHT, abs=0.02)
+    assert torch.equal(sensor.data.net_forces_w_history[:, 0], sensor.data.net_forces_w)
+    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]] * 4), torch.arange(4))
+    env.scene.refresh()
+    env.step(STILL)
+    assert (sensor.max_force_norm() == 0).all()
+
+
 def test_a_dropped_body_is_timed_in_the_air_and_at_touchdown(make_env):
     init = {"pos": [0.0, 0.0, 0.3], "rot": [1.0, 0, 0, 0], "joint_pos": {"spin": 0.0}, "joint_vel": {"spin": 0.0}}
     env = make_env("block", decimation=1, robot={"init_state": init})
