@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, print_json
-from wheelleg_exp.errors import EXIT_OK
+from wheelleg_exp.errors import EXIT_OK, WheellegError
+
+if TYPE_CHECKING:
+    from wheelleg_exp.cli.printing.display import ConsoleDisplay
+    from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
+
+REFERENCE = "reference"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -14,34 +22,106 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "overrides",
         nargs="*",
-        metavar="OVERRIDE",
-        help="protocol=walk, protocol.walk.episodes=128, or changes of the run's parameters: env.sim.dt=0.002",
+        metavar="RUN|OVERRIDE",
+        help="runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
+        "of the runs' parameters: env.sim.dt=0.002",
     )
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
+    parser.add_argument(
+        "--against",
+        metavar="RUN",
+        action="append",
+        default=[],
+        help="compare with this run, pair by pair of episodes, or with 'reference'; again for each of its seeds",
+    )
+    parser.add_argument(
+        "--reference", action="store_true", help="evaluate the linear-quadratic reference controller too"
+    )
+    parser.add_argument(
+        "--kept", action="store_true", help="take what a run has kept of this protocol, and evaluate only the others"
+    )
     add_config_dir(parser)
     add_root(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate a policy, print the metrics and keep them under the run."""
-    from wheelleg_exp.cli.play import chosen_checkpoint
-    from wheelleg_exp.run.directory import RunDirectory
-
-    directory = RunDirectory.open(args.run, args.root)
-    checkpoint = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
-
+    """Evaluate policies, print the metrics, keep them under the runs, and compare them where there are several."""
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.evaluation import print_evaluation
     from wheelleg_exp.cli.printing.figures import shown
-    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_run
 
+    names = [args.run, *(word for word in args.overrides if _is_run(word))]
+    overrides = [word for word in args.overrides if not _is_run(word)]
+    others = [name for name in args.against if name != REFERENCE]
+    if REFERENCE in args.against and others:
+        raise WheellegError("a comparison is with runs or with the reference", key="--against", expected="one of them")
     with ConsoleDisplay(quiet=True) as display:
-        made = evaluate_run(directory, checkpoint, args.overrides, args.command, display.test, args.config_dirs)
+        made = [_evaluated(args, name, overrides, display) for name in names]
+        against = [_evaluated(args, name, overrides, display) for name in others]
+        reference = None
+        if args.reference or REFERENCE in args.against:
+            reference = _reference(args, made[0], overrides, display)
+            against = [reference] if REFERENCE in args.against else against
+    if len(made) == 1 and not against and reference is None:
+        content = {"run": str(made[0].run.path), "folder": str(made[0].folder), **made[0].content}
+        if args.json:
+            print_json(content)
+            return EXIT_OK
+        print(f"evaluated {shown(made[0].checkpoint or made[0].folder)} without exploration noise")
+        print_evaluation(made[0].content)
+        print(f"\nevaluation: {shown(made[0].folder)}")
+        return EXIT_OK
+    return _compare(args, made, against, reference)
+
+
+def _compare(
+    args: argparse.Namespace, made: Sequence[Evaluated], against: Sequence[Evaluated], reference: Evaluated | None
+) -> int:
+    from wheelleg_exp.cli.printing.comparison import print_comparison, print_differences
+    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.jobs.evaluate.compare import compare
+
+    found = compare(made, against, reference, args.command)
     if args.json:
-        print_json({"run": str(directory.path), "folder": str(made.folder), **made.content})
-    else:
-        print(f"evaluated {shown(made.checkpoint)} without exploration noise")
-        print_evaluation(made.content)
-        print(f"\nevaluation: {shown(made.folder)}")
+        folders = [str(one.folder) for one in (*made, *against, *([reference] if reference is not None else []))]
+        print_json({"folder": str(found.folder), "evaluations": list(dict.fromkeys(folders)), **found.content})
+        return EXIT_OK
+    print_comparison(found, made, reference)
+    if against:
+        print_differences(found)
+    print(f"\ncomparison: {shown(found.folder)}")
     return EXIT_OK
+
+
+def _is_run(word: str) -> bool:
+    """Return whether a word names a run: overrides hold ``=`` or take something away."""
+    return "=" not in word and not word.startswith("~")
+
+
+def _evaluated(args: argparse.Namespace, name: str, overrides: Sequence[str], display: ConsoleDisplay) -> Evaluated:
+    from wheelleg_exp.cli.play import chosen_checkpoint
+    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_run
+    from wheelleg_exp.run.directory import RunDirectory
+
+    directory = RunDirectory.open(name, args.root)
+    chosen = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
+    if args.kept:
+        from wheelleg_exp.files import sha256
+        from wheelleg_exp.jobs.evaluate.kept import as_evaluated, find_kept
+        from wheelleg_exp.jobs.evaluate.settings import settings
+
+        checkpoint = chosen or directory.latest_checkpoint()
+        tree = settings(directory, overrides, args.config_dirs)
+        folder = find_kept(directory, sha256(checkpoint), tree["protocol"], overrides)
+        if folder is not None:
+            return as_evaluated(directory, checkpoint, folder)
+    return evaluate_run(directory, chosen, overrides, args.command, display.test, args.config_dirs)
+
+
+def _reference(
+    args: argparse.Namespace, made: Evaluated, overrides: Sequence[str], display: ConsoleDisplay
+) -> Evaluated:
+    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_reference
+
+    return evaluate_reference(made.run, overrides, args.command, display.test, args.config_dirs)

@@ -132,7 +132,7 @@ def verdict(found: Sequence[Difference], first: str, second: str, seeds: tuple[i
         second: what the other is called.
         seeds: of how many trainings each is.
     """
-    tested = [row for row in found if row.better]
+    tested = [row for row in found if row.better and math.isfinite(row.interval.value)]
     better = [row.metric for row in tested if row.outcome == "better"]
     worse = [row.metric for row in tested if row.outcome == "worse"]
     if not better and not worse:

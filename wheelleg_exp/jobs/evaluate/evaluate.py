@@ -18,6 +18,7 @@ from tensordict import TensorDict
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.evaluation.protocol import MakePolicy, Tell, evaluate
+from wheelleg_exp.evaluation.reference import Reference
 from wheelleg_exp.evaluation.result import Evaluation
 from wheelleg_exp.files import sha256, while_running, write_json, write_text
 from wheelleg_exp.jobs.evaluate.settings import settings
@@ -29,6 +30,8 @@ from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory, create_exclusively
 from wheelleg_exp.user_code import ending_as
 
+Draw = Callable[[Evaluation, Path], list[Path]]  # draws an evaluation into a folder, and returns the files
+
 RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 
@@ -38,14 +41,14 @@ class Evaluated:
 
     Attributes:
         run: the run whose policy it was.
-        checkpoint: the checkpoint.
+        checkpoint: the checkpoint; None of the reference controller.
         folder: what was written, below the run.
         evaluation: what was found.
         content: what stands in ``evaluation.json``.
     """
 
     run: RunDirectory
-    checkpoint: Path
+    checkpoint: Path | None
     folder: Path
     evaluation: Evaluation
     content: dict[str, Any]
@@ -58,6 +61,7 @@ def evaluate_run(
     command: Sequence[str],
     tell: Tell | None = None,
     config_dirs: Sequence[Path] = (),
+    draw: Draw | None = None,
 ) -> Evaluated:
     """Evaluate the mean of a run's policy, and keep what was found under the run.
 
@@ -68,6 +72,7 @@ def evaluate_run(
         command: the command line, for the manifest.
         tell: told the test, and how many of its steps are done of how many.
         config_dirs: folders of the user's own protocols.
+        draw: draws what was found.
 
     Raises:
         WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
@@ -80,16 +85,63 @@ def evaluate_run(
     name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
     about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint), "overrides": list(overrides)}
     content = {**about, **found.as_dict()}
+    return Evaluated(run, checkpoint, _kept(run, "evaluation", content, found, command, draw), found, content)
+
+
+def evaluate_reference(
+    run: RunDirectory,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    tell: Tell | None = None,
+    config_dirs: Sequence[Path] = (),
+    draw: Draw | None = None,
+) -> Evaluated:
+    """Evaluate the reference controller on a run's robot and task, and keep what was found under the run.
+
+    Args:
+        run: the run.
+        overrides: as for ``evaluate_run``, as are the others.
+        command: the command line, for the manifest.
+        tell: told how far it is.
+        config_dirs: folders of the user's own protocols.
+        draw: draws what was found.
+
+    Raises:
+        WheellegError: an override is wrong, or the robot or its actions are none that the reference can balance.
+    """
+    tree = settings(run, overrides, config_dirs)
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree)
+    made: list[Reference] = []
+
+    def make(env: ManagerBasedRLEnv) -> Reference:
+        made.append(Reference(env, tree["protocol"]["command"]))
+        return made[-1]
+
+    found = _evaluation(tree, kept_mjcf(run), make, tell)
+    content = {"policy": Reference.name, **made[0].describe(), "overrides": list(overrides), **found.as_dict()}
+    return Evaluated(run, None, _kept(run, Reference.name, content, found, command, draw), found, content)
+
+
+def _kept(
+    run: RunDirectory,
+    kind: str,
+    content: dict[str, Any],
+    found: Evaluation,
+    command: Sequence[str],
+    draw: Draw | None,
+) -> Path:
+    """Write what was found below the run, whole or not at all, and return the folder."""
     folder = create_exclusively(run.evaluation, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     try:
         with while_running():
             write_text(folder / EPISODES, episodes_text(found.episodes))
             write_json(folder / RESULT, content)
-            run.manifest().add("evaluation", [folder / RESULT, folder / EPISODES], _summary(content), command=command)
+            drawn = [] if draw is None else draw(found, folder)
+            run.manifest().add(kind, [folder / RESULT, folder / EPISODES, *drawn], _summary(content), command=command)
     except BaseException:  # an interrupted evaluation leaves nothing that looks like one
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Evaluated(run, checkpoint, folder, found, content)
+    return folder
 
 
 @ending_as(SimulationFailure)
@@ -124,7 +176,8 @@ def _summary(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the manifest says of an evaluation: which, of what, and its values."""
     kept = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
     values = {name: figure["value"] for name, figure in content["metrics"].items()}
-    return {"protocol": content["protocol"]["name"], **{key: content[key] for key in kept}, "metrics": values}
+    told = {key: content[key] for key in kept if key in content}
+    return {"protocol": content["protocol"]["name"], **told, "metrics": values}
 
 
 def episodes_text(episodes: Mapping[str, Any]) -> str:
