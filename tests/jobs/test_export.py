@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -83,7 +84,7 @@ def exported(run: RunDirectory, output: Path | None = None, checkpoint: Path | N
 
 def test_the_runner_repeats_observations_actions_and_targets_of_recorded_episodes(bundle, runner):
     recorded = checked(bundle)
-    assert recorded["reset"].sum() >= 2 or len(recorded["reset"]) == 18  # an episode of 0.3 s
+    assert recorded["reset"].nonzero()[0].tolist()[:2] == [0, 18]  # episodes of 0.3 s
     worst = runner.check(bundle)
     assert max(worst[name] for name in ("observations", "actions", "targets")) <= 1e-6
     assert worst["actions_float32"] <= 1e-5
@@ -283,6 +284,7 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
     made = exported(RunDirectory.open(path, tmp_path))
     worst = runner.check(made.folder)
     assert max(worst[name] for name in ("observations", "actions", "targets")) <= 1e-6
+    hold_c_header(made.folder, tmp_path)
     said = alone(made.folder, "simulate.py", "--seconds", "0.1")
     assert said.returncode == 0, said.stdout + said.stderr
     spec, text = spec_of(made.folder), (made.folder / "README.md").read_text()
@@ -293,6 +295,56 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
         assert "observation `joint_pos_rel_late`: 0 to 2 physics steps" in text
     else:
         assert spec["actions"][0]["alpha"] == pytest.approx([0.3] * 4)
+
+
+def hold_c_header(folder: Path, place: Path) -> None:
+    """Compile the C header, if there is a compiler, and hold what it makes of recorded readings against the record."""
+    compiler, recorded = shutil.which("cc"), checked(folder)
+    if compiler is None:
+        return
+    names = [name for name in recorded if name.startswith("reading:")]
+    assert [name.removeprefix("reading:") for name in names] == list(spec_of(folder)["readings"])
+    rows = np.concatenate([recorded["reset"][:, None], *(recorded[name] for name in names)], axis=1, dtype=np.float32)
+    (place / "main.c").write_text(MAIN)
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", f"-I{folder}"]
+    subprocess.run([compiler, *flags, place / "main.c", "-o", place / "main", "-lm"], check=True, timeout=100)
+    said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=100)
+    wanted = np.concatenate(
+        [recorded["observations"], recorded["actions"], recorded["targets"].reshape(len(rows), -1)], axis=1
+    )
+    found = np.frombuffer(said.stdout, np.float32).reshape(wanted.shape)
+    assert (np.abs(found - wanted) / np.maximum(1.0, np.abs(wanted))).max() <= 1e-6
+
+
+MAIN = """
+#include "policy.h"
+#include <stdio.h>
+int main(void) {
+    policy_state state;
+    policy_readings readings;
+    policy_targets targets;
+    float begins;
+    while (fread(&begins, sizeof begins, 1, stdin) == 1 && fread(&readings, sizeof readings, 1, stdin) == 1) {
+        if (begins) policy_reset(&state);
+        policy_step(&state, &readings, &targets);
+        fwrite(state.observation, sizeof state.observation, 1, stdout);
+        fwrite(state.action, sizeof state.action, 1, stdout);
+        fwrite(&targets, sizeof targets, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_the_header_in_c_does_the_same(bundle, tmp_path):
+    hold_c_header(bundle, tmp_path)
+    (place := tmp_path / "changed").mkdir()
+    (place / "check.npz").write_bytes((bundle / "check.npz").read_bytes())
+    (place / "policy.json").write_bytes((bundle / "policy.json").read_bytes())
+    (place / "policy.h").write_text((bundle / "policy.h").read_text().replace("v[0] *= 0.25f", "v[0] *= 0.26f"))
+    with pytest.raises(AssertionError):
+        hold_c_header(place, place)
 
 
 @pytest.mark.parametrize("profile", ["article", "explicit", "motor"])

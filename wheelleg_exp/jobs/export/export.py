@@ -26,6 +26,7 @@ from wheelleg_exp.files import (
     write_text,
 )
 from wheelleg_exp.jobs.export import bundle
+from wheelleg_exp.jobs.export.c_header import c_header
 from wheelleg_exp.jobs.export.deployment import as_checked, as_configured, as_simulated
 from wheelleg_exp.jobs.export.drives import law
 from wheelleg_exp.jobs.export.network import ROLES, in_float64, network_arrays, require_perceptron
@@ -134,7 +135,7 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
     policy = load_policy(checkpoint, adapter, agent)
     network, arrays = network_arrays(policy, role)
     groups = agent["obs_groups"][role]
-    steps = min(env.max_episode_length, _MOST_STEPS)
+    steps = min(2 * env.max_episode_length, _MOST_STEPS)
     recorded = recorded_episodes(
         adapter, in_float64(policy), policy, groups, list(spec["readings"]), agent.get("clip_actions"), steps
     )
@@ -151,6 +152,7 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
     write_json(folder / "policy.json", spec)
     write_bytes(folder / "policy.pt", formats.torchscript(policy))
     write_bytes(folder / "policy.onnx", with_metadata(formats.onnx(policy), spec))
+    write_text(folder / "policy.h", c_header(spec, arrays))
     notes = _write_robot(folder / "robot", mjcf, params, plain)
     files = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
     write_text(folder / "README.md", readme(spec, files, notes))
