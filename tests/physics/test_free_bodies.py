@@ -161,6 +161,29 @@ def test_a_torque_gives_spin_about_each_of_the_links_axes_by_its_own_moment_of_i
     assert shown["root_lin_vel_w"][1].abs().max() < 1e-7  # the centre of mass stays
 
 
+@pytest.mark.parametrize("centre", [".05 -.02 .03", "0 0 0"])
+def test_a_spinning_stone_turns_about_the_centre_of_mass_that_an_event_moved(world, centre):
+    """The frame goes round it on a circle, also where frame and centre of mass were one before."""
+    shift, spin, dt, steps = 0.04, 4.0, 0.001, 400
+    env = world(
+        STONE.replace(".05 -.02 .03", centre),
+        dt,
+        sim=WEIGHTLESS,
+        observations=seen("root_pos_w"),
+        events={
+            "moved": at_reset("randomize_rigid_body_com", com_range={"x": [shift, shift]}),
+            "spin": placed({"z": 1.0}, {"yaw": spin}),
+        },
+    )
+    place = watch(env, steps)["root_pos_w"][:, 0]
+    x, y, _ = (float(part) for part in centre.split())
+    angle = spin * dt * torch.arange(steps + 1, dtype=torch.float64)
+    arm = complex(x + shift, y) * torch.exp(1j * angle)
+    expected = torch.stack((x + shift - arm.real, y - arm.imag, torch.ones_like(angle)), dim=1)
+    torch.testing.assert_close(place, expected, atol=5e-4, rtol=0)  # steps of 1 ms
+    assert float(place[:, :2].norm(dim=1).max()) > shift
+
+
 def test_a_push_adds_its_velocity_to_what_the_body_had_and_it_flies_on(world):
     push = {"x": [0.7, 0.7], "y": [-0.4, -0.4], "yaw": [1.0, 1.0]}
     env = world(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from sim.small_envs import PLANE
+from sim.small_envs import PLANE, env_config
 from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.sim.scene import model_digest
 from wheelleg_exp.sim.terrain import grid_origins
@@ -137,7 +137,6 @@ def test_root_events_on_a_fixed_base_do_not_write_into_joints(make_env, event):
 
 
 def test_two_robots_in_one_file_are_an_error(tmp_path):
-    from sim.small_envs import env_config
     from wheelleg_exp.env import ManagerBasedRLEnv
 
     body = '<body><freejoint/><geom size=".1"/></body>'
@@ -147,7 +146,6 @@ def test_two_robots_in_one_file_are_an_error(tmp_path):
 
 
 def test_a_file_that_is_no_mjcf_is_an_error(tmp_path):
-    from sim.small_envs import env_config
     from wheelleg_exp.env import ManagerBasedRLEnv
 
     (tmp_path / "bad.xml").write_text("<mujoco><worldbody>")
@@ -266,6 +264,28 @@ def _contacts_at_rest(make_env, wanted: bool | None) -> set[frozenset[str]]:
     data.qpos[2] = 0.02
     mujoco.mj_forward(model, data)
     return {frozenset(model.geom(int(g)).name for g in pair) for pair in data.contact.geom}
+
+
+def test_two_parts_of_the_robot_meet_with_the_greater_of_their_effective_coefficients(tmp_path):
+    from wheelleg_exp.env import ManagerBasedRLEnv
+
+    part = "<body name='{n}'><joint name='{n}' axis='0 1 0'/><geom size='.1' friction='{mu}'/></body>"
+    (tmp_path / "two.xml").write_text(
+        "<mujoco><worldbody><body name='base'><freejoint/><geom size='.01' mass='1'/>"
+        f"{part.format(n='a', mu=0.7)}{part.format(n='b', mu=0.3)}</body></worldbody></mujoco>"
+    )
+    config = env_config(scene={"sensors": {}}, actions={})
+    config["robot"] |= {
+        "actuators": {},
+        "init_state": {"pos": [0, 0, 1], "rot": [1, 0, 0, 0], "joint_pos": {}, "joint_vel": {}},
+    }
+    model = ManagerBasedRLEnv(config, tmp_path / "two.xml", 0).scene.model
+    data = mujoco.MjData(model)
+    data.qpos[2] = 1.0
+    mujoco.mj_forward(model, data)
+    (contact,) = (c for c in data.contact if 0 not in model.geom_bodyid[c.geom])
+    assert contact.friction[0] == pytest.approx((0.7 + 0.5) / 2)
+    assert sorted(model.geom_friction[contact.geom, 0]) == pytest.approx([0.4, 0.6])
 
 
 @pytest.mark.parametrize(("wanted", "touch"), [(None, True), (True, True), (False, False)])

@@ -66,6 +66,7 @@ class Scene(Kept):
         self.device = torch.device(sim.device)
         spec = _robot_spec(mjcf)
         root_name = _root_body(spec, mjcf)
+        spec.body(root_name).simple = 0  # else no event could move the centre of mass of a robot of one body
         if robot.root_frame is not None:
             turn_root_frame(spec, root_name, robot.root_frame)
         _set_options(spec, sim)
