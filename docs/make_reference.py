@@ -22,7 +22,7 @@ from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry, library
 from wheelleg_exp.config.explaining.docstrings import comment_at, headline
 from wheelleg_exp.config.tree import Keys, build, dotted, leaves, line_table
-from wheelleg_exp.definitions import recorded, rollout, training
+from wheelleg_exp.definitions import drive, recorded, rollout, training
 from wheelleg_exp.definitions.definition import Definition
 from wheelleg_exp.lint.examine import RULES
 from wheelleg_exp.paths import configs_dir
@@ -164,6 +164,9 @@ def _figures() -> str:
     parts += [f"{rollout.ABOUT}\n", *_definitions(rollout.FIGURES)]
     parts += [f"{rollout.MOTION_ABOUT}\n", *_definitions(rollout.MOTION)]
     parts += [f"{rollout.CONTACTS_ABOUT}\n", *_definitions(rollout.CONTACTS)]
+    parts.append("## Drives\n")
+    parts.append("`wheelleg play RUN --drive` and `--script`; `figures.json`; the manifest's additions.")
+    parts += [f"{drive.ABOUT}\n", *_definitions(drive.FIGURES)]
     parts.append("## Scalars of a training\n")
     parts.append(
         "`iterations.jsonl`, TensorBoard, the recording's `training/…`, the manifest's results, plots, the report."

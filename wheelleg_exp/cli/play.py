@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_json, add_root, print_json
+from wheelleg_exp.cli.driving import add_driving, is_driven, run_drive
 from wheelleg_exp.errors import EXIT_OK
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "overrides", nargs="*", metavar="OVERRIDE", help="changes for this play: env.num_envs=16, seed=7"
     )
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="which checkpoint; by default the last")
+    add_driving(parser)
     add_root(parser)
     add_json(parser)
 
@@ -30,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
 
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
+    if is_driven(args):
+        return run_drive(args, directory, checkpoint)
 
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import print_figures, print_recording, shown

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Literal
 
-from wheelleg_exp.constraints import Natural, NonNegative, Seed
+from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
 from wheelleg_exp.terms.sections import Env, Section
 
 # Section of the tree -> the dataclass whose fields are its keys; imported when it is needed.
@@ -62,6 +62,16 @@ class Play:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """``drive``: how a robot is driven by hand, or by a script."""
+
+    episode_length_s: Positive
+    push: NonNegative
+    fall_shown_s: NonNegative
+    frames_per_s: Positive
+
+
+@dataclass(frozen=True)
 class PlayRecording:
     """``recording`` of a play."""
 
@@ -77,6 +87,7 @@ class PlayRoot:
 
     seed: Seed
     play: Play
+    drive: Drive
     recording: PlayRecording
     env: Env
     agent: Section

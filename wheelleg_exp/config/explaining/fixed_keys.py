@@ -82,6 +82,7 @@ KEYS: dict[str, str] = {
     "recording": "what is recorded",
     "run": "where the run goes",
     "play": "how figures are taken",
+    "drive": "how a robot is driven by hand, or by a script",
     "*._target_": "the function or class that is called",
 }
 

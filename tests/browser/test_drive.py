@@ -1,0 +1,151 @@
+"""The page of `wheelleg play RUN --drive`: keys and sliders move the command, and the picture shows the robot."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from patience import wait_until
+
+from browser.chrome import Chrome
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.jobs.drive.controls import Finish
+from wheelleg_exp.jobs.drive.drive import Drive, Wish, drive
+from wheelleg_exp.jobs.drive.page import DrivePage
+from wheelleg_exp.run.directory import RunDirectory
+
+pytestmark = pytest.mark.browser
+pytest.importorskip("viser", reason="the extra 'drive' is not installed")
+pytest.importorskip("mjviser", reason="the extra 'drive' is not installed")
+
+_RANGES = [f"env.commands.base_velocity.ranges.{axis}=[-0.3,0.3]" for axis in ("lin_vel_x", "ang_vel_z")]
+
+
+class Silent:
+    """A display that shows nothing."""
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *_: None
+
+
+@dataclass
+class Driving:
+    """A page, and the drive behind it in a thread."""
+
+    page: DrivePage
+    chrome: Chrome
+    made: list[Drive] = field(default_factory=list)
+
+    @property
+    def controls(self) -> Any:
+        return self.page._controls
+
+    def key(self, code: str, key: str, *, down: bool) -> None:
+        kind = "keyDown" if down else "keyUp"
+        self.chrome.driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": kind, "code": code, "key": key})
+
+    def shown(self, axis: str) -> float | None:
+        """Return the command that the page shows."""
+        found = self.chrome.script(f"return document.querySelector('[data-axis={axis}]')?.dataset.command")
+        return None if found is None else float(found)
+
+    def text(self) -> str:
+        return self.chrome.script("return document.querySelector('#drive-time')?.innerText ?? ''")
+
+
+@pytest.fixture
+def driving(chrome: Chrome, played: RunDirectory) -> Iterator[Driving]:
+    with DrivePage(0, ["own", "rough"], played.checkpoints()) as page:
+        found = Driving(page, chrome)
+        wish = Wish(played, overrides=[*_RANGES, "drive.fall_shown_s=0.1"])
+        thread = threading.Thread(target=lambda: found.made.extend(drive(wish, Silent(), page)))
+        thread.start()
+        try:
+            chrome.size(900, 500)
+            chrome.open(page.url)
+            yield found
+        finally:
+            wait_until(lambda: hasattr(page, "_controls"))
+            page._controls.request(Finish())
+            thread.join()
+
+
+def test_keys_drive_and_the_page_shows_it(driving: Driving):
+    chrome = driving.chrome
+    if not chrome.script("return !!document.createElement('canvas').getContext('webgl2')"):
+        pytest.skip("this browser has neither WebGL nor a software renderer for it")
+    assert wait_until(lambda: chrome.script("return window.wheellegDrive?.socket.readyState === 1"))
+    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.0)
+
+    driving.key("KeyW", "w", down=True)
+    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.3)
+    driving.key("ArrowRight", "ArrowRight", down=True)
+    assert wait_until(lambda: driving.shown("ang_vel_z") == -0.3)
+    assert driving.controls.values == {"lin_vel_x": 0.3, "ang_vel_z": -0.3}
+    assert wait_until(lambda: len(_warm(chrome)) > 200)  # the robot, on a ground of greys
+    driving.key("KeyW", "w", down=False)
+    driving.key("ArrowRight", "ArrowRight", down=False)
+    assert wait_until(lambda: (driving.shown("lin_vel_x"), driving.shown("ang_vel_z")) == (0.0, 0.0))
+
+    driving.key("Space", " ", down=True)
+    driving.key("Space", " ", down=False)
+    assert wait_until(lambda: "paused" in driving.text())
+    still = driving.text()
+    assert driving.controls.paused
+    driving.key("Space", " ", down=True)
+    driving.key("Space", " ", down=False)
+    assert wait_until(lambda: driving.text() not in (still, ""))
+
+    box = chrome.driver.find_elements("css selector", "input.mantine-NumberInput-input")[0]  # beside the first slider
+    box.send_keys("\ue009a\ue000", "0.15", "\ue007")  # Ctrl-A, the number, Enter
+    assert wait_until(lambda: driving.controls.values["lin_vel_x"] == pytest.approx(0.15))
+
+    hosts = {url.split("/")[2] for url in chrome.requests() if url.startswith("http")}
+    assert hosts == {driving.page.url.split("/")[2]}  # nothing is fetched from elsewhere
+    chrome.open("about:blank")  # whoever leaves lets go
+    driving.controls.request(Finish())
+    assert wait_until(lambda: driving.made)
+    figures = driving.made[0].figures
+    assert figures["steps"] > 10
+    assert (driving.made[0].folder / "recording.rrd").is_file()
+
+
+def test_a_port_that_is_taken_is_told():
+    with DrivePage(0, ["own"], []) as page:
+        second = DrivePage(int(page.url.rsplit(":", 1)[1].strip("/")), ["own"], [])
+        with pytest.raises(WheellegError, match=r"--port: port .* cannot be listened on"):
+            second.__enter__()
+
+
+def test_pages_of_others_are_refused():
+    from websockets.exceptions import WebSocketException
+    from websockets.sync.client import connect
+
+    with DrivePage(0, ["own"], []) as page:
+        hands = page._hands._server.socket.getsockname()[1]
+        with pytest.raises(WebSocketException), connect(f"ws://127.0.0.1:{hands}/", origin="http://elsewhere.org"):
+            pass
+        address, version = page.url.replace("http", "ws"), _version()
+        with connect(address, origin="http://elsewhere.org", subprotocols=[version]) as stranger:
+            with suppress(WebSocketException):
+                while stranger.recv(timeout=10):
+                    pass
+            assert stranger.close_code == 1008
+
+
+def _version() -> Any:
+    import viser
+
+    return f"viser-v{viser.__version__}"
+
+
+def _warm(chrome: Chrome) -> Any:
+    """Return the pixels of the scene that are orange or yellow."""
+    picture = chrome.picture()[:, :500].astype(int)
+    found = picture[(picture[..., 0] - picture[..., 2] > 60) & (picture[..., 0] >= picture[..., 1])]
+    return np.atleast_2d(found)

@@ -1,0 +1,122 @@
+"""Driving a run by a script: what is simulated, what is kept, and that the same is driven again."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from jobs.small import wheelleg
+from wheelleg_exp.jobs.drive.ground import drivable
+from wheelleg_exp.jobs.drive.pace import Pace
+from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.run.params import load_params
+
+RANGES = [f"env.commands.base_velocity.ranges.{axis}=[-0.3,0.3]" for axis in ("lin_vel_x", "ang_vel_z")]
+SCRIPT = """\
+- {for: 0.1, lin_vel_x: 0.2}
+- {for: 0.1, ang_vel_z: -0.1, push: [0.05, 0.0]}
+- {for: 0.1, stop: true, reset: true}
+"""
+
+
+@pytest.fixture
+def script(tmp_path):
+    path = tmp_path / "script.yaml"
+    path.write_text(SCRIPT)
+    return path
+
+
+def driven(*words):
+    said = wheelleg("play", "latest", *words, *RANGES, "--json")
+    assert said.status == 0, said.err
+    (made,) = json.loads(said.out)["drives"]
+    return made
+
+
+@pytest.mark.train
+def test_a_script_is_driven_recorded_and_kept_and_drives_the_same_again(run, script):
+    made = driven("--script", script)
+    folder, figures = run.play / made["folder"].rsplit("/", 1)[1], made["figures"]
+    assert json.loads((folder / "figures.json").read_text()) == figures
+    assert (figures["duration_s"], figures["steps"]) == (pytest.approx(0.3), 18)
+    assert (figures["resets"], figures["pushes"], figures["scene"]) == (1, 1, "own")
+    (entry,) = run.manifest().data["additions"]
+    assert entry["kind"] == "drive"
+    assert {name.rsplit("/", 1)[1] for name in entry["files"]} == {"driven.yaml", "figures.json", "recording.rrd"}
+    assert wheelleg("verify", run.path).status == 0
+
+    commands = np.stack([_command(folder, name) for name in ("v_x", "w_z")], axis=1)
+    assert len(commands) == 18
+    # A frame shows the command under which its step began.
+    expected = [(0.0, 0.0)] + [(0.2, 0.0)] * 6 + [(0.2, -0.1)] * 5 + [(0.0, 0.0)] * 6
+    np.testing.assert_allclose(commands, expected, atol=1e-6)
+
+    again = driven("--script", folder / "driven.yaml")
+    assert {**again["figures"]} == figures
+
+
+def _command(folder, name):
+    return Recording(folder / "recording.rrd").values(f"commands/base_velocity/{name}").ravel()
+
+
+@pytest.mark.train
+def test_another_ground_takes_the_place_of_the_runs_own(run, script):
+    made = driven("--script", script, "--scene", "stairs", "recording.enabled=false")
+    assert made["figures"]["scene"] == "stairs"
+    said = wheelleg("play", "latest", "--script", script, "--scene", "stars")
+    assert said.status == 2
+    assert "did you mean 'stairs'?" in said.err
+    assert "--scene" in said.err
+
+
+@pytest.mark.train
+def test_what_cannot_be_driven_is_told(run, script):
+    said = wheelleg("play", "latest", "--script", script)  # whoever only stands has nothing to be told
+    assert said.status == 2
+    assert "lin_vel_x: a script has no such key" in said.err
+    assert f"{script}:1" in said.err
+    for words in (["--scene", "flat"], ["--port", "8080"]):
+        said = wheelleg("play", "latest", *words)
+        assert said.status == 2
+        assert "--drive or --script FILE" in said.err
+    assert not run.play.exists() or not list(run.play.iterdir())
+
+
+@pytest.mark.train
+def test_whoever_drives_is_not_disturbed(run):
+    env, _ = load_params(run)
+    env["commands"]["base_velocity"]["rel_standing_envs"] = 0.4
+    tree = {"env": env, "drive": yaml.safe_load("episode_length_s: 3600.0")}
+    assert {node["mode"] for node in env["events"].values()} == {"startup", "reset", "interval"}
+    changed = drivable(tree)["env"]
+    assert {node["mode"] for node in changed["events"].values()} == {"startup", "reset"}
+    assert (changed["num_envs"], changed["episode_length_s"], changed["curriculum"]) == (1, 3600.0, {})
+    assert changed["commands"]["base_velocity"]["rel_standing_envs"] == 0.0
+    assert changed["scene"] == env["scene"]
+    rough = drivable(tree, "rough")["env"]["scene"]
+    assert rough["terrain"]["_target_"].endswith("TerrainGenerator")
+    assert rough["sensors"]["contact_forces"]["max_contacts"] == 8  # what a wheel on rough ground needs
+    assert env["num_envs"] != 1  # the tree itself stays as it was
+
+
+def test_steps_are_as_far_apart_as_they_last_and_a_slow_machine_is_not_chased():
+    now, slept = [0.0], []
+
+    def sleep(seconds):
+        slept.append(seconds)
+        now[0] += seconds
+
+    pace = Pace(0.02, 25.0, clock=lambda: now[0], sleep=sleep)
+    pace.wait(1.0)
+    pace.wait(0.5)
+    assert slept == pytest.approx([0.02, 0.04])
+    now[0] += 5.0  # something took five seconds
+    for _ in range(10):
+        pace.wait(1.0)
+    assert sum(slept[2:]) == pytest.approx(0.1, abs=0.03)  # half of them make up for a tenth of a second, no more
+    assert [pace.is_frame_due(), pace.is_frame_due()] == [True, False]
+    now[0] += 0.05
+    assert pace.is_frame_due()

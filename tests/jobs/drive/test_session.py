@@ -1,0 +1,145 @@
+"""One robot that is driven: commands reach it, requests are obeyed, and nothing happens unasked."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import pytest
+import torch
+
+from jobs.drive.cart import cart, cart_env, driver
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.drive.axes import Axis
+from wheelleg_exp.jobs.drive.controls import Controls, Push, Reset
+from wheelleg_exp.jobs.drive.session import DriveSession
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+LOW = {"low": {"_target_": "wheelleg_exp.mdp.terminations.root_height_below_minimum", "minimum_height": 1.0}}
+
+
+def drive(session, seconds):
+    for _ in range(round(seconds / session.env.step_dt)):
+        session.step()
+
+
+def test_only_axes_with_a_range_can_be_driven(tmp_path):
+    axes = cart(tmp_path).axes
+    assert [(a.name, a.low, a.high, a.key) for a in axes] == [
+        ("lin_vel_x", -0.4, 0.4, "env.commands.base_velocity.ranges.lin_vel_x"),
+        ("ang_vel_z", -0.5, 1.0, "env.commands.base_velocity.ranges.ang_vel_z"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shares"),
+    [
+        (-0.4, 0.4, {-1.0: -0.4, 0.0: 0.0, 0.5: 0.2, 1.0: 0.4, 7.0: 0.4}),
+        (-0.5, 1.0, {-1.0: -0.5, -0.5: -0.25, 0.5: 0.5}),
+        (0.06, 0.08, {-1.0: 0.06, 0.0: 0.07, 1.0: 0.08}),  # a height has no zero
+    ],
+)
+def test_a_stick_takes_an_axis_from_rest_to_its_ends(low, high, shares):
+    axis = Axis("a", "t", "a", low, high)
+    assert [axis.at(share) for share in shares] == pytest.approx(list(shares.values()))
+
+
+def test_the_cart_drives_straight_as_far_as_it_is_told(tmp_path):
+    """On wheels that roll, way = speed times time; getting under way costs a little."""
+    session = cart(tmp_path)
+    session.controls.set("lin_vel_x", 0.3)
+    drive(session, 2.0)
+    x, y = session.env.scene.robot.data.root_pos_w[0, :2].tolist()
+    assert x == pytest.approx(0.6, rel=0.05)
+    assert abs(y) < 0.01
+    assert session.status().measured["lin_vel_x"] == pytest.approx(0.3, rel=0.03)
+    figures = session.meter.figures()
+    assert figures["distance_m"] == pytest.approx(x, rel=0.05)
+    assert figures["duration_s"] == pytest.approx(2.0)
+    assert figures["tracking_rmse"]["lin_vel_x"] < 0.1
+
+
+def test_the_cart_turns_the_way_it_is_told(tmp_path):
+    session = cart(tmp_path)
+    session.controls.steer("ang_vel_z", 1.0)
+    drive(session, 1.0)
+    assert session.status().commands["ang_vel_z"] == 1.0
+    assert session.status().measured["ang_vel_z"] > 0.3  # four wheels that do not steer slide while they turn
+
+
+def test_a_command_stands_through_redraws_and_resets_and_beyond_its_range_it_is_its_end(tmp_path):
+    session = cart(tmp_path)
+    session.controls.set("lin_vel_x", 7.0)
+    session.controls.set("nothing", 1.0)
+    session.controls.set("ang_vel_z", math.nan)
+    term = session.env.command_manager.get_term("base_velocity")
+    for _ in range(40):  # redraws are due every 0.1 s
+        session.step()
+        assert term.command[0].tolist() == pytest.approx([0.4, 0.0, 0.0])
+    session.obey(Reset())
+    assert term.command[0].tolist() == pytest.approx([0.4, 0.0, 0.0])
+
+
+def test_the_first_observation_shows_rest_and_not_what_was_drawn(tmp_path):
+    session = cart(tmp_path)
+    assert session.env.observation_manager.obs_buf["policy"].tolist() == [[0.0, 0.0, 0.0]]
+
+
+def test_a_push_adds_velocity_in_the_yaw_axes(tmp_path):
+    session = cart(tmp_path)
+    data, ids = session.env.scene.robot.data, torch.zeros(1, dtype=torch.long)
+    quarter = torch.tensor([[math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]])  # looks along the world's y
+    session.env.scene.robot.write_root_pose_to_sim(torch.cat((data.root_pos_w, quarter), dim=1), ids)
+    session.env.scene.refresh()
+    session.obey(Push(0.2, 0.1))
+    assert data.root_lin_vel_w[0].tolist() == pytest.approx([-0.1, 0.2, 0.0], abs=1e-6)
+    assert session.meter.figures()["pushes"] == 1
+
+
+def test_a_fall_waits_until_somebody_resets(tmp_path):
+    session = cart(tmp_path, terminations=LOW)
+    session.step()
+    assert session.fallen == "low"
+    length = int(session.env.episode_length_buf[0])
+    assert length == 1  # not reset by itself
+    session.obey(Push(0.3))  # who lies is not pushed
+    assert session.meter.figures()["pushes"] == 0
+    session.reset()
+    assert session.fallen is None
+    assert int(session.env.episode_length_buf[0]) == 0
+    assert session.meter.figures()["falls"] == {"low": 1}
+
+
+def test_several_robots_cannot_be_driven(tmp_path):
+    env = cart_env(tmp_path, num_envs=2)
+    with pytest.raises(ConfigError, match=r"env\.num_envs"):
+        DriveSession(RslRlVecEnv(env), driver(env))
+
+
+def test_what_was_driven_is_a_script_of_it(tmp_path):
+    session = cart(tmp_path)
+    drive(session, 0.1)
+    session.controls.set("lin_vel_x", 0.2)
+    drive(session, 0.2)
+    session.obey(Push(0.1))
+    session.obey(Reset())
+    drive(session, 0.1)
+    assert session.driven.script(session.steps) == [
+        {"at": 0.0, "lin_vel_x": 0.0, "ang_vel_z": 0.0},
+        {"at": 0.1, "lin_vel_x": 0.2},
+        {"at": 0.3, "push": [0.1, 0.0]},
+        {"at": 0.3, "reset": True, "for": 0.1},
+    ]
+
+
+def test_requests_of_many_threads_are_all_taken_once(tmp_path):
+    controls = Controls([Axis("a", "t", "a", -1.0, 1.0)])
+    threads = [threading.Thread(target=lambda: [controls.request(Reset()) for _ in range(100)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    taken = []
+    while any(thread.is_alive() for thread in threads):
+        taken += controls.take()
+    taken += controls.take()
+    assert len(taken) == 400
+    assert controls.take() == []

@@ -1,0 +1,66 @@
+// Keys and gamepads of the page that drives a robot, told to the program over a socket of their own.
+// DRIVE is put in front of this: {url, keys: {code: [axis, share]}, presses: {code: name}, sticks, buttons}.
+(() => {
+  if (window.wheellegDrive) window.wheellegDrive.close();
+  const socket = new WebSocket(DRIVE.url);
+  const held = new Set();    // codes of the keys that are down
+  let sticks = {}, pressed = new Set(), told = {}, timer = 0;
+
+  const tell = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+
+  function steer() {
+    const shares = {};
+    for (const [axis, share] of Object.values(DRIVE.keys)) shares[axis] = 0;
+    for (const code of held) { const [axis, share] = DRIVE.keys[code]; shares[axis] += share; }
+    for (const [axis, share] of Object.entries(sticks)) if (share) shares[axis] = share;
+    for (const [axis, share] of Object.entries(shares)) {
+      const value = Math.max(-1, Math.min(1, share));
+      if ((told[axis] || 0) !== value) { told[axis] = value; tell({steer: axis, share: value}); }
+    }
+  }
+
+  function onKey(event) {
+    const typing = event.target.closest && event.target.closest('input[type=text], textarea, [contenteditable=true]');
+    if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
+    const down = event.type === 'keydown';
+    if (event.code in DRIVE.keys) {
+      if (down) held.add(event.code); else held.delete(event.code);
+      steer();
+    } else if (event.code in DRIVE.presses) {
+      if (down && !event.repeat) tell({press: DRIVE.presses[event.code]});
+    } else return;
+    event.preventDefault();
+    event.stopImmediatePropagation();  // the camera has the same keys
+  }
+
+  function onBlur() { held.clear(); steer(); }
+
+  function poll() {
+    const pad = [...navigator.getGamepads()].find((p) => p && p.connected);
+    sticks = {};
+    for (const [index, [axis, sign]] of Object.entries(DRIVE.sticks)) {
+      const value = pad ? pad.axes[index] || 0 : 0;
+      if (Math.abs(value) > DRIVE.deadzone) sticks[axis] = sign * value;
+    }
+    const down = new Set(Object.keys(DRIVE.buttons).filter((i) => pad && pad.buttons[i] && pad.buttons[i].pressed));
+    for (const index of down) if (!pressed.has(index)) tell({press: DRIVE.buttons[index]});
+    pressed = down;
+    steer();
+  }
+
+  const options = {capture: true};
+  window.addEventListener('keydown', onKey, options);
+  window.addEventListener('keyup', onKey, options);
+  window.addEventListener('blur', onBlur);
+  socket.onopen = () => { told = {}; timer = setInterval(poll, 33); };
+  window.wheellegDrive = {
+    socket,
+    close() {
+      clearInterval(timer);
+      window.removeEventListener('keydown', onKey, options);
+      window.removeEventListener('keyup', onKey, options);
+      window.removeEventListener('blur', onBlur);
+      socket.close();
+    },
+  };
+})();
