@@ -13,20 +13,19 @@ import mujoco
 import numpy as np
 import torch
 
-from wheelleg_exp.errors import AssetError, ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim.actuators import ActuatorBase
 from wheelleg_exp.sim.batch import BatchEngine
 from wheelleg_exp.sim.engine import WRENCHES, Engine
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import Robot
-from wheelleg_exp.sim.root_frame import turn_root_frame
+from wheelleg_exp.sim.robot_spec import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase
 from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, is_ground
 from wheelleg_exp.state import Kept
 
 _ENGINES = {"mujoco": BatchEngine}
 _ROBOT_PRIORITY = 1
-_ROBOT_GROUP = 1  # of geoms that came without one; drawn like the ground's
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
 
 
@@ -64,18 +63,16 @@ class Scene(Kept):
         self.options = scene
         self.terrain = terrain
         self.device = torch.device(sim.device)
-        spec = _robot_spec(mjcf)
-        root_name = _root_body(spec, mjcf)
-        spec.body(root_name).simple = 0  # else no event could move the centre of mass of a robot of one body
+        spec, root_name = read_robot(mjcf)
         if robot.root_frame is not None:
             turn_root_frame(spec, root_name, robot.root_frame)
         _set_options(spec, sim)
-        _set_self_collisions(spec, robot.self_collisions)
+        set_self_collisions(spec, robot.self_collisions)
         terrain.read_files(mjcf.parent)
         terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
         self.env_origins = terrain.env_origins
         terrain.add_to(spec)
-        _leave_group_to_ground(spec)
+        leave_group_to_ground(spec)
         self._effective_friction(spec, robot.friction_source)
         for name, actuator in actuators.items():
             actuator.read_files(mjcf.parent, f"env.robot.actuators.{name}", self.device)
@@ -279,45 +276,6 @@ def model_digest(model: mujoco.MjModel) -> str:
             if isinstance(value, (np.ndarray, np.generic, int, float, bytes)):
                 digest.update(name.encode() + b"\0" + np.asarray(value).tobytes())
     return digest.hexdigest()
-
-
-def _robot_spec(mjcf: Path) -> mujoco.MjSpec:
-    try:
-        spec = mujoco.MjSpec.from_file(str(mjcf))
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise AssetError(f"MuJoCo cannot read it: {reason}", key=str(mjcf), expected="an MJCF file") from error
-    # Controls and initial state come from the config.
-    for element in [*spec.actuators, *spec.keys, *spec.sensors]:
-        spec.delete(element)
-    return spec
-
-
-def _root_body(spec: mujoco.MjSpec, mjcf: Path) -> str:
-    roots = [body for body in spec.worldbody.bodies if body.joints or body.bodies]
-    if len(roots) != 1:
-        raise AssetError(
-            f"the file holds {len(roots)} robots", key=str(mjcf), expected="exactly one tree of moving bodies"
-        )
-    return str(roots[0].name)
-
-
-def _set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
-    """Let the robot's geoms meet each other or the ground alone; excluded pairs of bodies stay excluded."""
-    if wanted is None:
-        return
-    for geom in spec.geoms:
-        if geom.contype or geom.conaffinity:
-            geom.contype, geom.conaffinity = int(wanted), 1
-
-
-def _leave_group_to_ground(spec: mujoco.MjSpec) -> None:
-    """Put the ground's geoms into a group that is theirs alone, so that rays may ask for the ground."""
-    for geom in spec.geoms:
-        if is_ground(geom.name):
-            geom.group = GROUND_GROUP
-        elif geom.group == GROUND_GROUP:
-            geom.group = _ROBOT_GROUP
 
 
 def _set_options(spec: mujoco.MjSpec, sim: SimOptions) -> None:
