@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'; or a pipeline's")
     parser.add_argument(
         "overrides",
         nargs="*",
@@ -36,7 +36,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _resume(args: argparse.Namespace, stop: StopRequest) -> int:
     from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.pipeline_index import find_pipeline
 
+    pipeline = find_pipeline(args.run, args.root)
+    if pipeline is not None:
+        from wheelleg_exp.cli.pipeline import resume_pipeline
+
+        return resume_pipeline(args, pipeline, stop)
     directory = RunDirectory.open(args.run, args.root)
 
     from wheelleg_exp.cli.printing.display import ConsoleDisplay

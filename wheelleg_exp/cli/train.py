@@ -29,8 +29,13 @@ def run(args: argparse.Namespace) -> int:
     """Compose, check, train, and say what was made."""
     from wheelleg_exp.jobs.stop import StopRequest
 
+    piped = [word for word in args.overrides if word.lstrip("+~").startswith(("pipeline=", "pipeline."))]
     # From the first moment on: an interrupt inside the import of a C++ library may be lost or become another error.
     with StopRequest() as stop:
+        if piped:
+            from wheelleg_exp.cli.pipeline import train_pipeline
+
+            return train_pipeline(args, piped, stop)
         if args.multirun:
             from wheelleg_exp.cli.sweep import train_all
 

@@ -21,7 +21,8 @@ LATEST = "latest"
 AGENTS = "agents"
 SWEEPS = "sweeps"
 REPLAYS = "replays"
-_NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, LATEST)
+PIPELINES = "pipelines"
+_NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
 
 FAILURE = "failure.npz"  # what a training failed with
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")

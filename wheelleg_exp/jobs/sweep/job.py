@@ -35,10 +35,11 @@ class Request:
 
 def main() -> int:
     """Train what the first line of standard input asks for, and return the exit status."""
-    return serve(lambda descriptor, _: Events(descriptor), _train)
+    return serve(lambda descriptor, _: Events(descriptor), train)
 
 
-def _train(events: Events, line: bytes, stop: StopRequest) -> None:
+def train(events: Events, line: bytes, stop: StopRequest) -> None:
+    """Train what a request asks for."""
     request = Request(**json.loads(line))
     from wheelleg_exp.config.checking.collect import compose_valid
     from wheelleg_exp.config.composing.sweep import digest_of

@@ -22,10 +22,12 @@ class Fit:
 
     Attributes:
         mistakes: why it cannot begin there.
-        notes: what keeps its place in the vectors and means something else.
+        suspects: other joints, bodies or sensors of a term, which may or may not change its width.
+        notes: what keeps its place in the vectors and means something else; the suspects in words among them.
     """
 
     mistakes: list[ConfigError]
+    suspects: list[ConfigError]
     notes: list[str]
 
 
@@ -46,7 +48,7 @@ def fit(
         roles: which networks are taken over, of ``actor`` and ``critic``.
         of: whose policy it is, for the messages.
     """
-    found = Fit([], [])
+    found = Fit([], [], [])
     (old_env, old_agent), (env, agent) = was, now
     for role in roles:
         _compare_networks(found, old_agent.get(role), agent.get(role), f"agent.{role}", of)
@@ -64,7 +66,7 @@ def fit(
     if old_env.get("decimation") != env.get("decimation"):
         found.notes.append(_told("env.decimation", old_env.get("decimation"), env.get("decimation")))
     mistakes = {(error.key, error.message): error for error in found.mistakes}
-    return Fit(list(mistakes.values()), list(dict.fromkeys(found.notes)))
+    return Fit(list(mistakes.values()), found.suspects, list(dict.fromkeys(found.notes)))
 
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
@@ -103,12 +105,18 @@ def _compare_terms(
             if change.keys[0] in fixed:
                 _refuse(found, path, f"{of} has {_brief(change.a)} and this {_brief(change.b)}")
             elif change.keys[0] not in free:
+                if change.keys[0].endswith("_cfg") or change.keys[0] == "joint_names":
+                    found.suspects.append(_error(path, f"{of} has {_brief(change.a)} and this {_brief(change.b)}"))
                 found.notes.append(_told(path, change.a, change.b))
 
 
 def _refuse(found: Fit, key: str, message: str) -> None:
+    found.mistakes.append(_error(key, message))
+
+
+def _error(key: str, message: str) -> ConfigError:
     expected = "the observations, actions and networks that it was trained with, or init_from=null"
-    found.mistakes.append(ConfigError(message, key=key, expected=expected))
+    return ConfigError(message, key=key, expected=expected)
 
 
 def _changes(was: Any, now: Any) -> Iterator[Change]:

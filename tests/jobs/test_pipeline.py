@@ -1,0 +1,278 @@
+"""Pipelines: what makes a phase go on, what stops it, and that one which was stopped goes on to the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from jobs.small import TINY, cache_of, wheelleg
+from wheelleg_exp.config.composing.sweep import digest_of
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.jobs.pipeline import job as steps
+from wheelleg_exp.jobs.pipeline import pipeline as runner
+from wheelleg_exp.jobs.pipeline.gate import judge
+from wheelleg_exp.jobs.pipeline.going_on import go_on
+from wheelleg_exp.jobs.pipeline.settings import Gate, compose_phases, read
+from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.run.pipeline_index import PipelineIndex
+
+pytestmark = pytest.mark.train
+
+WORDS = [*TINY, "env.num_envs=8", "agent.logger=null", "recording.enabled=false"]
+GATE = {"protocol": "stand", "at_least": {"stand/survival": 0.5}}
+
+
+class Quiet:
+    """A display that keeps its lines."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def environment(self, description: str) -> None: ...
+
+    def iteration(self, *_: Any) -> None: ...
+
+    def steps(self, *_: Any) -> None: ...
+
+
+class Heard(steps.Events):
+    """Events of a step that is done in this process; one iteration may be the last before a stop."""
+
+    def __init__(self, stop: StopRequest, stop_after: int | None) -> None:
+        self.told: list[dict[str, Any]] = []
+        self._stop, self._after = stop, stop_after
+
+    def send(self, event: str, **facts: Any) -> None:
+        self.told.append(json.loads(json.dumps({"event": event, **facts}, default=float)))
+
+    def iteration(self, iteration: Any, total: int) -> None:
+        super().iteration(iteration, total)
+        Here.trained += 1
+        self._stop.requested |= Here.trained == self._after
+
+
+class Here:
+    """Does a step in this process; evaluations answer what the test has put down."""
+
+    values: ClassVar[list[float]] = []
+    judged: ClassVar[list[str]] = []
+    stop_after: int | None = None
+    trained = 0
+
+    def __init__(self, step: steps.Step, stop: StopRequest, program: Any = None) -> None:
+        self._step, self._stop = step, stop
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def events(self):
+        if self._step.kind == "evaluate":
+            Here.judged.append(self._step.checkpoint)
+            metrics = {"stand/survival": Here.values.pop(0)}
+            yield {"event": "evaluated", "folder": "evaluation/x", "metrics": metrics, "scenarios_sha256": "0"}
+            return
+        heard = Heard(self._stop, Here.stop_after)
+        try:
+            steps._do(heard, self._step.line(), self._stop)
+        finally:
+            yield from heard.told
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch, tmp_path_factory):
+    monkeypatch.setattr(circumstances, "_source", lambda *_: [])  # a test beside may write files
+    monkeypatch.setattr(runner, "StepProcess", Here)
+    monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+    Here.values, Here.judged, Here.stop_after, Here.trained = [], [], None, 0
+
+
+def tree(**gate: Any) -> dict[str, Any]:
+    first = {"task": "stand", "max_iterations": 2, "overrides": [], "gate": dict(GATE)}
+    second = {"task": "stand", "max_iterations": 3, "overrides": ["env.rewards.alive.weight=1"]}
+    return {"name": "two", "phases": {"first": first, "second": {**second, "gate": {**GATE, **gate}}}}
+
+
+def begin(root: Path, **gate: Any) -> PipelineIndex:
+    declared, words = read(tree(**gate)), [*WORDS, f"run.root={root}"]
+    digests = {name: digest_of(phase) for name, phase in compose_phases(declared.phases, words).items()}
+    return PipelineIndex.create(
+        root, config=declared.tree, overrides=words, config_dirs=[], command=["wheelleg"], digests=digests
+    )
+
+
+def run(index: PipelineIndex, values: list[float], stop_after: int | None = None) -> str:
+    Here.values, Here.stop_after, Here.trained = list(values), stop_after, 0
+    with StopRequest() as stop:
+        return runner.PipelineRunner(index, read(index.data["config"]), Quiet(), stop).run()
+
+
+def resumed(index: PipelineIndex, values: list[float], *overrides: str) -> tuple[PipelineIndex, str]:
+    again = PipelineIndex.load(index.folder)
+    go_on(again, overrides, ["wheelleg", "resume"])
+    return again, run(again, values)
+
+
+def sums(index: PipelineIndex) -> list[str]:
+    """The sha256 of each phase's last checkpoint."""
+    found = []
+    for phase in index.phases:
+        path = index.run_of(phase) / f"model_{phase['trained'] - 1}.pt"
+        found.append(hashlib.sha256(path.read_bytes()).hexdigest())
+    return found
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> PipelineIndex:
+    """A pipeline that nobody stopped: two and three iterations, evaluated after each of the second phase."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "StepProcess", Here)
+        patch.setattr(circumstances, "_source", lambda *_: [])
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        index = begin(tmp_path_factory.mktemp("whole"), every=1, passes=2)
+        assert run(index, [1.0, 1.0, 0.0, 1.0]) == "finished"
+    return PipelineIndex.load(index.folder)
+
+
+def test_each_phase_is_an_ordinary_run_that_begins_with_the_policy_before(whole: PipelineIndex):
+    first, second = whole.phases
+    assert [phase["status"] for phase in whole.phases] == ["passed", "passed"]
+    assert (first["trained"], second["trained"]) == (2, 3)
+    manifest = json.loads((whole.run_of(second) / "manifest.json").read_text())
+    assert manifest["status"] == "finished"
+    begun = manifest["init_from"]
+    last = whole.run_of(first) / "model_1.pt"
+    assert (begun["run"], begun["sha256"]) == (
+        whole.run_of(first).name,
+        hashlib.sha256(last.read_bytes()).hexdigest(),
+    )
+    kept = checkpoint.load(whole.run_of(second) / "asset" / begun["kept"])
+    assert kept["actor_state_dict"].keys() == checkpoint.load(last)["actor_state_dict"].keys()
+
+
+def test_the_record_says_why_it_went_on(whole: PipelineIndex):
+    first, second = whole.phases
+    assert first["why"] == "the gate was passed once, after training"
+    assert second["why"] == "the gate was passed once, after training"
+    assert [(gate["iteration"], gate["passed"]) for gate in second["gates"]] == [(1, True), (2, False), (3, True)]
+    assert second["gates"][1]["why"] == ["stand/survival is 0, and at least 0.5 is asked for"]
+
+
+def test_a_phase_goes_on_early_at_so_many_passes_in_a_row(tmp_path):
+    index = begin(tmp_path, every=1, passes=2)
+    assert run(index, [1.0, 1.0, 1.0]) == "finished"
+    assert index.phases[1]["trained"] == 2
+    assert index.phases[1]["why"] == "the gate was passed 2 times in a row, after 2 iterations"
+
+
+def test_a_gate_that_is_not_passed_at_the_maximum_stops_the_pipeline(tmp_path):
+    index = begin(tmp_path)
+    assert run(index, [0.2]) == "stopped"
+    first, second = index.phases
+    assert (first["status"], second["status"], second["run"]) == ("failed", "waiting", None)
+    assert "phase 'first': the gate is not passed after 2 iterations: stand/survival is 0.2" in index.data["why"]
+    with pytest.raises(ConfigError, match="would not"):
+        resumed(index, [])
+    again, status = resumed(index, [1.0, 1.0], "pipeline.phases.first.max_iterations=3")
+    assert status == "finished"
+    assert again.phases[0]["trained"] == 3
+    assert again.data["resumes"][0]["before"]["status"] == "stopped"
+
+
+@pytest.mark.parametrize("stop_after", [1, 4])
+def test_stopped_in_a_phase_it_goes_on_to_the_same_bytes(whole: PipelineIndex, tmp_path, stop_after):
+    index = begin(tmp_path, every=1, passes=2)
+    answers = [1.0, 1.0, 0.0, 1.0]
+    assert run(index, answers, stop_after) == "interrupted"
+    left = answers[len(Here.judged) :]
+    again, status = resumed(index, left)
+    assert status == "finished"
+    assert sums(again) == sums(whole)
+    assert [phase["gates"] for phase in again.phases] == [phase["gates"] for phase in whole.phases]
+
+
+def test_killed_before_it_could_record_what_was_done_it_does_nothing_twice(whole: PipelineIndex, tmp_path):
+    """A kill between the end of a phase's training and the record of it."""
+    index = begin(tmp_path, every=1, passes=2)
+    with pytest.raises(IndexError):  # the second evaluation breaks off
+        run(index, [1.0])
+    index.data |= {"status": "running", "process": {**index.data["process"], "pid": 2**22 + 1}}
+    index.phases[1]["trained"] = 0
+    index.write()
+    Here.judged = []
+    again, status = resumed(index, [1.0, 0.0, 1.0])
+    assert status == "finished"
+    assert Here.judged == ["model_0.pt", "model_1.pt", "model_2.pt"]
+    assert sums(again) == sums(whole)
+
+
+def test_one_that_is_finished_or_under_way_is_not_gone_on_with(whole: PipelineIndex):
+    with pytest.raises(RunDirectoryError, match="is finished"):
+        go_on(PipelineIndex.load(whole.folder), [], [])
+    index = PipelineIndex.load(whole.folder)
+    index.data["status"] = "running"
+    with pytest.raises(RunDirectoryError, match="still running"):
+        go_on(index, [], [])
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("seed=3", "goes on with the settings that it began with"),
+        ("pipeline.phases.first.max_iterations=9", "has passed already"),
+        ("pipeline.phases.second.task=walk", "has begun"),
+        ("pipeline.name=other", "the phases of a pipeline stay"),
+    ],
+)
+def test_what_may_not_change_is_refused(whole: PipelineIndex, override, said):
+    index = PipelineIndex.load(whole.folder)
+    index.data["status"] = "interrupted"
+    index.phases[1]["status"] = "training"
+    with pytest.raises(ConfigError, match=said):
+        go_on(index, [override], [])
+
+
+def test_phases_that_do_not_fit_are_told_before_the_first_begins():
+    phases = read(tree()).phases
+    more = "+observation@env.observations.policy.terms=[base_height]"
+    phases["second"].overrides.append(more)
+    with pytest.raises(ConfigError, match="phase 'second': is new: phase 'first' does not have it"):
+        compose_phases(phases, WORDS)
+
+
+def test_mistakes_of_all_phases_are_told_at_once():
+    phases = read(tree()).phases
+    phases["first"].overrides.append("env.num_envs=0")
+    phases["second"].overrides.append("env.rewards.alive.weigth=1")
+    with pytest.raises(ConfigError) as told:
+        compose_phases(phases, [])
+    assert "phase 'first'" in str(told.value)
+    assert "phase 'second'" in str(told.value)
+    with pytest.raises(ConfigError, match="say this themselves"):
+        compose_phases(phases, ["task=walk"])
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), 0.4])
+def test_what_is_no_number_passes_no_gate(value):
+    assert not judge(Gate("stand", {"a": 0.5}, {}), {"a": value}).passed
+    assert judge(Gate("stand", {"a": 0.5}, {"b": 0.1}), {"a": 0.5, "b": 0.1}).passed
+    with pytest.raises(ConfigError, match="no metric 'c'"):
+        judge(Gate("stand", {"c": 0.5}, {}), {"a": value})
+
+
+def test_a_pipeline_that_is_not_there_is_named(capsys):
+    said = wheelleg("train", "pipeline=stand_to_terain")
+    assert said.status == 2
+    assert "did you mean 'stand_to_terrain'" in said.err
+    said = wheelleg("train", "-m", "pipeline=stand_to_terrain")
+    assert said.status == 2

@@ -1,0 +1,98 @@
+"""``wheelleg train pipeline=NAME``, and going on with one: tasks one after the other, with gates between."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.common import print_json
+from wheelleg_exp.cli.printing.tables import print_table
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_INTERRUPTED, EXIT_OK, ConfigError
+
+if TYPE_CHECKING:
+    from wheelleg_exp.jobs.pipeline.settings import Declared
+    from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.run.pipeline_index import PipelineIndex, PipelineStatus
+
+
+def train_pipeline(args: argparse.Namespace, piped: Sequence[str], stop: StopRequest) -> int:
+    """Compose and check every phase, run them, and say what was made."""
+    if args.multirun:
+        raise ConfigError("a pipeline is no job of a sweep", key="-m", expected="one pipeline after the other")
+
+    from wheelleg_exp.jobs.pipeline.settings import compose_phases, declared
+    from wheelleg_exp.run.begin import refuse_secrets
+    from wheelleg_exp.run.pipeline_index import PipelineIndex
+
+    pipeline = declared(piped, args.config_dirs)
+    overrides = [word for word in args.overrides if word not in piped]
+    phases = compose_phases(pipeline.phases, overrides, args.config_dirs)
+    stop.check()
+    refuse_secrets(args.command, {"the overrides": "\n".join(args.overrides)}, pipeline.tree)
+
+    from wheelleg_exp.config.composing.sweep import digest_of
+
+    index = PipelineIndex.create(
+        next(iter(phases.values())).config["run"]["root"],
+        config=pipeline.tree,
+        overrides=overrides,
+        config_dirs=args.config_dirs,
+        command=args.command,
+        digests={name: digest_of(composed) for name, composed in phases.items()},
+    )
+    return _run(args, index, pipeline, stop)
+
+
+def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -> int:
+    """Go on with a pipeline where it was."""
+    from wheelleg_exp.jobs.pipeline.going_on import go_on
+    from wheelleg_exp.run.pipeline_index import PipelineIndex
+
+    index = PipelineIndex.load(folder)
+    return _run(args, index, go_on(index, args.overrides, args.command, args.config_dirs), stop)
+
+
+def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: Declared, stop: StopRequest) -> int:
+    from wheelleg_exp.cli.printing.display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.figures import shown, tool
+    from wheelleg_exp.errors import WheellegError
+    from wheelleg_exp.jobs.pipeline.pipeline import PipelineRunner
+    from wheelleg_exp.run.lock import RunLock
+
+    again = f"{tool('wheelleg')} resume {shown(index.folder)}"
+    with ConsoleDisplay(quiet=True) as display, RunLock(index.folder).held():
+        display.note(f"pipeline '{pipeline.tree['name']}': {', '.join(pipeline.phases)}; record: {shown(index.path)}")
+        try:
+            status = PipelineRunner(index, pipeline, display, stop).run()
+        except WheellegError:
+            display.note(f"go on with: {again}")
+            raise
+        if status == "interrupted":
+            display.note(f"interrupted; go on with: {again}")
+    if args.json:
+        print_json({"pipeline": str(index.folder), **index.data})
+    elif status != "interrupted":
+        _tell(index, status, again)
+    return {"finished": EXIT_OK, "interrupted": EXIT_INTERRUPTED}.get(status, EXIT_FINDING)
+
+
+def _tell(index: PipelineIndex, status: PipelineStatus, again: str) -> None:
+    from wheelleg_exp.cli.printing.figures import shown, tool
+
+    rows = []
+    for phase in index.phases:
+        run = index.run_of(phase)
+        rows.append((phase["name"], phase["trained"], phase["status"], phase["why"] or "-", shown(run) if run else "-"))
+    print_table(("phase", "iterations", "status", "why", "run"), rows)
+    print(f"\npipeline {status}: {shown(index.path)}")
+    if status == "finished":
+        last = index.run_of(index.phases[-1])
+        if last is not None:
+            print(f"next: {tool('wheelleg')} play {shown(last)}")
+            print(f"      {tool('wheelleg')} evaluate {shown(last)}")
+        return
+    failed = next(phase for phase in index.phases if phase["status"] == "failed")
+    more = 2 * int(index.data["config"]["phases"][failed["name"]]["max_iterations"])
+    print(f"next: {again} pipeline.phases.{failed['name']}.max_iterations={more}")

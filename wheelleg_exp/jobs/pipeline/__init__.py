@@ -1,0 +1,10 @@
+"""Several tasks one after the other, each from the policy of the one before, with gates between.
+
+| module | offers |
+|---|---|
+| ``settings`` | the declared pipeline: its phases, composed and held against each other |
+| ``gate`` | whether an evaluation passes a gate |
+| ``pipeline`` | runs the phases, and keeps the record up to date |
+| ``job`` | going on with a run, and evaluating it, each in a process of its own |
+| ``child`` | the end of the process that has started a job |
+"""

@@ -1,0 +1,91 @@
+"""Going on with a pipeline that was stopped, killed, or did not pass a gate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.changes import Change, changes, same
+from wheelleg_exp.config.composing.amend import amend, placing
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, is_of_pipeline, read
+from wheelleg_exp.run.begin import refuse_secrets
+from wheelleg_exp.run.pipeline_index import PipelineIndex
+from wheelleg_exp.run.process import is_alive
+
+_LATER = ("max_iterations", "gate")  # what may change of a phase that has begun
+
+
+def go_on(
+    index: PipelineIndex, overrides: Sequence[str], command: Sequence[str], config_dirs: Sequence[Path] = ()
+) -> Declared:
+    """Make a pipeline ready to go on, and return what is run from here on.
+
+    Args:
+        index: its record.
+        overrides: changes to its phases, such as ``pipeline.phases.walk.max_iterations=600``.
+        command: the command line, for the record.
+        config_dirs: the user's config folders; those that it began with where none are given.
+
+    Raises:
+        WheellegError: it is under way or finished, or an override is wrong. Nothing of the record has changed then.
+    """
+    if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
+        raise RunDirectoryError(
+            "this pipeline is still running", key=str(index.path), expected="one that has ended: wait for it"
+        )
+    if index.data["status"] == "finished":
+        raise RunDirectoryError("this pipeline is finished", key=str(index.path), expected="one that was stopped")
+    for text in overrides:
+        if not is_of_pipeline(text):
+            raise ConfigError(
+                "a pipeline goes on with the settings that it began with",
+                key=text.lstrip("+~").partition("=")[0],
+                where=f"override {text}",
+                expected=f"settings of {PRIMARY}.phases.<phase>",
+            )
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)})
+    kept = index.data["config"]
+    tree = amend({PRIMARY: kept}, overrides)[PRIMARY]
+    found = list(changes(kept, tree, same, (PRIMARY,)))
+    with placing(overrides):
+        for change in found:
+            _require_changeable(change, index)
+        declared = read(tree)
+    if list(declared.phases) != [phase["name"] for phase in index.phases]:
+        raise ConfigError("the phases of a pipeline stay", key=f"{PRIMARY}.phases", expected=str(list(kept["phases"])))
+    for phase in index.phases:
+        if phase["status"] == "failed":
+            phase |= _again(phase, declared.tree["phases"][phase["name"]], found)
+    if config_dirs:
+        index.data["config_dirs"] = [str(folder) for folder in config_dirs]
+    index.restart(command, [{"key": c.key, "was": str(c.a), "now": str(c.b)} for c in found], declared.tree)
+    return declared
+
+
+def _require_changeable(change: Change, index: PipelineIndex) -> None:
+    name = change.keys[2] if len(change.keys) > 2 and change.keys[1] == "phases" else None
+    phase = next((phase for phase in index.phases if phase["name"] == name), None)
+    if phase is None:
+        raise ConfigError("the phases of a pipeline stay", key=change.key, expected="settings of its phases")
+    if phase["status"] == "passed":
+        raise ConfigError(f"phase '{name}' has passed already", key=change.key, expected="settings of a later phase")
+    if phase["run"] is not None and change.keys[3] not in _LATER:
+        raise ConfigError(
+            f"phase '{name}' has begun", key=change.key, expected=f"{' or '.join(_LATER)} of it, or a new pipeline"
+        )
+
+
+def _again(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
+    """Return what a phase that did not pass its gate goes on with: another gate judges the same policy anew."""
+    changed = any(change.keys[2] == phase["name"] for change in found)
+    if not changed:
+        raise ConfigError(
+            f"phase '{phase['name']}' has not passed its gate, and would not: {phase['why']}",
+            key=f"{PRIMARY}.phases.{phase['name']}.max_iterations",
+            expected=f"more than {config['max_iterations']}, or another gate",
+        )
+    regated = any(change.keys[2:4] == (phase["name"], "gate") for change in found)
+    kept = [] if regated else [gate for gate in phase["gates"] if gate["iteration"] <= phase["trained"]]
+    return {"status": "training", "why": None, "ended": None, "gates": kept}

@@ -1,0 +1,174 @@
+"""The record of a pipeline: ``<root>/pipelines/<time>/pipeline.json``, which points to ordinary runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import json_plain, read_json, write_json
+from wheelleg_exp.run.directory import PIPELINES, create_exclusively
+from wheelleg_exp.run.process import this_process
+from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
+
+PIPELINE_NAME = "pipeline.json"
+FORMAT = 1
+
+PhaseStatus = Literal["waiting", "training", "passed", "failed"]
+PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
+
+
+@dataclass
+class PipelineIndex:
+    """The record of one pipeline; every change replaces the whole file.
+
+    ``data`` holds ``format``, ``id``, ``name``, ``status`` (``running``, ``finished``, ``stopped`` at a gate that was
+    not passed, ``failed``, ``interrupted``), ``why``, ``command``, ``working_directory``, ``config_dirs``, ``root``,
+    ``overrides`` (for all phases), ``started``, ``ended``, ``process``, ``resumes``, ``config`` (the declared pipeline)
+    and ``phases``. A phase has ``name``, ``status``, ``why`` (it went on, or did not), ``digest`` (of its config),
+    ``run`` (relative to the record), ``init_from`` (likewise), ``trained`` (iterations that are known to be done),
+    ``gates`` (what each evaluation found), ``started`` and ``ended``.
+    """
+
+    folder: Path
+    data: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def create(
+        cls,
+        root: str | Path,
+        *,
+        config: Mapping[str, Any],
+        overrides: Sequence[str],
+        config_dirs: Sequence[Path],
+        command: Sequence[str],
+        digests: Mapping[str, str],
+        now: datetime | None = None,
+    ) -> PipelineIndex:
+        """Make the folder of a new pipeline and write its record; no phase has begun.
+
+        Args:
+            root: the folder of all runs.
+            config: the declared pipeline, plain.
+            overrides: those of the command line, for all phases.
+            config_dirs: the user's config folders.
+            command: the command line.
+            digests: digest of each phase's config, by its name.
+            now: the time of the start, by default the present.
+
+        Raises:
+            RunDirectoryError: the folder cannot be made or written.
+        """
+        moment = now or utc_now()
+        index = cls(create_exclusively(Path(root) / PIPELINES, folder_text(moment)))
+        index.data = {
+            "format": FORMAT,
+            "id": index.folder.name,
+            "name": config["name"],
+            "status": "running",
+            "why": None,
+            "command": list(command),
+            "working_directory": str(Path.cwd()),
+            "config_dirs": [str(folder) for folder in config_dirs],
+            "root": os.path.relpath(Path(root).resolve(), index.folder),
+            "overrides": list(overrides),
+            "started": utc_text(moment),
+            "ended": None,
+            "process": this_process(),
+            "resumes": [],
+            "config": json_plain(config),
+            "phases": [_waiting(name, digest) for name, digest in digests.items()],
+        }
+        index.write()
+        return index
+
+    @classmethod
+    def load(cls, folder: str | Path) -> PipelineIndex:
+        """Read the record in a pipeline's folder.
+
+        Raises:
+            RunDirectoryError: there is none, it is broken, or its format is not known here.
+        """
+        path = Path(folder) / PIPELINE_NAME
+        data = read_json(path)
+        if not isinstance(data, dict) or not isinstance(data.get("phases"), list):
+            raise RunDirectoryError("this is no pipeline's record", where=str(path), expected="a mapping with 'phases'")
+        if data.get("format") != FORMAT:
+            message = f"pipeline format {data.get('format')!r} is not known here"
+            raise RunDirectoryError(message, where=str(path), expected=f"format {FORMAT}")
+        return cls(path.parent.resolve(), data)
+
+    @property
+    def path(self) -> Path:
+        """The record."""
+        return self.folder / PIPELINE_NAME
+
+    @property
+    def root(self) -> Path:
+        """The folder of all runs."""
+        return Path(os.path.normpath(self.folder / self.data["root"]))
+
+    @property
+    def phases(self) -> list[dict[str, Any]]:
+        """The phases, in order."""
+        return self.data["phases"]
+
+    def run_of(self, phase: Mapping[str, Any]) -> Path | None:
+        """Return the run directory of a phase, absolute; None as long as it has none."""
+        return None if phase["run"] is None else Path(os.path.normpath(self.folder / phase["run"]))
+
+    def relative(self, path: Path) -> str:
+        """Return a path as the record names it."""
+        return Path(os.path.relpath(path, self.folder)).as_posix()
+
+    def update(self, phase: Mapping[str, Any], **changes: Any) -> None:
+        """Record what has become of a phase."""
+        number = next(i for i, other in enumerate(self.phases) if other["name"] == phase["name"])
+        self.phases[number].update(json_plain(changes))
+        self.write()
+
+    def restart(self, command: Sequence[str], changes: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> None:
+        """Record that it goes on, in this process, with settings that may have changed."""
+        before = {key: self.data[key] for key in ("status", "why", "ended", "process")}
+        entry = {"when": utc_text(utc_now()), "command": list(command), "changes": list(changes), "before": before}
+        self.data["resumes"].append(json_plain(entry))
+        self.data |= {"status": "running", "why": None, "ended": None, "process": this_process()}
+        self.data["config"] = json_plain(config)
+        self.write()
+
+    def finish(self, status: PipelineStatus, why: str | None) -> None:
+        """Record how it ended."""
+        self.data |= {"status": status, "why": why, "ended": utc_text(utc_now())}
+        self.write()
+
+    def write(self) -> None:
+        """Replace the file."""
+        write_json(self.path, self.data)
+
+
+def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
+    """Return the folder of the pipeline that a path, or an id below ``root``, names; None where it names none."""
+    for folder in (Path(named), Path(root) / PIPELINES / str(named), Path(root) / str(named)):
+        if (folder / PIPELINE_NAME).is_file():
+            return folder.resolve()
+    path = Path(named)
+    return path.parent.resolve() if path.name == PIPELINE_NAME and path.is_file() else None
+
+
+def _waiting(name: str, digest: str) -> dict[str, Any]:
+    return {
+        "name": name,
+        "status": "waiting",
+        "why": None,
+        "digest": digest,
+        "run": None,
+        "init_from": None,
+        "trained": 0,
+        "gates": [],
+        "started": None,
+        "ended": None,
+    }
