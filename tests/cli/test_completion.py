@@ -36,7 +36,7 @@ OFFERED = {
     "wheelleg com": ["compose", "completion"],
     "wheelleg --v": ["--version"],
     "wheelleg compose --p": ["--primary", "--package", "--provenance"],
-    "wheelleg compose --primary ": ["play", "train"],
+    "wheelleg compose --primary ": ["evaluate", "pipeline", "play", "train"],
     "wheelleg compose --package env.sim.s": ["env.sim.solver"],
     "wheelleg train tas": ["task=", "task."],
     "wheelleg train robot=": ["robot=article", "robot=explicit", "robot=late", "robot=motor", "robot=physical"],

@@ -145,6 +145,8 @@ def _options(tree: Mapping[str, Any], keys: Keys) -> type | None:
 
 
 def _root(tree: Mapping[str, Any]) -> type:
+    if "pipeline" in tree:
+        return schema.PipelineRoot
     if "protocol" in tree:
         return schema.EvaluateRoot
     return schema.PlayRoot if "play" in tree else schema.Root

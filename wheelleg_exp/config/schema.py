@@ -94,6 +94,13 @@ class PlayRoot:
 
 
 @dataclass(frozen=True)
+class PipelineRoot:
+    """The top of the tree of a pipeline, whose phases are read where they are run."""
+
+    pipeline: Section
+
+
+@dataclass(frozen=True)
 class EvaluateRoot:
     """The top of the tree that an evaluation reads: the run's own ``env`` and ``agent``, and the protocol."""
 

@@ -58,6 +58,7 @@ KEYS: dict[str, str] = {
     "env.curriculum": "what changes as training goes on; terms run in their order",
     "env.recorders": "what of each episode is written to the run's dataset; they change nothing",
     "env.dataset": "which of the episodes that recorders note are written",
+    "pipeline": "tasks one after the other, with gates between",
     "protocol": "fixed scenarios of `wheelleg evaluate`, and how they are judged",
     "agent": "the learning algorithm and its networks, in rsl_rl's own terms",
     "agent.algorithm": "the algorithm: a class of rsl_rl and its parameters",
