@@ -209,6 +209,19 @@ def test_a_bundle_below_its_run_is_of_the_run(run):
     assert wheelleg("verify", run.path).status == 1
 
 
+def test_the_command_tells_what_it_made_and_how_near_it_is(run):
+    said = wheelleg("export", run.path, "--checkpoint", "1")
+    assert said.status == 0
+    assert said.out.startswith(f"exported runs/stand/{run.id}/model_1.pt to runs/stand/{run.id}/exported/bundle")
+    document = json.loads(wheelleg("export", run.path, "--json").out)
+    assert document["folder"] == str(run.exported / "bundle-2")
+    assert document["checkpoint"].endswith("model_2.pt")
+    assert document["largest_difference"]["actions"] <= 1e-6
+    assert document["lacks"] == []
+    said = wheelleg("export", run.path, "--checkpoint", "7")
+    assert (said.status, "no checkpoint of iteration 7" in said.err) == (2, True)
+
+
 def test_a_folder_that_exists_is_left_as_it_is(trained, tmp_path):
     (tmp_path / "taken").mkdir()
     with pytest.raises(RunDirectoryError, match="is not overwritten"):
@@ -257,7 +270,10 @@ VARIANTS = {
         "env.commands.base_velocity.ranges.lin_vel_x=[-0.3,0.3]",
         "+env.observations.policy.terms.joint_vel_rel.clip=[-0.2,0.2]",
         "observation@env.observations.policy.terms=[base_ang_vel,base_roll_pitch,velocity_commands,joint_pos_rel_late,"
-        "joint_vel_rel,last_action,gait_phase,base_lin_vel,joint_effort,base_height]",
+        "joint_vel_rel,last_action,gait_phase,base_lin_vel,joint_effort,base_height,sensors/imu_ang_vel,"
+        "sensors/imu_projected_gravity,sensors/imu_orientation]",
+        "+sensor@env.scene.sensors=imu",
+        "env.scene.sensors.imu.offset.rot=[0.5,0.5,0.5,0.5]",
     ],
     "by_time": [
         "+env.observations.policy.history_order=time",
@@ -360,6 +376,11 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
             group["_target_"] = f"wheelleg_exp.sim.actuators.{laws[profile]}"
         if profile == "motor":
             group["saturation_effort"] = 3.0
+    imu = {"_target_": "wheelleg_exp.sim.sensors.Imu", "body_name": "l.*shank_link"}
+    params["scene"]["sensors"]["imu"] = imu | {"offset": {"pos": [0.1, 0.0, 0.0], "rot": [0.6, 0.0, 0.8, 0.0]}}
+    for quantity in ("ang_vel", "projected_gravity", "orientation"):
+        node = {"_target_": f"wheelleg_exp.mdp.observations.imu_{quantity}"}
+        params["observations"]["policy"]["terms"][quantity] = node
     env = ManagerBasedRLEnv(as_configured(params), kept_mjcf(trained.run), 0)
     env.autoreset = "disabled"
     job._write_robot(tmp_path / "robot", kept_mjcf(trained.run), params, env)
@@ -386,4 +407,8 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
     gravity = runner.projected_gravity(readings["base_quat"])
     np.testing.assert_allclose(gravity, data.projected_gravity_b[0], atol=2e-4)
     np.testing.assert_allclose(readings["joint_effort"], data.applied_torque[0], atol=5e-3)
+    imu = env.scene["imu"].data
+    np.testing.assert_allclose(readings["imu.ang_vel"], imu.ang_vel_b[0], atol=3e-2)
+    np.testing.assert_allclose(readings["imu.projected_gravity"], imu.projected_gravity_b[0], atol=5e-4)
+    np.testing.assert_allclose(readings["imu.quat"], imu.quat_w[0], atol=5e-4)
     assert np.abs(data.joint_vel[0]).max() > 1.0

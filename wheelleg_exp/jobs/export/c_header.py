@@ -44,7 +44,7 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
     processed = [line for name, term in actions for line in action_lines(name, term)]
     widths = spec["network"]["widths"]
     return _HEADER.format(
-        about=f"The policy '{about['task']}' of run {about['id']}, iteration {about['iteration']}.",
+        about=_plain(f"The policy '{about['task']}' of run {about['id']}, iteration {about['iteration']}."),
         joint_names=_listed(f"{i} {name}" for i, name in enumerate(spec["joint_names"])),
         joints=joints,
         observations=spec["observation_width"],

@@ -24,14 +24,14 @@ def as_checked(env: Mapping[str, Any]) -> dict[str, Any]:
     """Return the ``env`` section for episodes that a runner can repeat from readings.
 
     Noise and delays belong to the sensors and the way to the drives, which a robot has by itself: they are left out.
-    So are pushes between two readings; resets and all else stay.
+    So are pushes between two readings and what is drawn once of the robot; what resets do stays.
 
     Args:
         env: the run's section, plain; it stays as it is.
     """
     found = as_configured(env)
     events = {name: node for name, node in env["events"].items() if node is not None}
-    found["events"] = {name: copy.deepcopy(node) for name, node in events.items() if node["mode"] != "interval"}
+    found["events"] = {name: copy.deepcopy(node) for name, node in events.items() if node["mode"] == "reset"}
     for group in (group for group in found["observations"].values() if group is not None):
         group["enable_corruption"] = False
         for node in (node for node in group["terms"].values() if node is not None):

@@ -17,6 +17,7 @@ from wheelleg_exp.terms.binding import TARGET
 
 Spec = dict[str, Any]
 _ROBOT = SceneEntityCfg("robot")
+_IMU = "imu"  # the sensor that terms take by default
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
@@ -112,6 +113,14 @@ def _plain(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv,
     return lambda _env, _term: {"function": function, "reading": name}
 
 
+def _of_imu(quantity: str) -> Callable[[ManagerBasedRLEnv, Term], Spec]:
+    def spec(_env: ManagerBasedRLEnv, term: Term) -> Spec:
+        sensor = term.params["asset_cfg"].name if "asset_cfg" in term.params else _IMU
+        return {"function": "reading", "reading": f"{sensor}.{quantity}"}
+
+    return spec
+
+
 def _joint_values(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
     return lambda env, term: {"function": function, **_of_joints(env, term, name)}
 
@@ -155,6 +164,10 @@ _KNOWN: dict[Any, Callable[[ManagerBasedRLEnv, Term], Spec]] = {
     observations.joint_vel: _joint_values("joint_vel"),
     observations.joint_vel_rel: _minus_default("joint_vel", "default_joint_vel"),
     observations.joint_effort_commanded: _joint_values("joint_effort"),
+    observations.imu_ang_vel: _of_imu("ang_vel"),
+    observations.imu_lin_acc: _of_imu("lin_acc"),
+    observations.imu_projected_gravity: _of_imu("projected_gravity"),
+    observations.imu_orientation: _of_imu("quat"),
     observations.generated_commands: lambda _env, term: {
         "function": "reading",
         "reading": f"{COMMANDS}{term.params['command_name']}",

@@ -45,10 +45,25 @@ READINGS = {
 }
 
 
+# Of an IMU (``<sensor>.<quantity>``): its unit and meaning, and the attribute of the sensor's data.
+QUANTITIES = {
+    "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),
+    "lin_acc": ("m/s^2", "acceleration in its own axes; at rest it reads gravity upwards", "lin_acc_b"),
+    "projected_gravity": ("1", "unit vector of gravity in its own axes", "projected_gravity_b"),
+    "quat": ("1", "orientation in the world (w, x, y, z)", "quat_w"),
+}
+
+
 def reading(name: str) -> Reading:
-    """Return what a reading is, also of a command (``commands.<term>``)."""
-    if not name.startswith(COMMANDS):
+    """Return what a reading is, also of a command (``commands.<term>``) or an IMU (``<sensor>.<quantity>``)."""
+    if name in READINGS:
         return READINGS[name]
+    if not name.startswith(COMMANDS):
+        sensor, _, quantity = name.rpartition(".")
+        unit, meaning, attribute = QUANTITIES[quantity]
+        return Reading(
+            unit, f"of the IMU '{sensor}': {meaning}", lambda env: getattr(env.scene[sensor].data, attribute)
+        )
     term = name.removeprefix(COMMANDS)
     meaning = f"what the command '{term}' asks for; its components and ranges stand in commands.{term}"
     return Reading("m/s, rad/s", meaning, lambda env: env.command_manager.get_command(term))

@@ -10,6 +10,7 @@ from wheelleg_exp.jobs.export.actions import action_specs
 from wheelleg_exp.jobs.export.drives import drive_specs, finite, per_joint
 from wheelleg_exp.jobs.export.observations import observation_specs, readings_of
 from wheelleg_exp.jobs.export.readings import COMMANDS, reading
+from wheelleg_exp.sim.sensors import Imu
 
 FORMAT_VERSION = 1
 
@@ -57,6 +58,7 @@ def specification(
         "clip_actions": agent.get("clip_actions"),
         "actions": actions,
         "actuators": drives,
+        "imus": _imus(env, names),
         "root": {
             "body": robot.body_names[0],
             "floating": robot.floating,
@@ -64,6 +66,16 @@ def specification(
             "quat": layout.default_root_quat.tolist(),
         },
     }
+
+
+def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, Any]:
+    """Return where the IMUs sit that are read."""
+    found = {}
+    for name, sensor in env.scene.sensors.items():
+        if isinstance(sensor, Imu) and any(reading.rpartition(".")[0] == name for reading in readings):
+            place = {"pos": sensor._offset_pos.tolist(), "quat": sensor._offset_quat.tolist()}
+            found[name] = {"body": sensor.body_names[0], **place}
+    return found
 
 
 def _width(term: Mapping[str, Any]) -> int:

@@ -47,6 +47,9 @@ class Robot:
                 raise SystemExit(f"the drive '{drive['name']}' is a {drive['class']}, which is not simulated here")
         if not spec["root"]["floating"]:
             raise SystemExit("this robot stands on a fixed base, which is not simulated here")
+        missing = [name for name in spec["readings"] if name.endswith(".lin_acc")]
+        if missing:
+            raise SystemExit(f"this policy reads '{missing[0]}', which is not simulated here")
         self.root = self.model.body(spec["root"]["body"])
         self.reset()
 
@@ -76,7 +79,24 @@ class Robot:
             "joint_vel": data.qvel[self.qvel],
             "joint_effort": effort,
             **{f"commands.{name}": command for name, command in commands.items()},
+            **self.imu_readings(),
         }
+
+    def imu_readings(self) -> dict[str, np.ndarray]:
+        """Return what the IMUs measure, without errors."""
+        found: dict[str, np.ndarray] = {}
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_comVel(self.model, self.data)
+        for name, imu in self.spec["imus"].items():
+            body, velocity, quat, rate, back = self.model.body(imu["body"]).id, *map(np.empty, (6, 4, 3, 4))
+            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
+            mujoco.mju_mulQuat(quat, self.data.xquat[body], imu["quat"])
+            mujoco.mju_negQuat(back, imu["quat"])
+            mujoco.mju_rotVecQuat(rate, velocity[:3], back)
+            found |= {f"{name}.ang_vel": rate, f"{name}.quat": quat}
+            found |= {f"{name}.projected_gravity": projected_gravity(quat)}
+        return found
 
     def drive(self, targets: Mapping[str, np.ndarray]) -> None:
         """Turn targets into controls, before each physics step."""
