@@ -167,6 +167,15 @@ def test_what_a_play_found_stands_beside(make_run, tmp_path):
     assert list_runs(tmp_path / "runs")[0].played == {"survival": 1.0}
 
 
+def test_what_was_exported_stands_beside(make_run, tmp_path):
+    run = written(make_run(), 10)
+    run.manifest().finish("finished")
+    assert list_runs(tmp_path / "runs")[0].bundles == ()
+    for name in ("bundle", "bundle-2"):
+        run.manifest().add("export", results={"folder": f"exported/{name}"})
+    assert list_runs(tmp_path / "runs")[0].bundles == ("exported/bundle", "exported/bundle-2")
+
+
 def test_a_folder_that_was_left_before_its_manifest_is_damaged(make_run, tmp_path):
     run = make_run(now=START)
     (run.path / "manifest.json").unlink()

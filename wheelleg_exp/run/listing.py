@@ -58,6 +58,7 @@ class RunSummary:
         resumes: how often it has been resumed.
         figures: mean return and length of the last episodes, share of them that ran to their time limit.
         played: results of the last play.
+        bundles: folders in it that were exported for deployment.
         seconds: how long it took, or has taken up to its last iteration; times between resumes count.
         bytes: size of the files in its folder's top, without later additions.
     """
@@ -80,6 +81,7 @@ class RunSummary:
     resumes: int = 0
     figures: dict[str, float] = field(default_factory=dict)
     played: dict[str, Any] = field(default_factory=dict)
+    bundles: tuple[str, ...] = ()
     seconds: float | None = None
     bytes: int | None = None
 
@@ -119,6 +121,7 @@ def summarize(folder: Path) -> RunSummary:
         resumes=len(data["resumes"]),
         figures={name: scalars[key] for name, key in FIGURES.items() if isinstance(scalars.get(key), (int, float))},
         played=_played(data["additions"]),
+        bundles=_bundles(data["additions"]),
         seconds=_seconds(folder, manifest.started, data.get("ended"), status),
         bytes=size,
     )
@@ -255,6 +258,11 @@ def _played(additions: list[dict[str, Any]]) -> dict[str, Any]:
     plays = [entry for entry in additions if entry.get("kind") == "play"]
     found = plays[-1].get("results") if plays else None
     return found if isinstance(found, dict) else {}
+
+
+def _bundles(additions: list[dict[str, Any]]) -> tuple[str, ...]:
+    exports = [entry.get("results") for entry in additions if entry.get("kind") == "export"]
+    return tuple(str(found["folder"]) for found in exports if isinstance(found, dict) and "folder" in found)
 
 
 def _seconds(folder: Path, started: datetime, ended: str | None, status: str) -> float | None:

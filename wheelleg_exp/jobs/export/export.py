@@ -101,7 +101,13 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
         shutil.rmtree(work, ignore_errors=True)
     if folder.resolve().is_relative_to(run.path):
         files = sorted(path for path in folder.rglob("*") if path.is_file())
-        results = {"checkpoint": str(checkpoint.name), "largest_difference": dict(differences), "lacks": list(notes)}
+        place = str(folder.resolve().relative_to(run.path))
+        results = {
+            "folder": place,
+            "checkpoint": str(checkpoint.name),
+            "largest_difference": dict(differences),
+            "lacks": list(notes),
+        }
         run.manifest().add("export", files, results, command=command)
     return Exported(run, checkpoint, folder, differences, notes)
 
