@@ -51,3 +51,8 @@ def fake_env(**fields: Any) -> Any:
     scene.env_origins = fields.pop("env_origins", None)
     rest = {k: v for k, v in fields.items() if not k.startswith("data_")}
     return SimpleNamespace(scene=scene, **rest)
+
+
+def two_numbers(env: Any) -> torch.Tensor:
+    """Return an observation of which nobody knows what it is, (N, 2)."""
+    return torch.ones(env.num_envs, 2, device=env.device)

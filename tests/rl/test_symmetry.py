@@ -177,11 +177,12 @@ def test_what_is_no_image_is_told_with_its_key(make_trainer, words, key, said):
     assert said in str(caught.value)
 
 
+@pytest.mark.usefixtures("allow_test_terms")
 def test_a_term_whose_image_is_not_known_is_told(make_trainer):
-    own = "+env.observations.policy.terms.phase={_target_: wheelleg_exp.mdp.observations.gait_phase, period: 1.0}"
-    with pytest.raises(ConfigError, match=r"agent\.symmetry\.terms\.phase.*vector"):
+    own = "+env.observations.policy.terms.own={_target_: mdp.fakes.two_numbers}"
+    with pytest.raises(ConfigError, match=r"agent\.symmetry\.terms\.own.*vector"):
         make_trainer(MIRRORED, own)
-    mirror = make_trainer(MIRRORED, own, "+agent.symmetry.terms={phase: [1, -1]}").env.mirror
+    mirror = make_trainer(MIRRORED, own, "+agent.symmetry.terms={own: [1, -1]}").env.mirror
     assert mirror is not None
 
 

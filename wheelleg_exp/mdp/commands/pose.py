@@ -186,7 +186,7 @@ class UniformPoseCommand(RangedCommand):
         found, names = self.robot.find_bodies(body_name, key="body_name")
         if len(found) != 1:
             raise ConfigError(f"matches {', '.join(names)}", key="body_name", expected="one body")
-        self._body = found[0]
+        self._body, self.body_name = found[0], names[0]
         self.take_ranges(ranges, get_args(_Pose))
         self._unique = make_quat_unique
         self.pose_command_b = torch.zeros(env.num_envs, 7, device=env.device)

@@ -3,7 +3,9 @@
 | module | what it offers |
 |---|---|
 | `joints` | which joint is which one's image, and with which sign, from the compiled model |
+| `bodies` | which body is which one's image, and whose axes are |
 | `rules` | how each kind of observation turns in a mirror |
+| `turning`, `sensed` | what each rule makes of a term, of rays and IMUs |
 | `mirror` | the images of whole observations and actions |
 """
 

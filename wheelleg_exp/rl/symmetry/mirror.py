@@ -16,9 +16,8 @@ from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.rl.options import SymmetryOptions
 from wheelleg_exp.rl.symmetry import rules
 from wheelleg_exp.rl.symmetry.joints import PAIRS, partners, signs
+from wheelleg_exp.rl.symmetry.turning import Turned, Turning
 
-# Where each number of an image comes from, and its sign.
-Turned = list[tuple[int, float]]
 _TERMS = "agent.symmetry.terms"
 _LARGEST = 1e-4  # rad, or the units of targets: defaults and targets that differ by more are no images
 
@@ -46,6 +45,7 @@ class Mirror:
         self._signs = signs(env.scene.model, robot.body_names[0], robot.joint_names, self._images)
         self._require_defaults()
         self._action = self._actions()
+        self._turning = Turning(env, self._images, self._signs, self._action)
         self._groups = {group: _tensors(self._group(group), device) for group in dict.fromkeys(groups)}
         self._action_tensors = _tensors(self._action, device)
 
@@ -111,20 +111,7 @@ class Mirror:
     def _frame(self, group: str, name: str, term: ObservationTerm) -> Turned:
         """Return how one frame of a term turns."""
         path, rule = term.term.path, self._rule(group, name, term)
-        width = term.width
-        if not isinstance(rule, str):
-            turned = [(i, float(sign)) for i, sign in enumerate(rule)]
-        elif rule in rules.SIGNS:
-            turned = [(i, float(sign)) for i, sign in enumerate(rules.SIGNS[rule])]
-        elif rule == "invariant":
-            turned = [(i, 1.0) for i in range(width)]
-        elif rule == "actions":
-            turned = self._action_of(term)
-        else:
-            joints = self._joints_of(term, path)
-            turned = joints
-            if rule == "joints_sin_cos":
-                turned = joints + [(len(joints) + source, 1.0) for source, _ in joints]
+        width, turned = term.width, self._turning.frame(rule, term)
         if len(turned) != width:
             told = rule if isinstance(rule, str) else list(rule)
             message = f"the mirror rule {told} is of {len(turned)} numbers, and the term has {width}"
@@ -137,11 +124,7 @@ class Mirror:
         given = self._options.terms.get(name)
         rule = given if given is not None else rules.known(term.term.target)
         if rule == rules.COMMAND:
-            command = str(term.term.params["command_name"])
-            found = self._env.command_manager.get_term(command)
-            rule = next(
-                (rules.OF_COMMANDS[k.__name__] for k in type(found).__mro__ if k.__name__ in rules.OF_COMMANDS), None
-            )
+            rule = self._turning.command(term)
         if rule is None:
             raise ConfigError(
                 f"it is not known how '{term.term.target}' turns in a mirror (observation '{name}' of '{group}')",
@@ -149,30 +132,6 @@ class Mirror:
                 expected="one of " + ", ".join(rules.NAMES) + ", or a list of a sign for each number",
             )
         return rule
-
-    def _joints_of(self, term: ObservationTerm, path: str) -> Turned:
-        entity = term.term.params.get("asset_cfg")
-        every = list(range(len(self._images)))
-        chosen = getattr(entity, "joint_ids", slice(None))
-        ids = every[chosen] if isinstance(chosen, slice) else [int(i) for i in chosen]
-        names = self._env.scene.robot.joint_names
-        for joint in ids:
-            if self._images[joint] not in ids:
-                raise ConfigError(
-                    f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not",
-                    key=path,
-                    expected="joints of both sides",
-                )
-        return [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
-
-    def _action_of(self, term: ObservationTerm) -> Turned:
-        """Return how the last action turns, of the whole vector or of one term's part."""
-        manager, name = self._env.action_manager, term.term.params.get("action_name")
-        if name is None:
-            return self._action
-        start = sum(manager.action_term_dim[: manager.active_terms.index(name)])
-        part = self._action[start : start + manager.get_term(name).action_dim]
-        return [(source - start, sign) for source, sign in part]
 
     def _require_even(self, term: ObservationTerm, turned: Turned, path: str) -> None:
         """Raise ConfigError where clip or scale treat a number and its image differently."""

@@ -11,11 +11,29 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
     "planar_velocity": (1, -1, -1),  # forwards, to the left, yaw rate
     "quaternion": (1, -1, 1, -1),
     "roll_pitch": (-1, 1),
+    "place": (1, -1, 1, -1),  # the way to a place, and the turn that is left
+    "base_pose": (1, -1, 1),  # height, roll, pitch
+    "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
 }
-# Rules of any width: what does not change; a number, or a sine and then a cosine, of each joint; raw actions.
-OTHERS = ("invariant", "joints", "joints_sin_cos", "actions")
+# Rules of any width: what does not change; a number, or a sine and then a cosine, of each joint; raw actions; sines and
+# cosines of a gait's clock; a number of each ray.
+OTHERS = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
+# Rules of some numbers a body: their signs, the parameter that chooses the bodies, whether their axes must be images.
+OF_BODIES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
+    "sensed_bodies": ((1,), "sensor_cfg", False),
+    "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
+    "bodies": ((1,), "asset_cfg", False),
+    "body_vectors": ((1, -1, 1), "asset_cfg", True),
+    "body_poses": ((1, -1, 1, 1, -1, 1, -1), "asset_cfg", True),
+}
+# Rules of what an IMU measures in its own axes.
+OF_IMUS: Mapping[str, str] = {
+    "imu_vector": "vector",
+    "imu_pseudovector": "pseudovector",
+    "imu_quaternion": "quaternion",
+}
 COMMAND = "command"  # stands for the rule of the command's class
-NAMES = (*SIGNS, *OTHERS)
+NAMES = (*SIGNS, *OTHERS, *OF_BODIES, *OF_IMUS)
 
 _OBSERVATIONS = "wheelleg_exp.mdp.observations"
 # Stock observations by the name of their function.
@@ -44,11 +62,26 @@ OF_TERMS: Mapping[str, str] = {
     "joint_pos_sin_cos": "joints_sin_cos",
     "last_action": "actions",
     "generated_commands": COMMAND,
+    "gait_phase": "phases",
+    "height_scan": "rays",
+    "imu_orientation": "imu_quaternion",
+    "imu_projected_gravity": "imu_vector",
+    "imu_ang_vel": "imu_pseudovector",
+    "imu_lin_acc": "imu_vector",
+    "body_contacts": "sensed_bodies",
+    "body_air_time": "sensed_bodies",
+    "body_contact_forces": "sensed_body_vectors",
+    "body_pose_w": "body_poses",
+    "body_projected_gravity_b": "body_vectors",
 }
 # Stock commands by the name of their class.
 OF_COMMANDS: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
     "NormalVelocityCommand": "planar_velocity",
+    "UniformPose2dCommand": "place",
+    "UniformBasePoseCommand": "base_pose",
+    "UniformPoseCommand": "pose",
+    "NullCommand": "invariant",
 }
 
 

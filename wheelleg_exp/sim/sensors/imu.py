@@ -117,6 +117,11 @@ class Imu(SensorBase):
         self._bias_b, self._noise_b = torch.zeros(n, 6, device=device), torch.zeros(n, 6, device=device)
         self._stream = stream() if any(map(any, spread)) else None
 
+    @property
+    def offset_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Its place (3,), m, and orientation (w, x, y, z), (4,), in the body's frame."""
+        return self._offset_pos, self._offset_quat
+
     def update(self) -> None:
         """Take up the physics step that has just run, and measure the environments whose time it is."""
         now = self._velocities()

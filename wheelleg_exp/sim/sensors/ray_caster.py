@@ -109,6 +109,16 @@ class RayCaster(LazySensor):
         self.drift = torch.zeros(sim.num_envs, 6, device=sim.device)
         self._stream = stream() if bool(ranges.any()) else None
 
+    @property
+    def device(self) -> torch.device:
+        """Where its tensors are."""
+        return self._sim.device
+
+    @property
+    def rays(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Starts, m, one of all or (R, 3), and unit directions (R, 3), in the frame that the alignment says."""
+        return self._starts, self._directions
+
     def reset(self, env_ids: torch.Tensor) -> None:
         """Draw the drift of the new episodes."""
         super().reset(env_ids)
