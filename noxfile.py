@@ -14,6 +14,7 @@ nox.options.error_on_external_run = False
 
 # Each file's tests stay in one process, where they share what they have trained; files in order, long ones not last.
 SPREAD = ("-n", "logical", "--dist", "loadfile", "--no-loadscope-reorder")
+_MAIN = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main())"
 _PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 SLOW = "slow or train or repro or full or pictures or browser or corpus"
 
@@ -57,6 +58,14 @@ def clients(session: nox.Session) -> None:
     Path(own, "_wheelleg.pth").write_text(f"import site; site.addsitedir({here!r})\n")
     session.install("-r", "tests/clients/requirements.txt")
     session.run("python", "-m", "pytest", "-p", "no:xdist", "tests/clients", *session.posargs)
+
+
+@nox.session
+def results(session: nox.Session) -> None:
+    """Train and evaluate what the tables of docs/results name, all or the named ones, and compare to the bit."""
+    names = session.posargs or sorted(path.stem for path in Path("docs/results").glob("*.json"))
+    for name in names:
+        session.run(sys.executable, "-c", _MAIN, "results", name, "--again")
 
 
 @nox.session

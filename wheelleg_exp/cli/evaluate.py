@@ -51,17 +51,17 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.printing.evaluation import print_evaluation
     from wheelleg_exp.cli.printing.figures import shown
 
-    names = [args.run, *(word for word in args.overrides if _is_run(word))]
-    overrides = [word for word in args.overrides if not _is_run(word)]
+    names = [args.run, *(word for word in args.overrides if is_run(word))]
+    overrides = [word for word in args.overrides if not is_run(word)]
     others = [name for name in args.against if name != REFERENCE]
     if REFERENCE in args.against and others:
         raise WheellegError("a comparison is with runs or with the reference", key="--against", expected="one of them")
     with ConsoleDisplay(quiet=True) as display:
-        made = [_evaluated(args, name, overrides, display) for name in names]
-        against = [_evaluated(args, name, overrides, display) for name in others]
+        made = [evaluated(args, name, overrides, display) for name in names]
+        against = [evaluated(args, name, overrides, display) for name in others]
         reference = None
         if args.reference or REFERENCE in args.against:
-            reference = _reference(args, made[0], overrides, display)
+            reference = reference_of(args, made[0], overrides, display)
             against = [reference] if REFERENCE in args.against else against
     if len(made) == 1 and not against and reference is None:
         content = {"run": str(made[0].run.path), "folder": str(made[0].folder), **made[0].content}
@@ -94,18 +94,20 @@ def _compare(
     return EXIT_OK
 
 
-def _is_run(word: str) -> bool:
+def is_run(word: str) -> bool:
     """Return whether a word names a run: overrides hold ``=`` or take something away."""
     return "=" not in word and not word.startswith("~")
 
 
-def _evaluated(args: argparse.Namespace, name: str, overrides: Sequence[str], display: ConsoleDisplay) -> Evaluated:
+def evaluated(args: argparse.Namespace, name: str, overrides: Sequence[str], display: ConsoleDisplay) -> Evaluated:
+    """Evaluate one run as the words of a command say, or take what it has kept."""
     from wheelleg_exp.cli.play import chosen_checkpoint
     from wheelleg_exp.jobs.evaluate.evaluate import evaluate_run
     from wheelleg_exp.run.directory import RunDirectory
 
     directory = RunDirectory.open(name, args.root)
-    chosen = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
+    asked = getattr(args, "checkpoint", None)
+    chosen = None if asked is None else chosen_checkpoint(directory, asked)
     if args.kept:
         from wheelleg_exp.files import sha256
         from wheelleg_exp.jobs.evaluate.kept import as_evaluated, find_kept
@@ -119,9 +121,10 @@ def _evaluated(args: argparse.Namespace, name: str, overrides: Sequence[str], di
     return evaluate_run(directory, chosen, overrides, args.command, display.test, args.config_dirs)
 
 
-def _reference(
+def reference_of(
     args: argparse.Namespace, made: Evaluated, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
+    """Evaluate the reference controller on the robot and task of an evaluated run."""
     from wheelleg_exp.jobs.evaluate.evaluate import evaluate_reference
 
     return evaluate_reference(made.run, overrides, args.command, display.test, args.config_dirs)

@@ -52,6 +52,7 @@ COMMANDS: dict[str, Command] = {
     "resume": Command("resume", "go on with a run that was stopped or killed, as if it had never been"),
     "play": Command("play", "run a policy and record it"),
     "evaluate": Command("evaluate", "measure a policy on fixed scenarios, with intervals"),
+    "results": Command("results", "write a table of results with all that is needed to get it again, or get it again"),
     "export": Command("export", "write a policy for deployment: a folder that runs without this program"),
     "zero-agent": Command("agents", "run a task with zero actions and record it", "run_zero"),
     "random-agent": Command("agents", "run a task with random actions and record it", "run_random"),

@@ -136,7 +136,7 @@ def verdict(found: Sequence[Difference], first: str, second: str, seeds: tuple[i
     better = [row.metric for row in tested if row.outcome == "better"]
     worse = [row.metric for row in tested if row.outcome == "worse"]
     if not better and not worse:
-        said = f"No difference between {first} and {second} is beyond chance, in none of {len(tested)} metrics."
+        said = f"No difference between {first} and {second} is beyond chance in any of {len(tested)} metrics."
     elif not worse:
         said = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in none."
     elif not better:

@@ -83,12 +83,12 @@ def compare(
 def called(made: Sequence[Evaluated]) -> str:
     """Return what evaluated runs are called in a sentence."""
     names = [name_of(one) for one in made]
-    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+    return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
 
 
 def name_of(made: Evaluated) -> str:
     """Return what one is called in a table: the run's id, or the reference's name."""
-    return made.run.id if made.checkpoint is not None else str(made.content["policy"])
+    return made.run.id if made.checkpoint is not None else f"the {made.content['policy']}"
 
 
 def _which(made: Evaluated) -> dict[str, Any]:

@@ -1,0 +1,74 @@
+"""``wheelleg results NAME RUN...``: a table of results into docs/results, and the same again."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from wheelleg_exp.cli.common import add_config_dir, add_root
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError
+
+FOLDER = Path("docs/results")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("name", metavar="NAME", help="what the result is called: the name of its page")
+    parser.add_argument(
+        "runs",
+        nargs="*",
+        metavar="RUN|OVERRIDE",
+        help="runs that differ by their seed, and protocol=walk; none with --again",
+    )
+    parser.add_argument("--into", type=Path, default=FOLDER, metavar="DIR", help=f"where it stands (default: {FOLDER})")
+    parser.add_argument(
+        "--reference", action="store_true", help="evaluate the linear-quadratic reference controller too, and compare"
+    )
+    parser.add_argument("--kept", action="store_true", help="take what a run has kept of this protocol")
+    parser.add_argument(
+        "--again", action="store_true", help="train and evaluate what the record names, and compare to the bit"
+    )
+    add_config_dir(parser)
+    add_root(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate runs and write their table, or get a written one again."""
+    return _again(args) if args.again else _write(args)
+
+
+def _write(args: argparse.Namespace) -> int:
+    from wheelleg_exp.cli.evaluate import evaluated, is_run, reference_of
+    from wheelleg_exp.cli.printing.display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.jobs.evaluate.compare import compare
+    from wheelleg_exp.jobs.results.record import recipe, write_results
+
+    names = [word for word in args.runs if is_run(word)]
+    words = [word for word in args.runs if not is_run(word)]
+    if not names:
+        raise WheellegError("names no run", key="RUN", expected="the runs that the table is of")
+    with ConsoleDisplay(quiet=True) as display:
+        made = [evaluated(args, name, words, display) for name in names]
+        for one in made:
+            recipe(one.run)  # what cannot be made again is no result
+        reference = reference_of(args, made[0], words, display) if args.reference else None
+    against = [] if reference is None else [reference]
+    compared = compare(made, against, reference, args.command)
+    for path in write_results(args.name, args.into, compared, made, reference, words):
+        print(shown(path.absolute()))
+    return EXIT_OK
+
+
+def _again(args: argparse.Namespace) -> int:
+    from wheelleg_exp.jobs.results.again import again
+    from wheelleg_exp.jobs.results.record import read_record
+
+    record = read_record(args.into / f"{args.name}.json")
+    with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
+        found = again(record, Path(folder), lambda text: print(text, flush=True))
+    for line in found:
+        print(line)
+    print(f"{args.name}: {'not ' if found else ''}reproduced to the bit")
+    return EXIT_FINDING if found else EXIT_OK

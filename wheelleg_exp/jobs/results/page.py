@@ -1,0 +1,98 @@
+"""A result as a page of Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import Any
+
+_DEGREES = {"rad": "°", "rad/s": "°/s"}
+_LIMITS = (
+    "No hardware. The robot is authored from the numbers of an article, without its CAD. What differs from PhysX is "
+    "known by construction, not by measurement. The reference is free of noise and delay. The numbers hold for this "
+    "armature profile and these time steps alone."
+)
+
+
+def page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> str:
+    """Return a result as Markdown.
+
+    Args:
+        record: what ``record.write_results`` writes.
+        manifests: of its runs.
+    """
+    parts = [f"# {record['name']}\n", *_about(record, manifests)]
+    for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
+        parts += [f"## {group}\n", *_table(record, list(names)), ""]
+    parts += ["## How it was made\n", *_made(record, manifests), "", _LIMITS]
+    return "\n".join(parts) + "\n"
+
+
+def _about(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    about, hardware = record["about"], manifests[0].get("hardware") or {}
+    seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
+    yield (
+        f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
+        f"robot profile `{about.get('profile')}`, physics step {about['physics_dt_s']:.6g} s, "
+        f"control step {about['step_dt_s']:.6g} s."
+    )
+    took = [manifest["results"].get("seconds") for manifest in manifests]
+    times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
+    yield f"Trained in {times} on {hardware.get('cpu')}, {hardware.get('cores_usable')} cores.\n"
+    if record["verdict"]:
+        yield f"{record['verdict']}\n"
+
+
+def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
+    count = len(record["runs"])
+    over = ["mean", "95 % interval", "noise floor"] if count > 1 else ["95 % interval"]
+    reference, against = record["reference"], record["differences"]
+    heads = ["metric", "unit", *(f"run {i}" for i in range(1, count + 1)), *over]
+    heads += ["reference"] if reference else []
+    heads += ["against it"] if against else []
+    yield "| " + " | ".join(heads) + " |"
+    yield "|---|---|" + "---:|" * (len(heads) - 2)
+    for name in names:
+        row = record["over_seeds"][name]
+        factor, unit = (180.0 / math.pi if row["unit"] in _DEGREES else 1.0), _DEGREES.get(row["unit"], row["unit"])
+        mean = row["mean"]
+        ends = [_number(mean[end], factor) for end in ("low", "high")]
+        between = ends[0] if ends[0] == "–" else " to ".join(ends)
+        cells = [_number(value, factor) for value in row["values"]]
+        cells += [_number(mean["value"], factor), between, _number(mean["floor"], factor)] if count > 1 else [between]
+        if reference:
+            cells.append(_number(reference["metrics"].get(name, {}).get("value"), factor))
+        if against:
+            cells.append(against.get(name, {}).get("outcome", ""))
+        yield f"| {name.partition('/')[2]} | {unit} | " + " | ".join(cells) + " |"
+
+
+def _made(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    yield "```"
+    for run in record["runs"]:
+        yield from _commands(run["train"])
+    reference = " --reference" if record["reference"] else ""
+    yield f"wheelleg results {record['name']} RUN ...{reference} {' '.join(record['words'])}".rstrip()
+    yield "```\n"
+    yield "| run | seed | commit | networks |"
+    yield "|---|---|---|---|"
+    for run, manifest in zip(record["runs"], manifests, strict=True):
+        source = manifest["source"]
+        commit = str(source.get("commit"))[:12] + (" and changes" if source.get("dirty") else "")
+        seeds = ", ".join(map(str, manifest.get("seeds") or []))
+        link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
+        yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
+    yield f"\n`nox -s results -- {record['name']}` trains and evaluates them again and compares to the bit."
+
+
+def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
+    before = recipe["begins_with"]
+    if before is not None:
+        yield from _commands(before)
+    tail = " init_from=" + "the-run-above" if before is not None else ""
+    yield f"wheelleg train {' '.join(recipe['overrides'])}{tail}"
+
+
+def _number(value: float | None, factor: float) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{value * factor:.4g}"

@@ -1,0 +1,133 @@
+"""Writing down a result: the numbers, and everything that is needed to get them again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import for_people, write_json, write_text
+from wheelleg_exp.jobs.evaluate.compare import Compared
+from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
+from wheelleg_exp.jobs.results.page import page
+from wheelleg_exp.reading import Unreadable, json_value, yaml_value
+from wheelleg_exp.run.directory import RunDirectory
+
+FORMAT = 1
+# What a manifest tells of a run, without what belongs to the machine's folders and processes.
+_OF_MANIFEST = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
+_OF_MANIFEST_TOO = ("init_from", "files", "sha256", "last_ended_by")
+_OWN = ("run.", "run=", "init_from=", "recording.")  # overrides that say where, not what
+
+
+def write_results(
+    name: str,
+    folder: Path,
+    compared: Compared,
+    runs: Sequence[Evaluated],
+    reference: Evaluated | None,
+    words: Sequence[str],
+) -> list[Path]:
+    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder, over earlier ones; return the files.
+
+    Args:
+        name: what the result is called.
+        folder: where tables stand.
+        compared: the comparison of the runs.
+        runs: the evaluated runs.
+        reference: the evaluated reference controller.
+        words: the overrides that the runs were evaluated with.
+
+    Raises:
+        RunDirectoryError: a run was not trained in one go, or began with another that is not there any more.
+    """
+    record = {
+        "format": FORMAT,
+        "name": name,
+        "words": list(words),
+        "protocol": compared.content["protocol"],
+        "about": dict(runs[0].evaluation.about),
+        "scenarios_sha256": compared.content["scenarios_sha256"],
+        "against": "reference" if compared.differences else None,
+        "runs": [
+            {"train": recipe(made.run), "parameters": parameters(made.run), "evaluation": numbers(made)}
+            for made in runs
+        ],
+        "reference": None if reference is None else numbers(reference),
+        "over_seeds": compared.content["over_seeds"],
+        "differences": compared.content["differences"],
+        "verdict": compared.verdict,
+    }
+    manifests = [_manifest(made.run) for made in runs]
+    files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
+    with for_people(folder, "written to"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for path, manifest in zip(files, manifests, strict=True):
+        write_json(path, manifest)
+    write_json(folder / f"{name}.json", record)
+    write_text(folder / f"{name}.md", page(record, manifests))
+    return [folder / f"{name}.md", folder / f"{name}.json", *files]
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return a record that ``write_results`` has written.
+
+    Raises:
+        RunDirectoryError: it is none.
+    """
+    try:
+        with for_people(path, "read"):
+            record = json_value(path.read_bytes())
+    except Unreadable as error:
+        raise RunDirectoryError(f"is damaged: {error.problem}", key=str(path), expected="a result's record") from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise RunDirectoryError("is no result's record", key=str(path), expected="what wheelleg results has written")
+    return record
+
+
+def recipe(run: RunDirectory) -> dict[str, Any]:
+    """Return how to train a run again: its overrides, and the recipe of the run that it began with.
+
+    Raises:
+        RunDirectoryError: it was not trained in one go, or began with a run that is not there any more.
+    """
+    data = run.manifest().data
+    if data["resumes"] or data["status"] != "finished":
+        raise RunDirectoryError(
+            "was not trained in one go", key=run.id, expected="a finished run that has never been resumed"
+        )
+    with for_people(run.hydra, "read"):
+        overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
+    found: dict[str, Any] = {
+        "overrides": [word for word in overrides if not word.lstrip("+~").startswith(_OWN)],
+        "begins_with": None,
+        "iteration": None,
+    }
+    began = data.get("init_from")
+    if isinstance(began, Mapping):
+        parent = RunDirectory.open(str(began["run"]), run.root)
+        found |= {"begins_with": recipe(parent), "iteration": began["iteration"]}
+    return found
+
+
+def parameters(run: RunDirectory) -> str:
+    """Return the digest of the networks that a run ended with."""
+    with for_people(run.iterations, "read"):
+        last = run.iterations.read_text(encoding="utf-8").splitlines()[-1]
+    return str(json.loads(last)["digests"]["parameters"])
+
+
+def numbers(made: Evaluated) -> dict[str, Any]:
+    """Return what has to come out again of an evaluation."""
+    content = made.content
+    return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
+
+
+def _manifest(run: RunDirectory) -> dict[str, Any]:
+    data = run.manifest().data
+    source = data.get("source") or {}
+    kept = {key: data[key] for key in (*_OF_MANIFEST, *_OF_MANIFEST_TOO) if key in data}
+    kept["source"] = {key: source.get(key) for key in ("commit", "tree", "dirty")}
+    return kept
