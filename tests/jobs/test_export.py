@@ -313,6 +313,25 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
         assert spec["actions"][0]["alpha"] == pytest.approx([0.3] * 4)
 
 
+def test_commands_have_the_ranges_that_a_curriculum_has_left_them(trained):
+    params, _ = load_params(trained.run)
+    env, fresh = (ManagerBasedRLEnv(as_configured(params), kept_mjcf(trained.run), 0) for _ in range(2))
+    env.command_manager.get_term("base_velocity").ranges["lin_vel_x"] = [-0.5, 0.6]
+    still = {"lin_vel_x": [0.0, 0.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
+    assert job._ranges(fresh, {"env": fresh.state_dict()}) == {"base_velocity": still}
+    assert job._ranges(fresh, {"env": env.state_dict()}) == {"base_velocity": still | {"lin_vel_x": [-0.5, 0.6]}}
+
+
+def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
+    params, _ = load_params(trained.run)
+    env = ManagerBasedRLEnv(as_configured(params), kept_mjcf(trained.run), 0)
+    job._require_unchanged({"env": env.state_dict()})
+    env.observation_manager.terms("policy")["base_ang_vel"].term.fields["scale"] = 3.0
+    with pytest.raises(ConfigError, match="changed while training") as told:
+        job._require_unchanged({"env": env.state_dict()})
+    assert told.value.key == "env.observations.policy.terms.base_ang_vel"
+
+
 def hold_c_header(folder: Path, place: Path) -> None:
     """Compile the C header, if there is a compiler, and hold what it makes of recorded readings against the record."""
     compiler, recorded = shutil.which("cc"), checked(folder)

@@ -43,6 +43,7 @@ from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.params import load_params, present_form
+from wheelleg_exp.state.rebuilding import made_again
 
 BUNDLE = "bundle"
 # Relative to the larger of 1 and what was recorded: of the network in float64, and where either side runs it in
@@ -176,7 +177,8 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
     for name in env.command_manager.active_terms:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
         term = state.get("env", {}).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
-        found[name] = ranges | dict((term.get("object") or {}).get("ranges") or {})
+        changed = (term.get("object") or {}).get("ranges")
+        found[name] = ranges if changed is None else made_again(changed)
     return found
 
 
