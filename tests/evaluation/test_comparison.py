@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.evaluation.catalogue import metrics_of
 from wheelleg_exp.evaluation.comparison import differences, over_seeds, verdict
-from wheelleg_exp.evaluation.metrics import figure, metrics_of
+from wheelleg_exp.evaluation.metrics import figure
 from wheelleg_exp.evaluation.result import Evaluation
 
 N = 64
@@ -24,7 +25,7 @@ def made(survived, height, drift=0.0, *, starts="a", scenarios="s") -> Evaluatio
         "drift_max_m": np.broadcast_to(np.asarray(drift, dtype=float), N).copy(),
         "time_to_failure_s": np.full(N, 60.0),
     }
-    metrics = {m.name: figure(m, columns, 1, 4000) for m in metrics_of("stand", list(columns))}
+    metrics = {m.name: figure(m, columns, 1, 4000) for m in metrics_of("stand", columns, {})}
     return Evaluation({"name": "stand", "resamples": 4000}, 1, scenarios, {"stand": starts}, columns, metrics)
 
 

@@ -14,7 +14,9 @@ an ``Evaluation``: one row for each episode, and the metrics with their interval
 | `over_time` | means, exits and slopes over the steps that count |
 | `standing`, `walking`, `stepping` | columns of the episodes, by test |
 | `motors`, `smoothness` | effort, energy, chatter |
-| `metrics` | what each metric is of the episodes, and its interval |
+| `pushing`, `on_terrain`, `changed_world` | pushes, rough ground, one thing of the world changed at a time |
+| `metrics`, `catalogue` | what a metric is of the episodes, and its interval; which there are |
+| `protocol` | all tests of a protocol: the entry |
 | `result` | the evaluation itself |
 """
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.evaluation import statistics
-from wheelleg_exp.evaluation.metrics import Array, Metric, metrics_of, resampled
+from wheelleg_exp.evaluation.catalogue import metrics_of
+from wheelleg_exp.evaluation.metrics import Array, Metric, resampled
 from wheelleg_exp.evaluation.result import Evaluation
 from wheelleg_exp.evaluation.statistics import ALPHA, Interval, Test
 from wheelleg_exp.managers.streams import stream_seed
@@ -170,10 +171,12 @@ def plain(value: Any) -> Any:
 def _shared(evaluations: Sequence[Evaluation]) -> list[Metric]:
     """Return the metrics that all evaluations have, with what they are of the episodes."""
     first = evaluations[0]
-    band = float((first.protocol.get("walk") or {}).get("band", 0.1))
     tests = list(dict.fromkeys(first.episodes["test"].tolist()))
-    columns = [name for name in first.episodes if all(name in one.episodes for one in evaluations)]
-    found = [metric for test in tests for metric in metrics_of(test, columns, band)]
+    shared = [name for name in first.episodes if all(name in one.episodes for one in evaluations)]
+    found = []
+    for test in tests:
+        mine = first.episodes["test"] == test
+        found += metrics_of(test, {name: first.episodes[name][mine] for name in shared}, first.protocol)
     return [metric for metric in found if all(metric.name in one.metrics for one in evaluations)]
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -104,6 +104,69 @@ def commanded(rows: Mapping[str, Array], axis: str) -> Array:
     return rows[f"command_{axis}"] != 0.0
 
 
+def cell_is(rows: Mapping[str, Array], name: str) -> Array:
+    """Return the episodes of the cell of a name, or of those whose names begin with one that ends in ``/``."""
+    cells = rows["cell_name"].astype(str)
+    found: Array = np.char.startswith(cells, name) if name.endswith("/") else cells == name
+    return found
+
+
+def cell_ends(rows: Mapping[str, Array], ending: str) -> Array:
+    """Return the episodes of the cells whose name ends so."""
+    found: Array = np.char.endswith(rows["cell_name"].astype(str), ending)
+    return found
+
+
+def worst_median(columns: Sequence[Array]) -> Array:
+    """Return the least of the cells' medians; columns are cell and value."""
+    return _least(columns, np.nanmedian)
+
+
+def worst_mean(columns: Sequence[Array]) -> Array:
+    """Return the least of the cells' means; columns are cell and value."""
+    return _least(columns, np.nanmean)
+
+
+def _least(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
+    cell, value = columns
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a resample may leave a cell without episodes
+        each = [of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)]
+        found: Array = np.nanmin(each, axis=0)
+    return found
+
+
+def highest(columns: Sequence[Array], share: float) -> Array:
+    """Return how many levels, from the first on, have at least a share of successes; columns are level and success."""
+    level, success = columns
+    passed = np.ones(level.shape[:-1], dtype=bool)
+    count = np.zeros(level.shape[:-1])
+    for one in np.unique(level):
+        mine = level == one
+        tries = mine.sum(axis=-1)
+        passed = passed & (tries > 0) & (np.where(mine, success, 0.0).sum(axis=-1) >= share * tries)
+        count = count + passed
+    return count
+
+
+def level_is(rows: Mapping[str, Array], level: float) -> Array:
+    """Return the episodes of a level."""
+    found: Array = rows["level"] == level
+    return found
+
+
+def world_is(rows: Mapping[str, Array], sweep: str, value: float) -> Array:
+    """Return the episodes of one changed world."""
+    found: Array = (rows["sweep"] == sweep) & (rows["value"] == value)
+    return found
+
+
+def changed(rows: Mapping[str, Array]) -> Array:
+    """Return the episodes of all changed worlds."""
+    found: Array = rows["sweep"] != "nominal"
+    return found
+
+
 @dataclass(frozen=True)
 class Metric:
     """What one metric is.
@@ -176,108 +239,3 @@ def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: 
     found = found[np.isfinite(found)]
     low, high = percentiles(found) if len(found) else (float("nan"), float("nan"))
     return Figure(float(metric.reduce(columns)), low, high, len(columns[0]), metric.unit, metric.better)
-
-
-def metrics_of(test: str, columns: Sequence[str], band: float = 0.1) -> list[Metric]:
-    """Return the metrics of a test whose episodes have these columns.
-
-    Args:
-        test: the test.
-        columns: names of the episodes' columns.
-        band: of the commandable area.
-    """
-    if test == "walk":
-        found = _of_walking(columns, band)
-    else:
-        found = _of_standing(columns) if test == "stand" else _of_steps(columns)
-    return [metric for metric in found if set(metric.columns) <= set(columns)]
-
-
-def _survival(test: str, columns: Sequence[str]) -> Iterator[Metric]:
-    for name in columns:
-        if name.startswith("survived"):
-            yield Metric(f"{test}/{name.replace('survived', 'survival')}", test, (name,), mean, better="higher")
-    yield Metric(f"{test}/time_to_failure", test, ("time_to_failure_s",), mean, "s", "higher")
-
-
-# Column, unit, how it is reduced: of every test, over the episodes that it is asked for.
-_ALIKE: tuple[tuple[str, str, Reduce, str], ...] = (
-    ("height_rmse_m", "m", quadratic, "lower"),
-    ("height_mean_m", "m", mean, ""),
-    ("pitch_rms_rad", "rad", quadratic, "lower"),
-    ("roll_rms_rad", "rad", quadratic, "lower"),
-    ("pitch_rate_rms_rad_s", "rad/s", quadratic, "lower"),
-    ("lean_rad", "rad", mean, ""),
-    ("wheels_down_share", "", mean, "higher"),
-    ("leg_symmetry_rms_rad", "rad", quadratic, "lower"),
-    ("wheel_sign_changes_per_s", "1/s", mean, "lower"),
-    ("wheel_speed_rms_rad_s", "rad/s", quadratic, ""),
-    ("power_gross_w", "W", mean, "lower"),
-    ("power_net_w", "W", mean, "lower"),
-    ("positive_work_j", "J", mean, "lower"),
-    ("peak_power_w", "W", mean, "lower"),
-    ("cost_of_transport_gross", "", median, "lower"),
-    ("cost_of_transport_net", "", median, "lower"),
-    ("action_rate_per_s", "1/s", mean, "lower"),
-    ("action_acceleration_per_s2", "1/s²", mean, "lower"),
-    ("torque_difference_rms_nm", "N·m", quadratic, "lower"),
-    ("fast_power_share", "", mean, "lower"),
-)
-_ENDINGS = ("_rad_s", "_per_s2", "_per_s", "_rad", "_m_s", "_nm", "_m", "_w", "_j")
-
-
-def _alike(test: str, columns: Sequence[str], rows: Rows) -> Iterator[Metric]:
-    for name in columns:
-        if name.startswith(("torque_rms_", "torque_share_")):
-            unit = "N·m" if name.startswith("torque_rms_") else ""
-            yield Metric(f"{test}/{_short(name)}", test, (name,), quadratic, unit, rows=rows)
-        elif name.startswith("saturation_"):
-            yield Metric(f"{test}/{name}", test, (name,), mean, rows=rows)
-    for name, unit, reduce, better in _ALIKE:
-        yield Metric(f"{test}/{_short(name)}", test, (name,), reduce, unit, better, rows)
-
-
-def _drift(name: str, test: str, rows: Rows) -> Iterator[Metric]:
-    yield Metric(f"{name}drift", test, ("drift_max_m",), mean, "m", rows=rows)
-    yield Metric(f"{name}drift_worst", test, ("drift_max_m",), worst, "m", rows=rows)
-    yield Metric(f"{name}drift_speed", test, ("drift_speed_m_s",), mean, "m/s", rows=rows)
-    yield Metric(f"{name}yaw_drift", test, ("yaw_drift_rad",), mean, "rad", rows=rows)
-    yield Metric(f"{name}yaw_drift_speed", test, ("yaw_drift_rad_s",), mean, "rad/s", rows=rows)
-
-
-def _short(name: str) -> str:
-    return next((name.removesuffix(ending) for ending in _ENDINGS if name.endswith(ending)), name)
-
-
-def _of_standing(columns: Sequence[str]) -> Iterator[Metric]:
-    yield from _survival("stand", columns)
-    yield from _drift("stand/", "stand", everything)
-    yield from _alike("stand", columns, everything)
-
-
-def _of_walking(columns: Sequence[str], band: float) -> Iterator[Metric]:
-    test = "walk"
-    yield from _survival(test, columns)
-    for axis, unit in (("vx", "m/s"), ("wz", "rad/s")):
-        rows = partial(commanded, axis=axis)
-        yield Metric(f"walk/error_{axis}", test, (f"error_{axis}",), quadratic, unit, rows=surviving)
-        yield Metric(f"walk/error_{axis}_with_falls", test, (f"error_{axis}_with_falls",), quadratic, unit, rows=moving)
-        yield Metric(f"walk/gain_{axis}", test, (f"command_{axis}", f"velocity_{axis}"), gain, better="")
-        yield Metric(f"walk/sign_{axis}", test, (f"sign_{axis}",), mean, better="higher", rows=rows)
-        yield Metric(f"walk/skill_{axis}", test, (f"score_{axis}", f"still_{axis}"), skill, better="higher", rows=rows)
-    errors = ("cell", "off_vx", "off_wz")
-    yield Metric("walk/commandable_area", test, errors, partial(area, band=band), better="higher")
-    yield Metric("walk/in_band", test, ("in_band",), mean, better="higher")
-    yield from _drift("walk/zero_", test, still)
-    yield from _alike(test, columns, moving)
-
-
-def _of_steps(columns: Sequence[str]) -> Iterator[Metric]:
-    test = "steps"
-    yield from _survival(test, columns)
-    for axis, unit in (("vx", "m"), ("wz", "rad")):
-        for name in ("settle", "reversal", "stop"):
-            yield Metric(f"steps/{name}_{axis}", test, (f"{name}_s_{axis}",), mean, "s")
-            yield Metric(f"steps/{name}_share_{axis}", test, (f"{name}_did_{axis}",), mean, better="higher")
-        yield Metric(f"steps/overshoot_{axis}", test, (f"overshoot_{axis}",), mean)
-        yield Metric(f"steps/stop_distance_{axis}", test, (f"stop_distance_{axis}",), mean, unit)

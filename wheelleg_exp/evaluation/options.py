@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from wheelleg_exp.constraints import Count, NonNegative, Positive, Seed, Share
+from wheelleg_exp.terms.sections import Section
 
 Ground = Literal["flat", "own"]
 
@@ -72,6 +73,93 @@ class Steps:
 
 
 @dataclass(frozen=True)
+class Push:
+    """``protocol.push``: how hard a standing robot may be pushed, found by bisection in each episode by itself.
+
+    Attributes:
+        episodes: number of episodes of each direction and kind.
+        directions: number of directions, evenly around the robot, the first forwards.
+        pulses_s: over how long the change of velocity is spread, s; 0 is a kick.
+        at_s: when the push begins, s.
+        after_s: how long the robot must live from then on, s.
+        highest: largest change of velocity, m/s.
+        iterations: of the bisection.
+        reference: change of velocity of the push whose recovery is timed, m/s.
+        recovered_tilt: tilt of who has recovered, rad.
+        recovered_height: distance of the base from its target height, m, likewise.
+        recovered_s: how long both must hold, s.
+        within_s: by when after the push, s.
+    """
+
+    episodes: Count
+    directions: Count
+    pulses_s: list[NonNegative]
+    at_s: NonNegative
+    after_s: Positive
+    highest: Positive
+    iterations: Count
+    reference: NonNegative
+    recovered_tilt: Positive
+    recovered_height: Positive
+    recovered_s: NonNegative
+    within_s: Positive
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """``protocol.terrain``: driving straight on, one tile an episode, by kind and level.
+
+    Attributes:
+        episodes: number of episodes of each tile.
+        horizon_s: how long each is, s.
+        lin_vel_x: forward speed, m/s; the robot must not leave its tile.
+        distance_share: share of the commanded way from which on an episode has succeeded.
+        pass_share: share of successes from which on a level is passed.
+        size: edges of a tile, m.
+        levels: number of levels.
+        scene: the scene whose ground's kinds of tiles are driven on; its other settings are the ground's own.
+    """
+
+    episodes: Count
+    horizon_s: Positive
+    lin_vel_x: float
+    distance_share: Share
+    pass_share: Share
+    size: list[Positive]
+    levels: Count
+    scene: Section
+
+
+@dataclass(frozen=True)
+class Robust:
+    """``protocol.robust``: one thing of the world changed at a time, for every episode alike.
+
+    Attributes:
+        episodes: number of episodes of each value and command.
+        horizon_s: how long each is, s.
+        lin_vel_x: forward speeds, m/s.
+        friction: coefficients between the robot and the ground.
+        mass: factors on the masses of all bodies.
+        com: shifts of the base's centre of mass along x, m.
+        delay_s: by how much actions come late, s; whole control steps.
+        noise: factors on ``noise_std``.
+        noise_std: standard deviation of the noise on observations by their function's name, in its unit.
+        gains: factors on kp and kd of all actuators.
+    """
+
+    episodes: Count
+    horizon_s: Positive
+    lin_vel_x: list[float]
+    friction: list[Positive]
+    mass: list[Positive]
+    com: list[float]
+    delay_s: list[NonNegative]
+    noise: list[NonNegative]
+    noise_std: dict[str, NonNegative]
+    gains: list[Positive]
+
+
+@dataclass(frozen=True)
 class Protocol:
     """``protocol``: fixed scenarios and how they are judged.
 
@@ -90,6 +178,9 @@ class Protocol:
         stand: standing.
         walk: the grid of commands.
         steps: responses to steps of the command.
+        push: recovery from pushes.
+        terrain: driving over tiles of rough ground.
+        robust: standing and driving in a changed world.
     """
 
     name: str
@@ -106,3 +197,6 @@ class Protocol:
     stand: Stand | None = None
     walk: Walk | None = None
     steps: Steps | None = None
+    push: Push | None = None
+    terrain: Terrain | None = None
+    robust: Robust | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +12,19 @@ import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.evaluation import motors, scenarios, standing, stepping, walking
-from wheelleg_exp.evaluation.metrics import Array, figure, metrics_of
+from wheelleg_exp.evaluation import motors, on_terrain, scenarios, standing, stepping, walking
+from wheelleg_exp.evaluation.catalogue import metrics_of
+from wheelleg_exp.evaluation.changed_world import Late, worlds
+from wheelleg_exp.evaluation.metrics import Array, figure
 from wheelleg_exp.evaluation.options import Protocol
 from wheelleg_exp.evaluation.over_time import Trajectories
+from wheelleg_exp.evaluation.pushing import push_columns
 from wheelleg_exp.evaluation.result import Evaluation, Figure
-from wheelleg_exp.evaluation.robot_parts import RobotParts
 from wheelleg_exp.evaluation.rollout import Policy, Rollout
+from wheelleg_exp.evaluation.rollout import Tell as RolloutTell
 from wheelleg_exp.evaluation.scenarios import Scenarios, combined_digest
-from wheelleg_exp.evaluation.task import build, evaluation_cfg, target_height
+from wheelleg_exp.evaluation.standing import Columns
+from wheelleg_exp.evaluation.task import base_link, build, evaluation_cfg, target_height
 from wheelleg_exp.terms.sections import read_section
 
 MakePolicy = Callable[[ManagerBasedRLEnv], Policy]
@@ -45,6 +50,28 @@ class Subject:
     protocol: Protocol
     seed: int
     tell: Tell | None = None
+
+    def cfg(self, table: Scenarios) -> dict[str, Any]:
+        """Return the ``env`` section of a table's episodes."""
+        protocol = self.protocol
+        return evaluation_cfg(self.env_cfg, protocol, table.size, table.horizon_s, protocol.ground)
+
+    def rollout(self, table: Scenarios, cfg: Mapping[str, Any]) -> Rollout:
+        """Build the environment of a table's episodes."""
+        protocol = self.protocol
+        return Rollout(
+            build(cfg, self.mjcf, self.seed),
+            table,
+            command=protocol.command,
+            fall_tilt=protocol.fall_tilt,
+            contact_force=protocol.contact_force,
+            saturation=protocol.saturation,
+        )
+
+    def teller(self, test: str) -> RolloutTell | None:
+        """Return what is told how far one test is."""
+        tell = self.tell
+        return None if tell is None else lambda done, of: tell(test, done, of)
 
     @property
     def target(self) -> float | None:
@@ -81,8 +108,7 @@ def evaluate(
     parts = [_run(subject, table) for table in tables]
     found: dict[str, Figure] = {}
     for part in parts:
-        band = options.walk.band if options.walk is not None else 0.1
-        for metric in metrics_of(part.test, list(part.columns), band):
+        for metric in metrics_of(part.test, part.columns, protocol):
             found[metric.name] = figure(metric, part.columns, seed, options.resamples)
     return Evaluation(
         protocol=dict(protocol),
@@ -119,49 +145,82 @@ def _tables(options: Protocol) -> Iterator[Scenarios]:
         yield scenarios.walking(options.walk)
     if options.steps is not None:
         yield scenarios.stepping(options.steps)
-
-
-def rollout_of(subject: Subject, table: Scenarios, cfg: Mapping[str, Any] | None = None) -> Rollout:
-    """Build the environment of a table's episodes."""
-    options = subject.protocol
-    made = cfg or evaluation_cfg(subject.env_cfg, options, table.size, table.horizon_s, options.ground)
-    return Rollout(
-        build(made, subject.mjcf, subject.seed),
-        table,
-        command=options.command,
-        fall_tilt=options.fall_tilt,
-        contact_force=options.contact_force,
-        saturation=options.saturation,
-    )
+    if options.push is not None:
+        yield scenarios.pushing(options.push)
+    if options.terrain is not None:
+        yield scenarios.on_terrain(options.terrain)
+    if options.robust is not None:
+        yield scenarios.in_changed_world(options.robust)
 
 
 def _run(subject: Subject, table: Scenarios) -> Part:
-    rollout = rollout_of(subject, table)
-    policy = subject.make_policy(rollout.env)
-    tell = None if subject.tell is None else lambda done, of: subject.tell(table.test, done, of)  # type: ignore[misc]
-    made = rollout.roll(policy, subject.seed, tell)
-    columns = {**identity(table, rollout, made), **_columns(subject, table, made, rollout.parts)}
-    rollout.start(subject.seed)
-    return Part(table.test, rollout.starts_digest(), columns, about(rollout))
+    if table.test == "robust":
+        return _in_changed_worlds(subject, table)
+    cfg = subject.cfg(table)
+    if table.test == "terrain" and subject.protocol.terrain is not None:
+        cfg["scene"]["terrain"] = on_terrain.tiles(subject.protocol.terrain, subject.seed)
+    rollout = subject.rollout(table, cfg)
+    if table.test == "terrain" and subject.protocol.terrain is not None:
+        on_terrain.place(rollout, subject.protocol.terrain)
+    policy, tell = subject.make_policy(rollout.env), subject.teller(table.test)
+    if table.test == "push" and subject.protocol.push is not None:
+        columns, made = push_columns(rollout, policy, subject.protocol.push, subject.seed, subject.target, tell)
+        columns |= standing.survival(made, [])
+    else:
+        made = rollout.roll(policy, subject.seed, tell)
+        columns = _columns(subject, rollout, made)
+    return Part(table.test, rollout.starts, identity(rollout, made) | _numbers(columns), about(rollout))
 
 
-def _columns(subject: Subject, table: Scenarios, made: Trajectories, parts: RobotParts) -> dict[str, Array]:
-    options, settle = subject.protocol, subject.protocol.settle_s
-    moments = options.stand.survival_s if table.test == "stand" and options.stand is not None else []
+def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
+    """Return the episodes of every changed world, the unchanged one first, in an environment each."""
+    options = subject.protocol.robust
+    assert options is not None
+    cfg, found, starts = subject.cfg(table), [], []
+    step_dt = float(cfg["sim"]["dt"]) * int(cfg["decimation"])
+    each = list(worlds(cfg, options, base_link(subject.mjcf), step_dt))
+    tell = subject.teller(table.test)
+    for number, world in enumerate(each):
+        rollout = subject.rollout(table, world.cfg)
+        policy = subject.make_policy(rollout.env)
+        made = rollout.roll(Late(policy, world.late) if world.late else policy, subject.seed)
+        columns = standing.survival(made, []) | standing.posture(made, subject.protocol.settle_s, subject.target)
+        columns |= walking.errors(made, subject.protocol.settle_s)
+        told = {"sweep": np.full(table.size, world.sweep), "value": np.full(table.size, world.value)}
+        told["world"] = np.full(table.size, float(number))
+        found.append(identity(rollout, made) | told | _numbers(columns))
+        starts.append(rollout.starts)
+        if tell is not None:
+            tell(number + 1, len(each))
+    digest = hashlib.sha256("".join(starts).encode()).hexdigest()
+    return Part(table.test, digest, joined(found), about(rollout))
+
+
+def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
+    options, settle, parts = subject.protocol, subject.protocol.settle_s, rollout.parts
+    test = rollout.scenarios.test
+    moments = options.stand.survival_s if test == "stand" and options.stand is not None else []
     columns = standing.survival(made, moments) | standing.posture(made, settle, subject.target)
     columns |= standing.drift(made, settle) | standing.stance(made, parts, settle)
     columns |= motors.effort(made, parts, settle, options.torque_deadband)
     columns |= motors.energy(made, parts, settle) | motors.smoothness(made, parts, settle)
-    if table.test == "walk" and options.walk is not None:
+    if test == "walk" and options.walk is not None:
         columns |= walking.tracking(made, settle, options.walk)
         columns |= walking.within_band(made, columns, options.walk)
-    if table.test == "steps" and options.steps is not None:
+    if test == "steps" and options.steps is not None:
         columns |= stepping.responses(made, options.steps)
+    if test == "terrain" and options.terrain is not None:
+        columns |= walking.errors(made, settle) | on_terrain.ways(made, rollout, options.terrain)
+    return columns
+
+
+def _numbers(columns: Columns) -> dict[str, Array]:
     return {name: column.double().cpu().numpy() for name, column in columns.items()}
 
 
-def identity(table: Scenarios, rollout: Rollout, made: Trajectories) -> dict[str, Array]:
+def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
     """Return the columns that say which episode a row is, what it was told, and how it ended."""
+    table = rollout.scenarios
     cell = table.cell_of()
     told = table.commands()[:, min(1, len(table.times) - 1)].double().numpy()  # of steps, the one after standing
     endings = np.array([*rollout.endings, ""])

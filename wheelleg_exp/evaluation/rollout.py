@@ -36,6 +36,7 @@ class Rollout:
     Attributes:
         parts: the robot's parts.
         endings: names of what may end an episode; the last columns are the rollout's own.
+        starts: sha256 of the state that the last episodes started from, and of what was randomised.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class Rollout:
         saturation: float,
     ) -> None:
         self.env, self.scenarios, self.parts = env, scenarios, parts_of(env)
+        self.starts = ""
         self._held = HeldCommand(env, command)
         self._fall_tilt, self._force = fall_tilt, contact_force
         self._meter = EffortMeter(env, saturation, env.physics_dt)
@@ -61,9 +63,10 @@ class Rollout:
         """Reset every environment, with the streams of ``seed`` begun anew, and return the first observations."""
         self._held.hold(self._commands[:, 0])
         observations, _ = self.env.reset(seed)
+        self.starts = self._starts_digest()
         return observations
 
-    def starts_digest(self) -> str:
+    def _starts_digest(self) -> str:
         """Return the sha256 of the state that the episodes start from, and of what was randomised."""
         sim = self.env.scene.sim
         digest = hashlib.sha256(sim.motion.cpu().numpy().tobytes())

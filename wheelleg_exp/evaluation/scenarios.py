@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 
 import torch
 
-from wheelleg_exp.evaluation.options import Stand, Steps, Walk
+from wheelleg_exp.evaluation.options import Push, Robust, Stand, Steps, Terrain, Walk
 
 Vec3 = tuple[float, float, float]
 
@@ -26,6 +26,7 @@ class Scenarios:
         cells: the commands of each cell, (C, K, 3): v_x, v_y in m/s, w_z in rad/s.
         names: of the cells, (C,).
         episodes: number of episodes of each cell.
+        settings: what else decides the episodes, as text: pushes, tiles, a changed world.
     """
 
     test: str
@@ -34,6 +35,7 @@ class Scenarios:
     cells: tuple[tuple[Vec3, ...], ...]
     names: tuple[str, ...]
     episodes: int
+    settings: str = ""
 
     @property
     def size(self) -> int:
@@ -50,7 +52,7 @@ class Scenarios:
 
     def digest(self, seed: int) -> str:
         """Return the sha256 of the table and of the seed that its starts are drawn from."""
-        table = [self.test, self.horizon_s, self.times, self.cells, self.names, self.episodes, seed]
+        table = [self.test, self.horizon_s, self.times, self.cells, self.names, self.episodes, self.settings, seed]
         return hashlib.sha256(json.dumps(table).encode()).hexdigest()
 
 
@@ -83,3 +85,34 @@ def stepping(options: Steps) -> Scenarios:
     begin, drive = float(options.stand_s), float(options.drive_s)
     times = (0.0, begin, begin + drive, begin + 2 * drive)
     return Scenarios("steps", begin + 3 * drive, times, cells, names, options.episodes)
+
+
+def pushing(options: Push) -> Scenarios:
+    """Return episodes that stand and are pushed, direction by direction, kind of push by kind."""
+    zero: Vec3 = (0.0, 0.0, 0.0)
+    names = tuple(
+        f"{360.0 * turn / options.directions:g}° over {pulse:g} s"
+        for pulse in options.pulses_s
+        for turn in range(options.directions)
+    )
+    settings = json.dumps(asdict(options))
+    horizon = float(options.at_s + options.after_s)
+    return Scenarios("push", horizon, (0.0,), ((zero,),) * len(names), names, options.episodes, settings)
+
+
+def on_terrain(options: Terrain) -> Scenarios:
+    """Return episodes that drive straight on, kind of tile by kind, level by level."""
+    kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
+    names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
+    command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
+    settings = json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True)
+    cells = ((command,),) * len(names)
+    return Scenarios("terrain", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
+
+
+def in_changed_world(options: Robust) -> Scenarios:
+    """Return the episodes of one changed world: straight on at each speed."""
+    cells = tuple(((float(speed), 0.0, 0.0),) for speed in options.lin_vel_x)
+    names = tuple(f"vx={speed:g}" for speed in options.lin_vel_x)
+    settings = json.dumps(asdict(options))
+    return Scenarios("robust", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)

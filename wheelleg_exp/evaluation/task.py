@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.evaluation.options import Ground, Protocol
@@ -98,6 +100,12 @@ def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
             "only robots whose base moves freely are evaluated", key="env.robot.base", expected="floating"
         )
     return env
+
+
+def base_link(mjcf: Path) -> str:
+    """Return the name of the robot's root link."""
+    roots = mujoco.MjSpec.from_file(str(mjcf)).worldbody.bodies
+    return str(next(body.name for body in roots if body.joints or body.bodies))
 
 
 def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | None:

@@ -38,6 +38,15 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
     return columns
 
 
+def errors(made: Trajectories, settle_s: float) -> Columns:
+    """Return ``error_<axis>``: √mean (v - c)² of both axes after settling, while the episode lived; (N,) each."""
+    settled = made.counted(settle_s)
+    return {
+        "error_vx": rms(made.vel[..., 0] - made.command[..., 0], settled),
+        "error_wz": rms(made.ang[..., 2] - made.command[..., 2], settled),
+    }
+
+
 def within_band(made: Trajectories, columns: Columns, options: Walk) -> Columns:
     """Return how far steady velocities are off, and whether episodes are within the band; (N,) each.
 

@@ -1,0 +1,190 @@
+"""Which metrics there are of each test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any
+
+from wheelleg_exp.evaluation.metrics import (
+    Array,
+    Metric,
+    Reduce,
+    Rows,
+    area,
+    cell_ends,
+    cell_is,
+    changed,
+    commanded,
+    everything,
+    gain,
+    highest,
+    level_is,
+    mean,
+    median,
+    moving,
+    quadratic,
+    skill,
+    still,
+    surviving,
+    world_is,
+    worst,
+    worst_mean,
+    worst_median,
+)
+
+
+def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
+    """Return the metrics of a test.
+
+    Args:
+        test: the test.
+        columns: of its episodes: metrics whose columns are not there are left out.
+        protocol: the composed protocol, plain: what its tests count as a band and as passed.
+    """
+    if test == "walk":
+        found = _of_walking(columns, float((protocol.get("walk") or {}).get("band", 0.1)))
+    elif test == "terrain":
+        found = _of_terrain(columns, float((protocol.get("terrain") or {}).get("pass_share", 0.9)))
+    else:
+        found = {"stand": _of_standing, "steps": _of_steps, "push": _of_pushing, "robust": _of_worlds}[test](columns)
+    return [metric for metric in found if set(metric.columns) <= set(columns)]
+
+
+def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
+    for name in columns:
+        if name.startswith("survived"):
+            yield Metric(f"{test}/{name.replace('survived', 'survival')}", test, (name,), mean, better="higher")
+    yield Metric(f"{test}/time_to_failure", test, ("time_to_failure_s",), mean, "s", "higher")
+
+
+# Column, unit, how it is reduced: of every test, over the episodes that it is asked for.
+_ALIKE: tuple[tuple[str, str, Reduce, str], ...] = (
+    ("height_rmse_m", "m", quadratic, "lower"),
+    ("height_mean_m", "m", mean, ""),
+    ("pitch_rms_rad", "rad", quadratic, "lower"),
+    ("roll_rms_rad", "rad", quadratic, "lower"),
+    ("pitch_rate_rms_rad_s", "rad/s", quadratic, "lower"),
+    ("lean_rad", "rad", mean, ""),
+    ("wheels_down_share", "", mean, "higher"),
+    ("leg_symmetry_rms_rad", "rad", quadratic, "lower"),
+    ("wheel_sign_changes_per_s", "1/s", mean, "lower"),
+    ("wheel_speed_rms_rad_s", "rad/s", quadratic, ""),
+    ("power_gross_w", "W", mean, "lower"),
+    ("power_net_w", "W", mean, "lower"),
+    ("positive_work_j", "J", mean, "lower"),
+    ("peak_power_w", "W", mean, "lower"),
+    ("cost_of_transport_gross", "", median, "lower"),
+    ("cost_of_transport_net", "", median, "lower"),
+    ("action_rate_per_s", "1/s", mean, "lower"),
+    ("action_acceleration_per_s2", "1/s²", mean, "lower"),
+    ("torque_difference_rms_nm", "N·m", quadratic, "lower"),
+    ("fast_power_share", "", mean, "lower"),
+)
+_ENDINGS = ("_rad_s", "_per_s2", "_per_s", "_rad", "_m_s", "_nm", "_m", "_w", "_j")
+
+
+def _alike(test: str, columns: Mapping[str, Array], rows: Rows) -> Iterator[Metric]:
+    for name in columns:
+        if name.startswith(("torque_rms_", "torque_share_")):
+            unit = "N·m" if name.startswith("torque_rms_") else ""
+            yield Metric(f"{test}/{_short(name)}", test, (name,), quadratic, unit, rows=rows)
+        elif name.startswith("saturation_"):
+            yield Metric(f"{test}/{name}", test, (name,), mean, rows=rows)
+    for name, unit, reduce, better in _ALIKE:
+        yield Metric(f"{test}/{_short(name)}", test, (name,), reduce, unit, better, rows)
+
+
+def _drift(name: str, test: str, rows: Rows) -> Iterator[Metric]:
+    yield Metric(f"{name}drift", test, ("drift_max_m",), mean, "m", rows=rows)
+    yield Metric(f"{name}drift_worst", test, ("drift_max_m",), worst, "m", rows=rows)
+    yield Metric(f"{name}drift_speed", test, ("drift_speed_m_s",), mean, "m/s", rows=rows)
+    yield Metric(f"{name}yaw_drift", test, ("yaw_drift_rad",), mean, "rad", rows=rows)
+    yield Metric(f"{name}yaw_drift_speed", test, ("yaw_drift_rad_s",), mean, "rad/s", rows=rows)
+
+
+def _short(name: str) -> str:
+    return next((name.removesuffix(ending) for ending in _ENDINGS if name.endswith(ending)), name)
+
+
+def _of_standing(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    yield from _survival("stand", columns)
+    yield from _drift("stand/", "stand", everything)
+    yield from _alike("stand", columns, everything)
+
+
+def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
+    test = "walk"
+    yield from _survival(test, columns)
+    for axis, unit in (("vx", "m/s"), ("wz", "rad/s")):
+        rows = partial(commanded, axis=axis)
+        yield Metric(f"walk/error_{axis}", test, (f"error_{axis}",), quadratic, unit, rows=surviving)
+        yield Metric(f"walk/error_{axis}_with_falls", test, (f"error_{axis}_with_falls",), quadratic, unit, rows=moving)
+        yield Metric(f"walk/gain_{axis}", test, (f"command_{axis}", f"velocity_{axis}"), gain, better="")
+        yield Metric(f"walk/sign_{axis}", test, (f"sign_{axis}",), mean, better="higher", rows=rows)
+        yield Metric(f"walk/skill_{axis}", test, (f"score_{axis}", f"still_{axis}"), skill, better="higher", rows=rows)
+    errors = ("cell", "off_vx", "off_wz")
+    yield Metric("walk/commandable_area", test, errors, partial(area, band=band), better="higher")
+    yield Metric("walk/in_band", test, ("in_band",), mean, better="higher")
+    yield from _drift("walk/zero_", test, still)
+    yield from _alike(test, columns, moving)
+
+
+def _of_steps(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test = "steps"
+    yield from _survival(test, columns)
+    for axis, unit in (("vx", "m"), ("wz", "rad")):
+        for name in ("settle", "reversal", "stop"):
+            yield Metric(f"steps/{name}_{axis}", test, (f"{name}_s_{axis}",), mean, "s")
+            yield Metric(f"steps/{name}_share_{axis}", test, (f"{name}_did_{axis}",), mean, better="higher")
+        yield Metric(f"steps/overshoot_{axis}", test, (f"overshoot_{axis}",), mean)
+        yield Metric(f"steps/stop_distance_{axis}", test, (f"stop_distance_{axis}",), mean, unit)
+
+
+def _of_pushing(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test, better = "push", "higher"
+    cells = dict.fromkeys(columns["cell_name"].tolist())
+    for kind in dict.fromkeys(cell.rpartition(" over ")[2] for cell in cells):
+        mine, pulse = partial(cell_ends, ending=f" over {kind}"), kind.replace(" ", "")
+        yield Metric(f"push/limit_{pulse}", test, ("limit_m_s",), median, "m/s", better, mine)
+        yield Metric(f"push/limit_worst_{pulse}", test, ("cell", "limit_m_s"), worst_median, "m/s", better, mine)
+        yield Metric(f"push/limit_normalised_{pulse}", test, ("limit_normalised",), median, "", better, mine)
+    for cell in cells:
+        name = f"push/limit_{cell.replace(' over ', '_').replace(' ', '')}"
+        yield Metric(name, test, ("limit_m_s",), median, "m/s", better, partial(cell_is, name=cell))
+    yield Metric("push/recovered", test, ("recovered",), mean, better=better)
+    yield Metric("push/recovery", test, ("recovery_s",), mean, "s")
+    yield Metric("push/tilt", test, ("push_tilt_rad",), mean, "rad")
+
+
+def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Metric]:
+    test, better = "terrain", "higher"
+    yield from _survival(test, columns)
+    yield Metric("terrain/success", test, ("success",), mean, better=better)
+    hardest = int(columns["level"].max())
+    for name, level in (("middle", hardest // 2), ("hardest", hardest)):
+        rows = partial(level_is, level=float(level))
+        yield Metric(f"terrain/worst_success_{name}", test, ("cell", "success"), worst_mean, better=better, rows=rows)
+    cells = dict.fromkeys(columns["cell_name"].tolist())
+    for kind in dict.fromkeys(cell.rpartition("/")[0] for cell in cells):
+        rows, passed = partial(cell_is, name=f"{kind}/"), partial(highest, share=pass_share)
+        yield Metric(f"terrain/levels_passed/{kind}", test, ("level", "success"), passed, "", better, rows)
+    for cell in cells:
+        rows = partial(cell_is, name=cell)
+        yield Metric(f"terrain/success/{cell}", test, ("success",), mean, better=better, rows=rows)
+        yield Metric(f"terrain/distance_ratio/{cell}", test, ("distance_ratio",), mean, better=better, rows=rows)
+    yield Metric("terrain/error_vx", test, ("error_vx",), quadratic, "m/s", rows=surviving)
+    yield from _alike(test, columns, everything)
+
+
+def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test = "robust"
+    sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
+    yield Metric("robust/survival", test, ("survived",), mean, "", "higher", changed)
+    for sweep, value in sweeps:
+        name = f"robust/{sweep}/{value:g}" if sweep != "nominal" else "robust/nominal"
+        rows = partial(world_is, sweep=sweep, value=value)
+        yield Metric(f"{name}/survival", test, ("survived",), mean, "", "higher", rows)
+        yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
+        yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)
+    yield Metric("robust/worst_survival", test, ("world", "survived"), worst_mean, "", "higher", changed)
