@@ -36,7 +36,12 @@ class EffortMeter(SensorBase):
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
         self.saturated = torch.zeros(n, joints, device=env.device)
         self._steps = 0
+        self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
+
+    def start(self) -> None:
+        """Begin a rollout: armatures may have been drawn anew."""
+        self._armature = self._data.joint_armature
 
     def begin(self) -> None:
         """Begin a control step."""
@@ -51,7 +56,7 @@ class EffortMeter(SensorBase):
         speed = (before + after) / 2
         power = torque * speed
         driven = power.clamp(min=0.0).sum(dim=1)
-        net = (torque * self._dt - data.joint_armature * (after - before)) * speed
+        net = (torque * self._dt - self._armature * (after - before)) * speed
         self.gross += power.abs().sum(dim=1) * self._dt
         self.net += net.abs().sum(dim=1)
         self.positive += driven * self._dt

@@ -71,11 +71,10 @@ def area(columns: Sequence[Array], band: float) -> Array:
         for value in np.unique(cell):
             mine = cell == value
             count = mine.sum(axis=-1)
-            good = count > 0
-            for error in errors:
-                good = good & (np.where(mine, error, 0.0).sum(axis=-1) <= band * count)
-            passed.append(good)
-    found: Array = np.mean(passed, axis=0)
+            sums = [np.where(mine, error, 0.0).sum(axis=-1) for error in errors]
+            good = np.all([total <= band * count for total in sums], axis=0)
+            passed.append(np.where(count > 0, good, np.nan))  # a resample may leave a cell out
+        found: Array = np.nanmean(passed, axis=0)
     return found
 
 

@@ -183,8 +183,8 @@ def slope(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tenso
 
 
 def at(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
-    """Return (T, N, ...) at the first step that counts, (N, ...); the last step's where none does."""
-    first = torch.where(counted.any(dim=0), counted.int().argmax(dim=0), len(values) - 1)
+    """Return (T, N, ...) at the moment when the steps that count begin: at the end of the step before, (N, ...)."""
+    first = (counted.int().argmax(dim=0) - 1).clamp(min=0)
     return values[first, torch.arange(values.shape[1], device=values.device)]
 
 

@@ -63,9 +63,10 @@ def push_columns(
     """Return what pushes each episode survives and how it recovers from the reference push; (N,) each.
 
     ``limit_m_s`` is found by halving [0, highest]: every episode is rolled ``iterations`` times from the same start,
-    with the middle of what is left of its interval; 0 where it survived none. ``limit_normalised`` divides it by √(g h), h the height before the
-    push. ``recovery_s`` is the time after the reference push from which on tilt and height stay in their bands, at
-    least for ``recovered_s``; ``recovered`` is 1 where it is at most ``within_s`` and the episode lived, else 0.
+    with the middle of what is left of its interval; 0 where it survived none. ``limit_normalised`` divides it by
+    √(g h), h the height before the push. ``recovery_s`` is the time after the reference push from which on tilt and
+    height stay in their bands, at least for ``recovered_s``; ``recovered`` is 1 where it is at most ``within_s`` and
+    the episode lived, else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)

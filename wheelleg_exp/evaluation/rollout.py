@@ -63,6 +63,7 @@ class Rollout:
         """Reset every environment, with the streams of ``seed`` begun anew, and return the first observations."""
         self._held.hold(self._commands[:, 0])
         observations, _ = self.env.reset(seed)
+        self._meter.start()
         self.starts = self._starts_digest()
         return observations
 

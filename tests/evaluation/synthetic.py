@@ -1,0 +1,63 @@
+"""Trajectories written by hand."""
+
+from __future__ import annotations
+
+import torch
+
+from wheelleg_exp.evaluation.over_time import Trajectories
+from wheelleg_exp.evaluation.robot_parts import RobotParts
+
+DT = 1 / 60
+
+
+def parts(n: int = 1) -> RobotParts:
+    """Return two legs of one joint and two wheels; limits of 2 and 10 N·m, 0.5 kg."""
+    index = torch.tensor
+    return RobotParts(
+        joint_names=("hip_a", "hip_b", "roll_a", "roll_b"),
+        wheels=index([2, 3]),
+        contacts="contacts",
+        wheel_bodies=index([0, 1]),
+        left=index([0]),
+        right=index([1]),
+        sign=index([-1.0]),
+        groups={"hips": index([0, 1]), "wheels": index([2, 3])},
+        effort_limit=index([[2.0, 2.0, 10.0, 10.0]]).expand(n, 4),
+        mass=0.5,
+        gravity=9.81,
+    )
+
+
+def still(seconds: float, n: int = 1) -> Trajectories:
+    """Return episodes in which nothing happens and nobody ends."""
+    steps = round(seconds / DT)
+
+    def room(*shape: int) -> torch.Tensor:
+        return torch.zeros(steps, n, *shape)
+
+    def row(value: int) -> torch.Tensor:
+        return torch.full((n,), value, dtype=torch.long)
+
+    return Trajectories(
+        dt=DT,
+        alive=torch.ones(steps, n, dtype=torch.bool),
+        **{name: room() for name in ("height", "roll", "pitch", "yaw")},
+        **{name: room(3) for name in ("pos", "vel", "ang", "command")},
+        **{name: room(4) for name in ("joint_pos", "joint_vel", "torque", "saturated", "action", "work")},
+        down=torch.ones(steps, n, 2, dtype=torch.bool),
+        fell_at=row(0),
+        cut_at=row(0),
+        ended_by=row(-1),
+    )
+
+
+def times(made: Trajectories) -> torch.Tensor:
+    """Return the moment at the end of each step, s, (T,)."""
+    return torch.arange(1, made.steps + 1) * DT
+
+
+def fall(made: Trajectories, episode: int, at_s: float) -> None:
+    """Let an episode fail at a moment."""
+    step = round(at_s / DT)
+    made.fell_at[episode] = step
+    made.alive[step - 1 :, episode] = False
