@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from evaluation.synthetic import DT, fall, parts, still, times
-from wheelleg_exp.evaluation import motors, standing, stepping, walking
+from wheelleg_exp.evaluation.measuring import motors, standing, stepping, walking
+from wheelleg_exp.evaluation.measuring.pushing import recovery
 from wheelleg_exp.evaluation.options import Push, Steps, Walk
 from wheelleg_exp.evaluation.over_time import last_exit, slope
-from wheelleg_exp.evaluation.pushing import recovery
 
 WALK = Walk(
     episodes=1,

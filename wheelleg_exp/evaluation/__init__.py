@@ -12,12 +12,12 @@ an ``Evaluation``: one row for each episode, and the metrics with their interval
 | `robot_parts` | which joints are wheels, which mirror which |
 | `rollout` | N episodes without a reset, as whole tensors over time |
 | `over_time` | means, exits and slopes over the steps that count |
-| `standing`, `walking`, `stepping` | columns of the episodes, by test |
-| `motors`, `smoothness` | effort, energy, chatter |
-| `pushing`, `on_terrain`, `changed_world` | pushes, rough ground, one thing of the world changed at a time |
+| `measuring` | columns of the episodes, by test |
 | `metrics`, `catalogue` | what a metric is of the episodes, and its interval; which there are |
 | `protocol` | all tests of a protocol: the entry |
 | `result` | the evaluation itself |
+| `statistics`, `comparison` | intervals over training seeds; tests of paired episodes |
+| `reference` | a linear-quadratic balancer to hold policies against |
 """
 
 from typing import TYPE_CHECKING, Any

@@ -12,18 +12,19 @@ import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.evaluation import motors, on_terrain, scenarios, standing, stepping, walking
+from wheelleg_exp.evaluation import scenarios
 from wheelleg_exp.evaluation.catalogue import metrics_of
-from wheelleg_exp.evaluation.changed_world import Late, worlds
+from wheelleg_exp.evaluation.measuring import motors, on_terrain, standing, stepping, walking
+from wheelleg_exp.evaluation.measuring.changed_world import Late, worlds
+from wheelleg_exp.evaluation.measuring.pushing import push_columns
+from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.metrics import Array, figure
 from wheelleg_exp.evaluation.options import Protocol
 from wheelleg_exp.evaluation.over_time import Trajectories
-from wheelleg_exp.evaluation.pushing import push_columns
 from wheelleg_exp.evaluation.result import Evaluation, Figure
 from wheelleg_exp.evaluation.rollout import Policy, Rollout
 from wheelleg_exp.evaluation.rollout import Tell as RolloutTell
 from wheelleg_exp.evaluation.scenarios import Scenarios, combined_digest
-from wheelleg_exp.evaluation.standing import Columns
 from wheelleg_exp.evaluation.task import base_link, build, evaluation_cfg, target_height
 from wheelleg_exp.terms.sections import read_section
 

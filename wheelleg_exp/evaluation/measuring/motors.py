@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.over_time import Trajectories, largest, mean, rms, total
 from wheelleg_exp.evaluation.robot_parts import RobotParts
-from wheelleg_exp.evaluation.standing import Columns
 
 _SPEED_HZ = 10.0  # from here on power is chatter: a body of this size moves at a few hertz
 

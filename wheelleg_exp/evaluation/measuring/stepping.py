@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.options import Steps
 from wheelleg_exp.evaluation.over_time import Trajectories, at, largest, last_exit
-from wheelleg_exp.evaluation.standing import Columns
 
 
 def responses(made: Trajectories, options: Steps) -> Columns:

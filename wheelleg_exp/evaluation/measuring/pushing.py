@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import torch
 
+from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.options import Push
 from wheelleg_exp.evaluation.over_time import Trajectories, largest, last_exit, mean
 from wheelleg_exp.evaluation.rollout import Policy, Rollout, Tell
-from wheelleg_exp.evaluation.standing import Columns
 
 
 @dataclass

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.options import Walk
 from wheelleg_exp.evaluation.over_time import Trajectories, mean, rms
-from wheelleg_exp.evaluation.standing import Columns
 
 
 def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:

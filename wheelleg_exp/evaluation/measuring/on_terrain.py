@@ -7,10 +7,10 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.options import Terrain
 from wheelleg_exp.evaluation.over_time import Trajectories
 from wheelleg_exp.evaluation.rollout import Rollout
-from wheelleg_exp.evaluation.standing import Columns
 
 _BORDER = 2.0  # m of level ground around all tiles, so that no edge is near
 
