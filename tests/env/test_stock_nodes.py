@@ -33,7 +33,8 @@ MOUNTS = {
     "recorder": "env.recorders",
 }
 APART = ("action", "robot", "scene", "sim")
-NOT_BUILT = ("agent", "protocol", "recording", "run", "task")  # what trains or measures, and what these make
+# What trains or measures, and what these make.
+NOT_BUILT = ("agent", "pipeline", "protocol", "recording", "run", "task")
 # Options that a plane has no place for, and their groups.
 ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "event"}
 # Pictures, which stand in groups of their own, and what draws them, where something can be drawn.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -35,6 +36,7 @@ class Env(Protocol):
         common_step_counter: control steps since construction.
         scene: ground, robot and sensors.
         streams: the named random streams.
+        observers: called in every step after the rewards and before the resets.
     """
 
     cfg: Any
@@ -48,6 +50,7 @@ class Env(Protocol):
     common_step_counter: int
     scene: Scene
     streams: Streams
+    observers: list[Callable[[], None]]
     command_manager: CommandManager
     action_manager: ActionManager
     observation_manager: ObservationManager

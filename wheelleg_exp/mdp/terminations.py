@@ -64,6 +64,16 @@ def terrain_out_of_bounds(
     return beyond[0] | beyond[1]
 
 
+def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """The root link is more than ``margin`` (m) beyond an edge of its environment's tile, on ground of another level.
+
+    Never on ground without tiles. Not in Isaac Lab, whose tiles are longer than the way of an episode.
+    """
+    away = (env.scene[asset_cfg.name].data.root_pos_w[:, :2] - env.scene.env_origins[:, :2]).abs()
+    size = env.scene.terrain.size
+    return (away[:, 0] > 0.5 * size[0] + margin) | (away[:, 1] > 0.5 * size[1] + margin)
+
+
 class stuck(TermBase):
     """The robot is told to drive, and has stayed within ``distance`` for ``time``. Not in Isaac Lab.
 

@@ -27,6 +27,7 @@ from wheelleg_exp.jobs.train.films import require_graphics
 from wheelleg_exp.jobs.train.initial import initial_file, kept_initial
 from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
+from wheelleg_exp.jobs.train.stuck import StuckCurricula
 from wheelleg_exp.jobs.train.teacher import find_teacher, kept_teacher
 from wheelleg_exp.jobs.train.wandb_log import WandbLog, require_wandb
 from wheelleg_exp.recording.options import RecordingOptions
@@ -174,6 +175,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     trainer, directory = training.trainer, training.directory
     agent = training.recipe.config["agent"]
     total, started = int(agent["max_iterations"]), time.perf_counter()
+    stuck = StuckCurricula()
     ending = ending_as(SimulationFailure)
     with training.lock.held(), training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
         results |= _results(training.earlier)
@@ -185,12 +187,15 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
         for iteration in _learned(training, outputs, results):
             training.proof.check(iteration.index, outputs.write(iteration))
             display.iteration(iteration, total)
+            for line in stuck.take(iteration.index, iteration.scalars):
+                display.note(line)
             last = stop.requested or iteration.index + 1 == total
             if last or iteration.index % agent["save_interval"] == 0:
                 results["checkpoint"] = outputs.checkpoint(iteration.index)
             if last:
                 seconds = _seconds(training.earlier) + time.perf_counter() - started
                 results |= {"iterations": iteration.index + 1, "seconds": seconds, **summary(iteration.scalars)}
+                results |= {"stuck_curricula": stuck.now} if stuck.now else {}
             stop.check()
         export_policy(directory, trainer, agent)
     return results

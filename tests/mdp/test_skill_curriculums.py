@@ -1,0 +1,239 @@
+"""Curricula that are judged by skill above standing still, and by the way along the commands: worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.train.stuck import StuckCurricula
+from wheelleg_exp.mdp.curriculums import command_levels_by_skill, terrain_levels_by_distance
+from wheelleg_exp.mdp.terminations import terrain_tile_left
+from wheelleg_exp.state import made
+
+N, LONGEST = 4, 10
+ALL = torch.arange(N)
+
+
+class World:
+    """An environment of four robots whose commands and velocities the test puts down."""
+
+    def __init__(self) -> None:
+        self.num_envs, self.device = N, torch.device("cpu")
+        self.max_episode_length, self.step_dt, self.common_step_counter = LONGEST, 0.1, 0
+        self.episode_length_buf = torch.zeros(N, dtype=torch.long)
+        self.observers: list = []
+        self.command = torch.zeros(N, 3)
+        self.term = SimpleNamespace(ranges={"lin_vel_x": [-0.3, 0.3], "ang_vel_z": [-0.5, 0.5]})
+        self.command_manager = SimpleNamespace(get_command=lambda _: self.command, get_term=lambda _: self.term)
+        self.termination_manager = SimpleNamespace(terminated=torch.zeros(N, dtype=torch.bool))
+        zeros = torch.zeros(N, 3)
+        self.data = SimpleNamespace(
+            root_lin_vel_b=zeros.clone(),
+            root_ang_vel_b=zeros.clone(),
+            root_lin_vel_w=zeros.clone(),
+            heading_w=torch.zeros(N),
+            root_pos_w=zeros.clone(),
+        )
+        self.moved: list = []
+        terrain = SimpleNamespace(
+            terrain_levels=torch.zeros(N), max_terrain_level=10, update_env_origins=self._move, size=(1.2, 1.2)
+        )
+        self.scene = Scene(self.data, terrain)
+
+    def _move(self, env_ids, up, down) -> None:
+        self.moved.append((up.tolist(), down.tolist()))
+
+    def state_dict(self) -> dict:
+        return {}
+
+    def load_state_dict(self, saved) -> None: ...
+
+    def episode(self, curriculum, steps=LONGEST, failed=False):
+        """Let all robots do steps, end them, and return what the curriculum says."""
+        for _ in range(steps):
+            self.episode_length_buf += 1
+            self.common_step_counter += 1
+            for observe in self.observers:
+                observe()
+        self.termination_manager.terminated.fill_(failed)
+        told = curriculum(self, ALL)
+        self.episode_length_buf.zero_()
+        return told
+
+
+class Scene(dict):
+    def __init__(self, data, terrain) -> None:
+        super().__init__(robot=SimpleNamespace(data=data))
+        self.terrain, self.env_origins = terrain, torch.zeros(N, 3)
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+def by_skill(world, **settings):
+    given = {"min_episodes": N, "passes": 1, "patience": 3, **settings}
+    curriculum = command_levels_by_skill(
+        world, {"lin_vel_x": [-0.4, 0.4]}, std={"lin_vel_x": 0.1}, step={"lin_vel_x": 0.06}, **given
+    )
+    made(curriculum)  # what it is saved against
+    return curriculum
+
+
+def test_standing_still_has_no_skill_whatever_it_is_told(world):
+    curriculum = by_skill(world)
+    world.command[:, 0] = torch.tensor([0.05, 0.1, -0.2, 0.3])
+    told = world.episode(curriculum)
+    assert told["lin_vel_x_skill"] == pytest.approx(0.0, abs=1e-6)
+    assert world.term.ranges["lin_vel_x"] == [-0.3, 0.3]
+
+
+def test_the_skill_is_that_of_the_formula(world):
+    curriculum = by_skill(world)
+    world.command[:, 0], world.data.root_lin_vel_b[:, 0] = 0.3, 0.2
+    told = world.episode(curriculum)
+    score, still = math.exp(-1.0), math.exp(-9.0)
+    assert told["lin_vel_x_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
+
+
+def test_steps_without_a_command_do_not_count(world):
+    curriculum = by_skill(world)
+    world.command[0, 0] = world.data.root_lin_vel_b[0, 0] = 0.2
+    world.data.root_lin_vel_b[1:, 0] = 5.0
+    assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx(1.0)
+
+
+def test_a_fall_scores_nothing_in_the_rest_of_a_longest_episode(world):
+    curriculum = by_skill(world)
+    world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
+    told = world.episode(curriculum, steps=4, failed=True)
+    still = math.exp(-9.0)
+    assert told["lin_vel_x_skill"] == pytest.approx((0.4 - still) / (1 - still), rel=1e-5)
+    assert world.episode(curriculum, steps=4)["lin_vel_x_skill"] == pytest.approx(1.0)  # cut off is no fall
+
+
+def test_a_range_grows_at_so_many_passes_in_a_row_up_to_its_limit(world):
+    curriculum = by_skill(world, passes=2)
+    world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
+    highs = [world.episode(curriculum)["lin_vel_x"] for _ in range(6)]
+    assert highs == pytest.approx([0.3, 0.36, 0.36, 0.36, 0.4, 0.4])  # the third is of episodes from before
+    assert world.term.ranges == {"lin_vel_x": [-0.4, 0.4], "ang_vel_z": [-0.5, 0.5]}
+
+
+def test_episodes_that_began_before_the_growth_do_not_count(world):
+    curriculum = by_skill(world, min_episodes=2)
+    world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
+    for _ in range(4):
+        world.episode_length_buf += 1
+        curriculum.observe()
+    assert curriculum(world, ALL[:2])["lin_vel_x"] == pytest.approx(0.36)
+    world.episode_length_buf[:2] = 0
+    world.data.root_lin_vel_b[:, 0] = 0.0
+    curriculum(world, ALL[2:])
+    assert curriculum(world, ALL[:0])["lin_vel_x_skill"] == pytest.approx(1.0)  # nobody has judged since
+    assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_fewer_episodes_than_asked_for_are_not_judged(world):
+    curriculum = by_skill(world, min_episodes=2 * N)
+    world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
+    assert world.episode(curriculum)["lin_vel_x"] == 0.3
+    assert world.episode(curriculum)["lin_vel_x"] == pytest.approx(0.36)
+
+
+def test_one_that_does_not_get_on_says_so_and_is_told_once_by_name(world):
+    curriculum, found = by_skill(world), StuckCurricula()
+    world.command[:, 0] = 0.3
+    lines = []
+    for index in range(5):
+        told = world.episode(curriculum)
+        lines += found.take(index, {f"Curriculum/road/{key}": value for key, value in told.items()})
+    assert len(lines) == 1
+    assert "env.curriculum.road (lin_vel_x) is stuck by iteration 3" in lines[0]
+    assert found.now == ["road/lin_vel_x"]
+    world.data.root_lin_vel_b[:, 0] = 0.3
+    assert world.episode(curriculum)["lin_vel_x_stuck"] == 0.0
+    assert list(found.take(9, {"Curriculum/road/lin_vel_x_stuck": 0.0})) == []
+    assert found.now == []
+
+
+def test_what_it_was_is_saved_and_goes_on(world):
+    curriculum = by_skill(world, passes=2)
+    world.command[:, 0] = world.data.root_lin_vel_b[:, 0] = 0.3
+    world.episode(curriculum)
+    for _ in range(3):
+        world.episode_length_buf += 1
+        curriculum.observe()
+    other = by_skill(world, passes=2)
+    world.observers.remove(curriculum.observe)
+    other.load_state_dict(curriculum.state_dict())
+    assert world.episode(other, steps=7)["lin_vel_x"] == pytest.approx(0.36)
+
+
+@pytest.mark.parametrize(
+    ("limits", "std", "said"),
+    [
+        ({"lin_vel_z": [-1.0, 1.0]}, {}, "has no range 'lin_vel_z'"),
+        ({"lin_vel_x": [-0.1, 0.1]}, {"lin_vel_x": 0.1}, "lies beyond"),
+        ({"lin_vel_x": [-1.0, 1.0]}, {}, "std.lin_vel_x"),
+    ],
+)
+def test_axes_that_cannot_grow_are_refused(world, limits, std, said):
+    with pytest.raises(ConfigError, match=said):
+        command_levels_by_skill(world, limits, std=std, step={"lin_vel_x": 0.1})
+
+
+# --- ground ---
+
+
+@pytest.mark.parametrize(
+    ("speed", "steps", "failed", "moves"),
+    [
+        (0.71, 10, False, (True, False)),
+        (0.69, 10, False, (False, False)),
+        (0.36, 10, False, (False, False)),
+        (0.34, 10, False, (False, True)),
+        (-1.0, 10, False, (False, True)),  # it drove the other way
+        (1.0, 6, True, (False, False)),  # 0.6 of what a longest episode would have commanded
+        (1.0, 3, True, (False, True)),
+        (1.0, 3, False, (True, False)),  # cut off, as by leaving the tile
+    ],
+)
+def test_robots_move_by_the_share_of_the_way_that_was_commanded(world, speed, steps, failed, moves):
+    curriculum = terrain_levels_by_distance(world)
+    world.data.heading_w.fill_(math.pi / 2)
+    world.command[:, 0], world.data.root_lin_vel_w[:, 1] = 1.0, speed
+    world.episode(curriculum, steps, failed)
+    assert world.moved == [([moves[0]] * N, [moves[1]] * N)]
+
+
+def test_who_was_told_to_stand_stays_unless_it_fell(world):
+    curriculum = terrain_levels_by_distance(world)
+    world.episode(curriculum)
+    world.episode(curriculum, steps=3, failed=True)
+    assert world.moved == [([False] * N, [False] * N), ([False] * N, [True] * N)]
+
+
+def test_levels_that_do_not_rise_are_stuck(world):
+    curriculum = terrain_levels_by_distance(world, patience=2)
+    assert [world.episode(curriculum)["stuck"] for _ in range(4)] == [0.0, 0.0, 0.0, 1.0]
+    world.scene.terrain.terrain_levels.fill_(1.0)
+    assert world.episode(curriculum)["stuck"] == 0.0
+
+
+def test_down_has_to_be_below_up(world):
+    with pytest.raises(ConfigError, match="less than up"):
+        terrain_levels_by_distance(world, up=0.3, down=0.5)
+
+
+def test_a_tile_is_left_beyond_its_edge_along_either_axis(world):
+    world.data.root_pos_w[:, :2] = torch.tensor([[0.59, 0.0], [0.61, 0.0], [0.0, -0.61], [0.5, 0.5]])
+    assert terrain_tile_left(world).tolist() == [False, True, True, False]
+    assert terrain_tile_left(world, margin=0.1).tolist() == [False] * N
+    world.scene.terrain.size = (math.inf, math.inf)
+    assert terrain_tile_left(world).tolist() == [False] * N
