@@ -1,10 +1,11 @@
 """How close a full ``env.step`` comes to MuJoCo's own speed, measured side by side in one process.
 
-    python benchmarks/env_throughput.py [--num-envs 512] [--steps 300] [--json] [overrides ...]
+    python benchmarks/env_throughput.py [--num-envs 512] [--steps 300] [--json] [--beside] [overrides ...]
 
 Blocks of environment steps alternate with bare ``Batch.step`` calls of the same model and decimation, from the same
 states and with the same controls, so that both see the same contacts and the same noise of the machine. A second pass
-says what the rest is spent on.
+says what the rest is spent on. ``--beside`` steps environments with rays and terrain in turn with the plain one, and
+says what each costs.
 """
 
 from __future__ import annotations
@@ -101,12 +102,52 @@ def breakdown(env: ManagerBasedRLEnv, steps: int) -> dict[str, float]:
     return {label: 1e3 * value / steps for label, value in spent.items()}
 
 
+_SCAN = ["+sensor@env.scene.sensors=height_scanner", "+observation@env.observations.scan.terms=[sensors/height_scan]"]
+_DEPTH = ["+sensor@env.scene.sensors=depth_camera", "+observation@env.observations.depth.terms=[sensors/depth_image]"]
+VARIANTS: dict[str, list[str]] = {
+    "plain": [],
+    "height scan": _SCAN,
+    "depth": _DEPTH,
+    "terrain": ["scene=rough"],
+    "terrain, height scan": ["scene=rough", *_SCAN],
+    "terrain, depth": ["scene=rough", *_DEPTH],
+}
+
+
+def beside(num_envs: int, steps: int, overrides: list[str]) -> dict[str, float]:
+    """Return milliseconds per step of the environment with each addition, taken in turn, block by block."""
+    envs: dict[str, ManagerBasedRLEnv] = {}
+    for name, words in VARIANTS.items():
+        composed = compose([f"env.num_envs={num_envs}", *words, *overrides])
+        envs[name] = build_env(composed.config, asset_roots=composed.asset_roots)
+        envs[name].reset()
+    spent = dict.fromkeys(envs, 0.0)
+    todo = actions(envs["plain"], steps + BLOCK)
+    with torch.inference_mode():
+        for first in range(0, len(todo), BLOCK):
+            for name, env in envs.items():
+                start = time.perf_counter()
+                for action in todo[first : first + BLOCK]:
+                    env.step(action)
+                if first:  # the first block warms up
+                    spent[name] += time.perf_counter() - start
+    return {name: 1e3 * value / steps for name, value in spent.items()}
+
+
+def print_beside(spent: dict[str, float]) -> None:
+    """Print what each addition costs beside the plain step."""
+    print("\nenv.step beside the plain one, in turn (ms, ratio):")
+    for name, value in spent.items():
+        print(f"  {name:24s} {value:7.3f} {value / spent['plain']:7.2f}")
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--num-envs", type=int, default=512)
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--beside", action="store_true", help="also with height scans, depth and terrain")
     parser.add_argument("overrides", nargs="*")
     args = parser.parse_args()
     composed = compose([f"env.num_envs={args.num_envs}", *args.overrides])
@@ -125,6 +166,8 @@ def main() -> None:
         "threads": env.scene.sim.nthread,
         "breakdown_ms": breakdown(env, args.steps),
     }
+    if args.beside:
+        result["beside_ms"] = beside(args.num_envs, args.steps, args.overrides)
     if args.json:
         print(json.dumps(result, indent=2))
         return
@@ -135,6 +178,8 @@ def main() -> None:
     print("\nwhere a step's time goes (ms):")
     for label, value in sorted(result["breakdown_ms"].items(), key=lambda item: -item[1]):
         print(f"  {label:24s} {value:7.3f}")
+    if args.beside:
+        print_beside(result["beside_ms"])
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ HOST = {
     "env/host.py": "the door out",
     "managers/returned.py": "tells of an array in place of a tensor",
     "sim/engine.py": "reads the compiled model",
+    "sim/robot_spec.py": "edits the robot before it is compiled",
     "sim/root_frame.py": "edits the robot before it is compiled",
     "sim/scene.py": "digests the compiled model",
     "managers/recorded_rows.py": "what recorders note leaves the device",
