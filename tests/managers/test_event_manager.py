@@ -176,8 +176,11 @@ def test_a_mode_that_no_event_has_is_warned_of(make_env):
     assert spies.LOG == []
 
 
-def test_events_log_nothing(make_env):
-    assert make_env(events={"e": _interval(0.05), "r": _event("reset")}).event_manager.reset(torch.arange(4)) == {}
+def test_events_and_recorders_log_nothing(make_env):
+    recorder = {"_target_": "wheelleg_exp.mdp.recorders.PreStepActionsRecorder"}
+    env = make_env(events={"e": _interval(0.05), "r": _event("reset")}, recorders={"a": recorder})
+    assert env.event_manager.reset(torch.arange(4)) == {}
+    assert env.recorder_manager.reset(torch.arange(4)) == {}
 
 
 @pytest.mark.parametrize(
