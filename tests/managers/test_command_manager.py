@@ -61,6 +61,13 @@ def test_the_timer_starts_again_from_the_drawn_time(make_env):
     torch.testing.assert_close(term.time_left, torch.full((4,), 0.05))
 
 
+def test_times_between_draws_are_uniform_in_their_range(make_env):
+    _, term = _env(make_env, resampling_time_range=[1.0, 3.0], num_envs=2000)
+    assert 1.0 <= float(term.time_left.min()) < 1.02
+    assert 2.98 < float(term.time_left.max()) <= 3.0
+    assert float(term.time_left.mean()) == pytest.approx(2.0, abs=0.05)
+
+
 def test_the_counter_is_one_after_a_reset_and_grows_with_each_draw(make_env):
     env, term = _env(make_env, resampling_time_range=[0.05, 0.05])
     assert term.command_counter.tolist() == [1] * 4
@@ -136,6 +143,14 @@ def test_headings_are_followed_proportionally_and_clipped(make_env):
         _turn_to(env, yaw)
         env.command_manager.compute(0.0)
         torch.testing.assert_close(term.command[:, 2], torch.full((4,), expected), atol=1e-5, rtol=0)
+
+
+def test_unless_told_otherwise_all_follow_headings_at_one_per_second(make_env):
+    ranges = RANGES | {"ang_vel_z": [-9.0, 9.0], "heading": [1.5, 1.5]}
+    env, term = _env(make_env, ranges=ranges, heading_command=True)
+    _turn_to(env, 0.25)
+    env.command_manager.compute(0.0)
+    torch.testing.assert_close(term.command[:, 2], torch.full((4,), 1.25))
 
 
 def test_the_heading_acts_only_from_the_first_compute_on(make_env):

@@ -117,8 +117,8 @@ def test_a_value_that_is_not_finite_ends_that_environment_only(broken):
     assert terminated.tolist() == [False, False, True, False]
     assert not time_outs.any()
     assert env.episode_length_buf.tolist() == [3, 3, 0, 3]
-    assert reward.isfinite().all()
-    assert reward[[0, 1, 3]].tolist() == pytest.approx([0.04] * 3)
+    assert reward.tolist() == pytest.approx([0.04, 0.04, 0.0, 0.04])
+    assert env.reward_manager.step_reward.tolist() == [[1, 1, 0, 1]] * 2
 
 
 def test_a_value_that_is_not_finite_is_named_with_its_state(broken):

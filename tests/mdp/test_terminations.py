@@ -67,6 +67,14 @@ def test_the_edge_of_the_tiles():
     assert terminations.terrain_out_of_bounds(plane).tolist() == [False] * 5
 
 
+def test_three_metres_before_the_edge_unless_told_otherwise():
+    terrain = {"terrain_origins": torch.zeros(3, 2, 3), "size": (4.0, 5.0), "border_width": 1.0}
+    env = fake_env(
+        data_root_pos_w=T([[3.9, 0, 0], [4.1, 0, 0], [0, -2.9, 0], [0, 3.1, 0], [4.0, 3.0, 0]]), terrain=terrain
+    )
+    assert terminations.terrain_out_of_bounds(env).tolist() == [False, True, False, True, False]
+
+
 def test_stuck():
     """One drives, one stays, one stays and is told to, one leaves after two steps; 0.05 s are three steps."""
     command = T([[0.5, 0.0, 0.0], [0.0, -0.5, 0.0], [0.1, 0.0, 9.0], [0.3, 0.4, 0.0]])
@@ -109,6 +117,29 @@ def test_velocities():
     env = fake_env(**JOINTS)
     assert terminations.joint_vel_out_of_limit(env).tolist() == [True, True, False]
     assert terminations.joint_vel_out_of_manual_limit(env, max_velocity=2.0).tolist() == [True, False, False]
+
+
+def test_what_is_just_at_its_limit_is_not_beyond_it():
+    half = 0.5  # which float32 has
+    env = fake_env(
+        data_root_pos_w=T([[0.0, 0.0, half]]),
+        data_projected_gravity_b=T([[1.0, 0.0, 0.0]]),
+        data_joint_pos=T([[half, -half]]),
+        data_joint_vel=T([[half, -half]]),
+        data_soft_joint_pos_limits=T([[[-half, half], [-half, half]]]),
+        data_soft_joint_vel_limits=T([[half, half]]),
+        ground=lambda xy: 0.0 * xy[..., 0],
+    )
+    for found in (
+        terminations.root_height_below_minimum(env, half),
+        terminations.root_height_over_ground_below_minimum(env, half),
+        terminations.bad_orientation(env, math.pi / 2),
+        terminations.joint_pos_out_of_limit(env),
+        terminations.joint_pos_out_of_manual_limit(env, bounds=(-half, half)),
+        terminations.joint_vel_out_of_limit(env),
+        terminations.joint_vel_out_of_manual_limit(env, max_velocity=half),
+    ):
+        assert found.tolist() == [False]
 
 
 def test_contacts():
