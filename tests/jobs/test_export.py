@@ -15,7 +15,7 @@ import pytest
 import torch
 import yaml
 
-from jobs.small import TINY, Trained, trained_once, wheelleg
+from jobs.small import ITERATIONS, TINY, Trained, trained_once, wheelleg
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs.export import bundle as as_they_stand
@@ -207,6 +207,18 @@ def test_a_bundle_below_its_run_is_of_the_run(run):
     assert wheelleg("verify", run.path).status == 0
     (first.folder / "policy.json").write_text("{}")
     assert wheelleg("verify", run.path).status == 1
+
+
+def test_a_bundle_outlives_a_resume_of_its_run_and_what_a_killed_export_left_does_not(run):
+    made = exported(run)
+    left = run.exported / ".bundle.0123456789ab.tmp"
+    left.mkdir()
+    (left / "policy.json").write_text("{}")
+    said = wheelleg("resume", run.path, f"agent.max_iterations={ITERATIONS + 1}")
+    assert said.status == 0, said.err
+    assert not left.exists()
+    assert spec_of(made.folder)["run"]["iteration"] == ITERATIONS - 1
+    assert wheelleg("verify", run.path).status == 0
 
 
 def test_the_command_tells_what_it_made_and_how_near_it_is(run):

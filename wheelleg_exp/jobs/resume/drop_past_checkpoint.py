@@ -30,13 +30,22 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
         _remove(temporaries(run.path))
         _remove(films_from(run.videos, point.iteration))
         _remove(dataset_files_from(run.dataset, point.iteration))
-        shutil.rmtree(run.exported, ignore_errors=True)  # it would tell of a policy that is trained further
+        _remove_exported(run.exported)
         (run.path / FAILURE).unlink(missing_ok=True)  # what it says stands in the manifest
         if point.iteration == 0:
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.log_size)
     if events:
         cut_events(run.path, point.kept)
+
+
+def _remove_exported(folder: Path) -> None:
+    """Remove the policy's files, which would tell of one that is trained further; bundles say whose they are."""
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.is_file():
+            path.unlink()
+        elif path in temporaries(folder):  # of an export that was killed
+            shutil.rmtree(path)
 
 
 def _remove(paths: Iterable[Path]) -> None:
