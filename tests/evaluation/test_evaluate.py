@@ -1,37 +1,24 @@
-"""A protocol on the stock task: what scripted policies deserve, and what stays the same for every policy."""
+"""Protocols on the stock task: what scripted policies deserve, and what stays the same for every policy."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
+import numpy as np
 import pytest
 import torch
 
-from wheelleg_exp.build import prepare_asset
-from wheelleg_exp.config.composing.compose import compose
+from evaluation.conftest import balancer, noise, not_numbers, protocol, zeros
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation import Evaluation, evaluate
 
-
-@pytest.fixture(scope="module")
-def task() -> tuple[dict[str, Any], Path]:
-    config = compose(["task=stand"]).config
-    return config["env"], prepare_asset(config).output
-
-
-def protocol(name: str, *words: str) -> dict[str, Any]:
-    return compose([f"protocol={name}", "protocol.resamples=20", *words], primary="evaluate").config["protocol"]
-
-
-def zeros(env):
-    return lambda observations: torch.zeros(env.num_envs, env.action_manager.total_action_dim)
-
-
-def not_numbers(env):
-    return lambda observations: torch.full((env.num_envs, env.action_manager.total_action_dim), torch.nan)
-
-
-STAND = ("protocol.stand.episodes=4", "protocol.stand.horizon_s=2.0", "protocol.stand.survival_s=[1.0,2.0]")
+STAND = ("protocol.stand.episodes=4", "protocol.stand.horizon_s=3.0", "protocol.stand.survival_s=[1.0,3.0]")
+WALK = (
+    "protocol.walk.episodes=2",
+    "protocol.walk.horizon_s=5.0",
+    "protocol.walk.lin_vel_x=[-0.2,0.0,0.2]",
+    "protocol.walk.ang_vel_z=[-0.4,0.0,0.4]",
+    "protocol.steps=null",
+    "protocol.settle_s=2.5",  # the answer to a command that is there from the start
+)
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +26,22 @@ def of_zeros(task) -> Evaluation:
     return evaluate(*task, zeros, protocol("stand", *STAND))
 
 
+@pytest.fixture(scope="module")
+def walks(task) -> dict[float, Evaluation]:
+    """Return how the reference walks when it hears the command, nothing, and the opposite."""
+    return {factor: evaluate(*task, balancer(factor), protocol("walk", *WALK)) for factor in (1.0, 0.0, -1.0)}
+
+
 def test_doing_nothing_falls_within_a_second_or_so(of_zeros):
     assert of_zeros.value("stand/survival") == 0.0
     assert 0.2 < of_zeros.value("stand/time_to_failure") < 1.3  # 0.28 to 1.2 s were measured
     assert set(of_zeros.episodes["ended_by"]) <= {"base_contact", "leg_contact", "tilt"}
+
+
+def test_noise_falls_within_a_second_or_so(task):
+    found = evaluate(*task, noise, protocol("stand", *STAND))
+    assert found.value("stand/survival") == 0.0
+    assert 0.2 < found.value("stand/time_to_failure") < 1.3
 
 
 def test_actions_that_are_no_numbers_fail_at_once(task, of_zeros):
@@ -58,3 +57,90 @@ def test_the_same_policy_gets_the_same_rows_and_another_seed_other_starts(task, 
     assert again.as_dict() == of_zeros.as_dict()
     assert other.scenarios_sha256 != of_zeros.scenarios_sha256
     assert other.starts_sha256 != of_zeros.starts_sha256
+
+
+def test_the_reference_stands_as_was_measured_of_it_elsewhere(task):
+    found = evaluate(*task, balancer(1.0), protocol("stand", *STAND))
+    assert found.value("stand/survival") == 1.0
+    assert 0.0004 < found.value("stand/height_rmse") < 0.002  # 1.04 mm
+    assert found.value("stand/torque_share_wheels") < 0.05
+    assert found.value("stand/wheels_down_share") == 1.0
+
+
+def test_who_follows_the_command_has_skill_gain_and_area(walks):
+    found = walks[1.0]
+    assert found.value("walk/survival") == 1.0
+    assert found.value("walk/skill_vx") > 0.9
+    assert found.value("walk/gain_vx") == pytest.approx(1.0, abs=0.1)
+    assert found.value("walk/gain_wz") == pytest.approx(1.0, abs=0.05)
+    assert (found.value("walk/sign_vx"), found.value("walk/sign_wz")) == (1.0, 1.0)
+
+
+def test_who_never_moves_has_no_skill_however_well_it_stands(walks):
+    found = walks[0.0]
+    assert found.value("walk/survival") == 1.0
+    assert found.value("walk/skill_vx") == pytest.approx(0.0, abs=0.05)
+    assert found.value("walk/skill_wz") == pytest.approx(0.0, abs=0.02)
+    assert found.value("walk/gain_vx") == pytest.approx(0.0, abs=0.05)
+    assert found.value("walk/error_wz") == pytest.approx(0.4 * np.sqrt(6 / 8), rel=0.02)  # of eight moving cells six
+    assert found.value("walk/commandable_area") <= 1 / 9
+
+
+def test_who_goes_the_wrong_way_is_worse_than_who_stands(walks):
+    found = walks[-1.0]
+    assert found.value("walk/skill_vx") < 0.0
+    assert found.value("walk/skill_wz") < 0.0
+    assert found.value("walk/gain_wz") == pytest.approx(-1.0, abs=0.05)
+    assert (found.value("walk/sign_vx"), found.value("walk/sign_wz")) == (0.0, 0.0)
+
+
+def test_three_policies_are_given_the_same_episodes(walks):
+    assert len({found.scenarios_sha256 for found in walks.values()}) == 1
+    assert len({found.starts_sha256["walk"] for found in walks.values()}) == 1
+
+
+def test_the_limit_of_the_reference_is_what_was_measured_elsewhere(task):
+    words = ("protocol.push.episodes=1", "protocol.push.directions=2", "protocol.push.pulses_s=[0.0]")
+    words = (*words, "protocol.push.after_s=2.0", "protocol.push.iterations=6")
+    found = evaluate(*task, balancer(1.0), protocol("push", *words))
+    limits = found.episodes["limit_m_s"]
+    assert limits == pytest.approx(0.32, abs=0.06)  # forwards and backwards
+    assert found.episodes["limit_normalised"] == pytest.approx(limits / np.sqrt(9.81 * 0.07), rel=1e-5)
+    assert found.value("push/recovered") == 1.0
+
+
+def test_who_falls_by_itself_bears_no_push(task):
+    words = ("protocol.push.episodes=1", "protocol.push.directions=2", "protocol.push.iterations=3")
+    found = evaluate(*task, zeros, protocol("push", *words))
+    assert (found.value("push/limit_0s"), found.value("push/recovered")) == (0.0, 0.0)
+
+
+def test_every_tile_gets_its_episodes_and_who_falls_succeeds_on_none(task):
+    words = ("protocol.terrain.episodes=2", "protocol.terrain.levels=2", "protocol.terrain.horizon_s=1.5")
+    kinds = [f"protocol.terrain.scene.terrain.sub_terrains.{name}=null" for name in ("grid", "waves", "obstacles")]
+    found = evaluate(*task, zeros, protocol("terrain", *words, *kinds))
+    names, counts = np.unique(found.episodes["cell_name"], return_counts=True)
+    kinds_left = ("rough", "slope", "slope_inverted", "stairs", "stairs_inverted")
+    assert set(names) == {f"{kind}/{level}" for kind in kinds_left for level in (0, 1)}
+    assert set(counts) == {2}
+    assert found.value("terrain/success") == 0.0
+    assert {found.value(f"terrain/levels_passed/{kind}") for kind in kinds_left} == {0.0}
+
+
+def test_a_command_that_is_not_there_is_told_with_those_that_are(task):
+    with pytest.raises(ConfigError, match="base_velocity") as caught:
+        evaluate(*task, zeros, protocol("stand", *STAND, "protocol.command=base_velocty"))
+    assert caught.value.nearest == "base_velocity"
+
+
+def test_a_protocol_with_an_unknown_key_is_refused(task):
+    with pytest.raises(ConfigError, match="episods"):
+        evaluate(*task, zeros, {**protocol("stand", *STAND), "episods": 3})
+
+
+def test_pictures_of_results_are_plain(of_zeros):
+    content = of_zeros.as_dict()
+    assert content["metrics"]["stand/height_rmse"]["value"] is None  # nobody lived long enough
+    assert content["about"]["wheels"] == ["l03", "r03"]
+    assert content["about"]["profile"] == "article"
+    assert torch.is_tensor(content) is False

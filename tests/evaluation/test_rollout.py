@@ -1,0 +1,157 @@
+"""Rollouts: schedules of commands, worlds that are changed, work over physics steps."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+import torch
+
+from evaluation.conftest import protocol, stub_env, zeros
+from wheelleg_exp.evaluation.effort_meter import EffortMeter
+from wheelleg_exp.evaluation.measuring.changed_world import Late, worlds
+from wheelleg_exp.evaluation.options import Protocol
+from wheelleg_exp.evaluation.rollout import Rollout
+from wheelleg_exp.evaluation.scenarios import Scenarios
+from wheelleg_exp.evaluation.task import base_link, build, evaluation_cfg
+from wheelleg_exp.managers import Env
+from wheelleg_exp.terms.sections import read_section
+
+SETTINGS = {"command": "base_velocity", "fall_tilt": 3.2, "contact_force": 0.3, "saturation": 0.99}
+
+
+def rollout(task, scenarios, cfg=None) -> Rollout:
+    options = read_section(Protocol, protocol("stand"), "protocol")
+    cfg = cfg or evaluation_cfg(task[0], options, scenarios.size, scenarios.horizon_s, "flat")
+    return Rollout(build({**cfg, "terminations": {}}, task[1], 5), scenarios, **SETTINGS)
+
+
+def test_commands_come_when_the_table_says_and_every_observation_shows_them(task):
+    cells = (((0.1, 0.0, 0.0), (-0.2, 0.0, 0.3)), ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0)))
+    made = rollout(task, Scenarios("steps", 0.2, (0.0, 0.1), cells, ("a", "b"), 1))
+    term = made.env.command_manager.get_term("base_velocity")
+    seen, standing = [], []
+
+    def policy(observations):
+        seen.append(made.env.command_manager.get_command("base_velocity").clone())
+        standing.append(term.is_standing_env.tolist())
+        return zeros(made.env)(observations)
+
+    found = made.roll(policy, 3)
+    expected = torch.tensor(cells)[:, [0] * 6 + [1] * 6].transpose(0, 1)
+    assert torch.equal(torch.stack(seen), expected)
+    assert torch.equal(found.command, expected)
+    assert (standing[0], standing[-1]) == ([False, False], [False, True])
+
+
+def test_starts_follow_from_the_seed_alone(task):
+    made = rollout(task, Scenarios("stand", 0.05, (0.0,), (((0.0, 0.0, 0.0),),), ("a",), 3))
+    policy, starts = zeros(made.env), []
+    for seed in (1, 2, 1):
+        made.roll(policy, seed)
+        starts.append(made.starts)
+    assert starts[0] == starts[2] != starts[1]
+
+
+def test_digests_of_tables_tell_every_difference():
+    zero, one = ((0.0, 0.0, 0.0),), ((0.1, 0.0, 0.0),)
+    table = Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 2)
+    text = '["stand", 5.0, [0.0], [[[0.0, 0.0, 0.0]]], ["a"], 2, "", 1]'  # a result can be checked years from now
+    assert table.digest(1) == hashlib.sha256(text.encode()).hexdigest()
+    others = [
+        Scenarios("walk", 5.0, (0.0,), (zero,), ("a",), 2),
+        Scenarios("stand", 6.0, (0.0,), (zero,), ("a",), 2),
+        Scenarios("stand", 5.0, (0.0,), (one,), ("a",), 2),
+        Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 3),
+        Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 2, "harder"),
+    ]
+    assert len({table.digest(1), table.digest(2), *(other.digest(1) for other in others)}) == 7
+
+
+def test_the_work_of_a_step_is_torque_times_way_and_the_net_leaves_out_what_the_armature_gains():
+    torque = torch.tensor([[2.0, -1.0]])
+    before, after = torch.tensor([[1.0, 3.0]]), torch.tensor([[2.0, 1.0]])
+    armature = torch.tensor([[0.01, 0.02]])
+    env = stub_env(
+        applied_torque=torque,
+        joint_vel_before=before,
+        joint_vel=after,
+        joint_armature=armature,
+        joint_effort_limits=torch.tensor([[2.0, 2.0]]),
+    )
+    meter = EffortMeter(env, 0.99, 0.1)
+    meter.begin()
+    meter.update()
+    way = (before + after) / 2 * 0.1
+    kinetic = armature * (after**2 - before**2) / 2
+    assert float(meter.gross) == pytest.approx(float((torque * way).abs().sum()))
+    assert float(meter.net) == pytest.approx(float((torque * way - kinetic).abs().sum()))
+    assert float(meter.positive) == pytest.approx(float((torque * way).clamp(min=0).sum()))
+    assert float(meter.peak) == pytest.approx(3.0)  # 2 N·m at 1.5 rad/s; the other brakes
+    meter.update()
+    assert meter.shares().tolist() == [[1.0, 0.0]]
+    assert float(meter.gross) == pytest.approx(2 * float((torque * way).abs().sum()))
+
+
+@pytest.fixture(scope="module")
+def changed(task) -> dict[tuple[str, float], Env]:
+    options = read_section(
+        Protocol,
+        protocol(
+            "robust",
+            "protocol.robust.friction=[0.3]",
+            "protocol.robust.mass=[0.7]",
+            "protocol.robust.com=[0.005]",
+            "protocol.robust.gains=[1.2]",
+            "protocol.robust.noise=[1.0]",
+        ),
+        "protocol",
+    )
+    assert options.robust is not None
+    cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
+    found = worlds(cfg, options.robust, base_link(task[1]), 1 / 60)
+    return {(world.sweep, world.value): build(world.cfg, task[1], 1) for world in found if world.sweep != "delay"}
+
+
+def test_each_world_differs_in_what_it_is_named_after(changed):
+    nominal = changed["nominal", 0.0]
+    model = nominal.scene.model
+
+    def of(sweep, value, field):
+        return changed[sweep, value].scene.sim.expanded[field]
+
+    robot = nominal.scene.robot.body_ids
+    assert of("mass", 0.7, "body_mass")[:, robot].sum(dim=1).tolist() == pytest.approx([0.35, 0.35])
+    moved = of("com", 0.005, "body_ipos")[:, robot[0]] - torch.from_numpy(model.body_ipos[int(robot[0])])
+    assert moved.numpy() == pytest.approx(np.tile([0.005, 0.0, 0.0], (2, 1)), abs=1e-9)
+    shapes = nominal.scene.robot.shape_ids(slice(None))
+    assert of("friction", 0.3, "geom_friction")[:, shapes, 0].unique().tolist() == pytest.approx([0.3])
+    gains = changed["gains", 1.2].scene.robot.data
+    assert torch.allclose(gains.joint_stiffness, 1.2 * nominal.scene.robot.data.joint_stiffness)
+    assert torch.allclose(gains.joint_damping, 1.2 * nominal.scene.robot.data.joint_damping)
+
+
+def test_noise_is_on_the_named_observations_alone(changed):
+    env = changed["noise", 1.0]
+    terms = env.observation_manager.terms("policy")
+    noisy = {name for name, node in env.cfg["observations"]["policy"]["terms"].items() if node.get("noise")}
+    assert noisy == {"base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel_rel"} <= set(terms)
+
+
+def test_a_late_policy_gives_what_was_decided_before():
+    count = iter(range(1, 10))
+    policy = Late(lambda observations: torch.full((1, 1), float(next(count))), 2)
+    assert [float(policy({})) for _ in range(5)] == [0.0, 0.0, 1.0, 2.0, 3.0]
+    policy.reset()
+    assert float(policy({})) == 0.0
+
+
+def test_events_within_an_episode_rewards_and_curricula_are_gone_and_the_rest_stays(task):
+    options = read_section(Protocol, protocol("stand"), "protocol")
+    cfg = evaluation_cfg(task[0], options, 7, 9.0, "flat")
+    assert "push_robot" not in cfg["events"]
+    assert {"physics_material", "reset_base"} <= set(cfg["events"])
+    assert (cfg["rewards"], cfg["curriculum"], cfg["num_envs"], cfg["episode_length_s"]) == ({}, {}, 7, 9.0)
+    assert cfg["terminations"] == task[0]["terminations"]
+    assert "push_robot" in task[0]["events"]  # the task itself is as it was
