@@ -42,6 +42,15 @@ def test_the_table_tells_how_each_run_went_and_fits_a_terminal(root):
     assert ": the disk is full return: mean of the last 100 ended episodes of the training; time-out: share of" in said
 
 
+def test_an_evaluated_run_tells_under_which_protocol_and_who_survived(root):
+    run = RunDirectory.open("latest", root)
+    metrics = {"walk/survival": 0.984, "walk/error_vx": 0.01, "push/survival": 0.5}
+    run.manifest().add("evaluation", results={"protocol": "walk", "metrics": metrics})
+    lines = wheelleg("list", "runs", "--root", root).out.splitlines()
+    assert any("walk 98.4%" in line for line in lines)
+    assert any("evaluated" in line for line in lines)
+
+
 def test_json_tells_everything(root):
     newest = json.loads(wheelleg("list", "runs", "--root", root, "--json").out)[0]
     assert newest["status"] == "interrupted"

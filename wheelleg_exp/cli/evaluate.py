@@ -118,13 +118,16 @@ def evaluated(args: argparse.Namespace, name: str, overrides: Sequence[str], dis
         folder = find_kept(directory, sha256(checkpoint), tree["protocol"], overrides)
         if folder is not None:
             return as_evaluated(directory, checkpoint, folder)
-    return evaluate_run(directory, chosen, overrides, args.command, display.test, args.config_dirs)
+    from wheelleg_exp.inspection.plots.evaluation import draw
+
+    return evaluate_run(directory, chosen, overrides, args.command, display.test, args.config_dirs, draw)
 
 
 def reference_of(
     args: argparse.Namespace, made: Evaluated, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
     """Evaluate the reference controller on the robot and task of an evaluated run."""
+    from wheelleg_exp.inspection.plots.evaluation import draw
     from wheelleg_exp.jobs.evaluate.evaluate import evaluate_reference
 
-    return evaluate_reference(made.run, overrides, args.command, display.test, args.config_dirs)
+    return evaluate_reference(made.run, overrides, args.command, display.test, args.config_dirs, draw)

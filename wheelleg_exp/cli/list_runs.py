@@ -65,10 +65,18 @@ def runs(
     documents = [_document(run) | _swept_document(mine[run.path]) for run in found]
     keys = _differing([mine[run.path] for run in found])
     if keys is None:
-        return RUN_COLUMNS, [_run_row(run) for run in found], documents
+        return *_told(RUN_COLUMNS, [_run_row(run) for run in found]), documents
     columns = ["id", *_short(keys), "status", *LISTED]
     rows = [[row[0], *_values_of(mine[run.path], keys), *row[2:-1]] for run in found for row in [_run_row(run)]]
-    return columns, rows, documents
+    return *_told(columns, rows), documents
+
+
+def _told(columns: list[str], rows: list[list[Any]]) -> tuple[list[str], list[list[Any]]]:
+    """Return a table without the column of evaluations where no run has one: most have none, and rows are full."""
+    at = columns.index("evaluated")
+    if any(row[at] is not None for row in rows):
+        return columns, rows
+    return columns[:at] + columns[at + 1 :], [row[:at] + row[at + 1 :] for row in rows]
 
 
 def no_match(root: Path | None, sweep: str | None) -> str:
@@ -171,6 +179,7 @@ def _run_row(run: RunSummary) -> list[Any]:
         _number(run.figures, "return", "{:.2f}"),
         _percent(run.figures.get("time_out")),
         _survived(run.played),
+        _evaluated(run.evaluated),
         _duration(run.seconds),
         ("from start" if run.checkpoint is None else f"from {run.checkpoint}") if run.resumable else None,
     ]
@@ -216,6 +225,15 @@ def _survived(played: Mapping[str, Any]) -> str | None:
         return _percent(survival)
     ended = episodes - unfinished
     return f"{round(survival * ended)}/{ended}"
+
+
+def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
+    """Return an evaluation's protocol and the share that survived its first test, ``walk 100.0%``."""
+    metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
+    if not isinstance(metrics, Mapping) or not isinstance(protocol, str):
+        return None
+    shares = (value for name, value in metrics.items() if str(name).endswith("/survival"))
+    return " ".join(filter(None, (protocol, _percent(next(shares, None)))))
 
 
 def _duration(seconds: float | None) -> str | None:

@@ -124,6 +124,9 @@ LISTED = {
         "time-out", SHARE, "`Episode_Termination/time_out` of the last iteration, where a termination has that name."
     ),
     "played": Definition("played", "", "How many of the last play's ended episodes survived, of how many."),
+    "evaluated": Definition(
+        "evaluated", SHARE, "The last evaluation's protocol, and the share of its first test's episodes that survived."
+    ),
     "took": Definition("took", "", "From the run's start to its end by the clock; pauses before a resume count."),
 }
 

@@ -11,6 +11,7 @@ from wheelleg_exp.report import can_it_be_repeated as trust
 from wheelleg_exp.report import does_it_stand as headline
 from wheelleg_exp.report import how_it_learned as learning
 from wheelleg_exp.report import how_it_stood as standing
+from wheelleg_exp.report import how_well_it_did as evaluation
 from wheelleg_exp.report import what_it_optimises as objective
 from wheelleg_exp.report import what_it_ran_on as surroundings
 from wheelleg_exp.report import what_was_set as settings
@@ -41,6 +42,7 @@ def compile_page(subject: Subject, look: Look, verdict: trust.Verdict) -> Page:
             lambda: standing.blocks(subject),
             look.of_play,
         ),
+        *(_of_evaluation(subject) if of_training else []),
         *(_of_training(subject, look, verdict) if of_training else []),
         section("settings", "What was set", _SETTINGS, lambda: settings.blocks(subject)),
         *(_rest(subject) if of_training else []),
@@ -80,6 +82,12 @@ def _lead(subject: Subject) -> str:
     if headline.played(subject):
         return "How the policy did without exploration noise, over the first episode of each environment."
     return ""
+
+
+def _of_evaluation(subject: Subject) -> list[Section]:
+    if not _or(lambda: evaluation.evaluated(subject), False):
+        return []
+    return [section("evaluation", "How well did it do?", "", lambda: evaluation.blocks(subject))]
 
 
 def _of_training(subject: Subject, look: Look, verdict: trust.Verdict) -> list[Section]:

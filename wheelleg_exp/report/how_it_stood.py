@@ -194,8 +194,8 @@ def _play_row(results: Mapping[str, Any]) -> list[Cell]:
 
 
 def _evaluations(subject: Subject) -> list[Block]:
-    """Return the figures of the last evaluation, as they were recorded."""
-    entries = subject.additions("evaluation")
+    """Return the figures of the last evaluation that is none of a protocol, as they were recorded."""
+    entries = [one for one in subject.additions("evaluation") if "protocol" not in (one.get("results") or {})]
     results = entries[-1].get("results") if entries else None
     if not isinstance(results, Mapping) or not results:
         return []

@@ -58,6 +58,7 @@ class RunSummary:
         resumes: how often it has been resumed.
         figures: mean return and length of the last episodes, share of them that ran to their time limit.
         played: results of the last play.
+        evaluated: results of the last evaluation.
         bundles: folders in it that were exported for deployment.
         seconds: how long it took, or has taken up to its last iteration; times between resumes count.
         bytes: size of the files in its folder's top, without later additions.
@@ -81,6 +82,7 @@ class RunSummary:
     resumes: int = 0
     figures: dict[str, float] = field(default_factory=dict)
     played: dict[str, Any] = field(default_factory=dict)
+    evaluated: dict[str, Any] = field(default_factory=dict)
     bundles: tuple[str, ...] = ()
     seconds: float | None = None
     bytes: int | None = None
@@ -120,7 +122,8 @@ def summarize(folder: Path) -> RunSummary:
         resumable=_resumable(folder, status, checkpoint, done, total),
         resumes=len(data["resumes"]),
         figures={name: scalars[key] for name, key in FIGURES.items() if isinstance(scalars.get(key), (int, float))},
-        played=_played(data["additions"]),
+        played=_last_results(data["additions"], "play"),
+        evaluated=_last_results(data["additions"], "evaluation"),
         bundles=_bundles(data["additions"]),
         seconds=_seconds(folder, manifest.started, data.get("ended"), status),
         bytes=size,
@@ -254,9 +257,9 @@ def _total(folder: Path) -> int | None:
     return int(match[1]) if match else None
 
 
-def _played(additions: list[dict[str, Any]]) -> dict[str, Any]:
-    plays = [entry for entry in additions if entry.get("kind") == "play"]
-    found = plays[-1].get("results") if plays else None
+def _last_results(additions: list[dict[str, Any]], kind: str) -> dict[str, Any]:
+    entries = [entry for entry in additions if entry.get("kind") == kind]
+    found = entries[-1].get("results") if entries else None
     return found if isinstance(found, dict) else {}
 
 
