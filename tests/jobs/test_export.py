@@ -130,6 +130,10 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     said = alone(bundle, "simulate.py", "--seconds", "0.2", "--command", "0", "0", "0")
     assert said.returncode == 0, said.stdout + said.stderr
     assert "simulated 0.20 s at 60 Hz" in said.stdout
+    said = alone(bundle, "simulate.py", "--seconds", "3")  # three iterations do not make it stand
+    assert (said.returncode, "it fell after" in said.stdout) == (1, True)
+    said = alone(bundle, "simulate.py", "--command", "1", "2")
+    assert (said.returncode, "{'base_velocity': 3}" in said.stderr) == (2, True)
 
 
 def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle, runner):
