@@ -41,8 +41,9 @@ def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
 
 def readings_of(groups: list[Spec]) -> list[str]:
     """Return the names of the readings that the terms take, each once; joint positions always."""
-    terms = [term for group in groups for term in group["terms"]]
-    names = [name for term in terms for name in (*([term["reading"]] if "reading" in term else term.get("needs", ())),)]
+    names: list[str] = []
+    for term in (term for group in groups for term in group["terms"]):
+        names += [term["reading"]] if "reading" in term else term.get("needs", [])
     return list(dict.fromkeys([*names, "joint_pos"]))
 
 
