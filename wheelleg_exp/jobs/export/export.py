@@ -100,17 +100,21 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
         folder = _placed(work, target, numbered=output is None)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    if folder.resolve().is_relative_to(run.path):
-        files = sorted(path for path in folder.rglob("*") if path.is_file())
-        place = str(folder.resolve().relative_to(run.path))
-        results = {
-            "folder": place,
-            "checkpoint": str(checkpoint.name),
-            "largest_difference": dict(differences),
-            "lacks": list(notes),
-        }
-        run.manifest().add("export", files, results, command=command)
+    if folder.is_relative_to(run.path):
+        results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
+        try:
+            _recorded(run, folder, results, command)
+        except BaseException:  # what the manifest does not name is not of the run
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
     return Exported(run, checkpoint, folder, differences, notes)
+
+
+def _recorded(run: RunDirectory, folder: Path, results: Mapping[str, Any], command: Sequence[str]) -> None:
+    """Add a bundle below its run to the manifest."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    place = str(folder.relative_to(run.path))
+    run.manifest().add("export", files, {"folder": place, **results}, command=command)
 
 
 def _placed(work: Path, target: Path, *, numbered: bool) -> Path:
