@@ -8,6 +8,13 @@ from __future__ import annotations
 
 import torch
 
+from wheelleg_exp.isaaclab.utils.cameras import (
+    convert_camera_frame_orientation_convention,
+    create_rotation_matrix_from_view,
+    orthogonalize_perspective_depth,
+    project_points,
+    unproject_depth,
+)
 from wheelleg_exp.isaaclab.utils.frames import (
     apply_delta_pose,
     combine_frame_transforms,
@@ -63,8 +70,10 @@ __all__ = [
     "axis_angle_from_quat",
     "combine_frame_transforms",
     "compute_pose_error",
+    "convert_camera_frame_orientation_convention",
     "convert_quat",
     "copysign",
+    "create_rotation_matrix_from_view",
     "default_orientation",
     "euler_xyz_from_quat",
     "is_identity_pose",
@@ -72,7 +81,9 @@ __all__ = [
     "matrix_from_euler",
     "matrix_from_quat",
     "normalize",
+    "orthogonalize_perspective_depth",
     "pose_inv",
+    "project_points",
     "quat_apply",
     "quat_apply_inverse",
     "quat_apply_yaw",
@@ -103,6 +114,7 @@ __all__ = [
     "subtract_frame_transforms",
     "transform_points",
     "unmake_pose",
+    "unproject_depth",
     "unscale_transform",
     "wrap_to_pi",
     "yaw_quat",

@@ -50,12 +50,12 @@ class CameraData(Kept):
     @property
     def quat_w_ros(self) -> torch.Tensor:
         """Orientation, axes x right, y down, z forward, (w, x, y, z), (N, 4)."""
-        return _turned(self.quat_w_world, "ros")
+        return convert_convention(self.quat_w_world, "world", "ros")
 
     @property
     def quat_w_opengl(self) -> torch.Tensor:
         """Orientation, axes x right, y up, z backward, (w, x, y, z), (N, 4)."""
-        return _turned(self.quat_w_world, "opengl")
+        return convert_convention(self.quat_w_world, "world", "opengl")
 
     def add_output(self, data_type: str, channels: int, dtype: torch.dtype) -> None:
         """Make room for one kind of pictures."""
@@ -90,16 +90,14 @@ def in_world_convention(offset: CameraOffset | None) -> Offset:
     """Return an offset whose ``rot`` turns axes x forward, y left, z up; ``ros`` is taken where none is told."""
     given: Mapping[Any, Any] = offset or {}
     rot = torch.tensor([given.get("rot", (1.0, 0.0, 0.0, 0.0))], dtype=torch.float32, device="cpu")
-    back = torch.tensor([_FROM_WORLD[given.get("convention", "ros")]], device="cpu") * torch.tensor(
-        [1.0, -1.0, -1.0, -1.0], device="cpu"
-    )
-    turned: list[float] = rotation.quat_mul(rot, back)[0].tolist()
+    convention: Convention = given.get("convention", "ros")
+    turned: list[float] = convert_convention(rot, convention, "world")[0].tolist()
     return {"pos": list(given.get("pos", (0.0, 0.0, 0.0))), "rot": turned}
 
 
 def opengl_quat(offset: Offset) -> list[float]:
     """Return the orientation (w, x, y, z) of a world-convention offset as MuJoCo's cameras have it."""
-    quat: list[float] = _turned(torch.tensor([offset["rot"]], device="cpu"), "opengl")[0].tolist()
+    quat: list[float] = convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
     return quat
 
 
@@ -109,6 +107,11 @@ def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> to
     return depth.masked_fill(depth > farthest, instead)
 
 
-def _turned(quat: torch.Tensor, convention: Convention) -> torch.Tensor:
-    axes = torch.tensor(_FROM_WORLD[convention], dtype=quat.dtype, device=quat.device)
-    return rotation.quat_mul(quat, axes.expand_as(quat))
+def convert_convention(quat: torch.Tensor, origin: Convention, target: Convention) -> torch.Tensor:
+    """Return the same orientations (n, 4), (w, x, y, z), by the axes of another convention."""
+    w, x, y, z = _FROM_WORLD[origin]
+    back, there = (
+        torch.tensor(axes, dtype=quat.dtype, device=quat.device).expand_as(quat)
+        for axes in ((w, -x, -y, -z), _FROM_WORLD[target])
+    )
+    return rotation.quat_mul(rotation.quat_mul(quat, back), there)
