@@ -77,7 +77,7 @@ def test_a_sensors_bodies_have_to_be_the_robots(reward):
 
 
 def test_a_foot_that_runs_into_something_steep():
-    force = T([[[4.1, 0.0, 1.0], [99.0, 0.0, 0.0], [0.0, 0.0, 5.0]], [[0.0, 3.9, -1.0], [0.0] * 3, [0.0] * 3]])
+    force = T([[[8.2, 0.0, 2.0], [99.0, 0.0, 0.0], [0.0, 0.0, 5.0]], [[0.0, 7.8, -2.0], [0.0] * 3, [0.0] * 3]])
     env = fake_env(contact={"net_forces_w": force})
     close(rewards.feet_stumble(env, FEET), [1, 0])
     close(rewards.feet_stumble(env, FEET, ratio=3.5), [1, 1])
