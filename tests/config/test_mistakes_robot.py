@@ -211,3 +211,12 @@ def test_what_training_would_refuse_or_pass_over(capsys, override, told):
     message = capsys.readouterr().err
     assert told in message
     assert f"override {override}" in message or "configs/action/leg_pos.yaml" in message
+
+
+def test_a_camera_that_would_draw_too_many_environments_is_told(capsys):
+    camera = "+sensor@env.scene.sensors=camera"
+    assert main(["check", camera, "env.num_envs=17"]) == 2
+    assert "sensors.camera.max_num_envs: 17 environments" in (message := capsys.readouterr().err)
+    assert "configs/sensor/camera.yaml" in message
+    assert "env.num_envs at most 16" in message
+    assert main(["check", camera, "env.num_envs=16"]) == 0

@@ -11,6 +11,7 @@ from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.check_agent import check_agent
 from wheelleg_exp.config.checking.check_hydra import unread_in_files
 from wheelleg_exp.config.checking.check_links import (
+    check_drawn,
     check_folders,
     check_groups_in_use,
     check_links,
@@ -144,7 +145,7 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     errors += check_nested_targets(config)
     errors += check_links(config) + _check_silences(config)
     groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
-    errors += recorded_errors(at(config, "recording.env_ids"), num_envs)
+    errors += recorded_errors(at(config, "recording.env_ids"), num_envs) + check_drawn(config)
     return errors + check_agent(config.get("agent"), groups, num_envs)
 
 

@@ -11,6 +11,7 @@ from wheelleg_exp.config.keys import named_section
 from wheelleg_exp.config.problems import UnknownName
 from wheelleg_exp.config.tree import at, section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.rendering.limits import too_many
 
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
@@ -80,6 +81,18 @@ def require_recorded(config: Mapping[str, Any]) -> None:
     """Raise the mistake of a config's recorded environments, of a config that need not have been checked."""
     for error in recorded_errors(at(config, "recording.env_ids"), at(config, "env.num_envs")):
         raise error
+
+
+def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
+    """Return the mistakes of cameras that would draw more environments than they may."""
+    count, sensors = at(config, "env.num_envs"), section_at(config, "env.scene.sensors")
+    limits = {name: node.get("max_num_envs") for name, node in sensors.items() if isinstance(node, Mapping)}
+    found = (
+        too_many(count, limit, f"env.scene.sensors.{name}")
+        for name, limit in limits.items()
+        if isinstance(count, int) and isinstance(limit, int)
+    )
+    return [error for error in found if error is not None]
 
 
 def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:

@@ -10,9 +10,9 @@ import mujoco
 import torch
 
 from wheelleg_exp.constraints import Broken, Count, NonNegative, NotEmpty, Positive, PositiveInterval, relation
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rendering.camera_job import Layer
 from wheelleg_exp.rendering.camera_pictures import CameraPictures
+from wheelleg_exp.rendering.limits import too_many
 from wheelleg_exp.rendering.renderer import NoGraphics
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.engine import Engine
@@ -151,13 +151,8 @@ class Camera(LazySensor):
             ConfigError: there are more environments than the camera may draw.
         """
         super().connect(sim, stream)
-        if sim.num_envs > self._max_num_envs:
-            raise ConfigError(
-                f"{sim.num_envs} environments would be drawn one after another at every reading",
-                key=f"{self.key}.max_num_envs",
-                expected=f"env.num_envs at most {self._max_num_envs}, or a higher limit here; a RayCasterCamera"
-                " measures distances of many",
-            )
+        if mistake := too_many(sim.num_envs, self._max_num_envs, self.key):
+            raise mistake
         self._offset_pos, self._offset_quat = offset_pose(self._offset, sim.device)
         directions = self._pinhole.rays(sim.device)[1]
         self._cosines = directions[:, 0].view(1, *self.image_shape, 1)
