@@ -52,6 +52,18 @@ def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
     assert str(run.path.parent) not in everything  # nothing of where it lay
 
 
+def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_that_length(run):
+    data = json.loads((run.path / "manifest.json").read_text())
+    longer = {"exact": True, "overrides": ["agent.max_iterations=9"]}
+    write_json(run.path / "manifest.json", {**data, "resumes": [{"exact": True, "overrides": []}, longer]})
+    lengths = [word for word in recipe(run)["overrides"] if word.startswith("agent.max_iterations")]
+    assert lengths == ["agent.max_iterations=9"]
+    for other in ({"exact": False, "overrides": []}, {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]}):
+        write_json(run.path / "manifest.json", {**data, "resumes": [other]})
+        with pytest.raises(RunDirectoryError, match="in one go"):
+            recipe(run)
+
+
 def test_a_run_that_was_not_trained_in_one_go_is_no_result(run):
     data = json.loads((run.path / "manifest.json").read_text())
     write_json(run.path / "manifest.json", {**data, "status": "interrupted"})

@@ -19,6 +19,7 @@ FORMAT = 1
 # What a manifest tells of a run, without what belongs to the machine's folders and processes.
 _OF_MANIFEST = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _OF_MANIFEST_TOO = ("init_from", "files", "sha256", "last_ended_by")
+_LENGTH = "agent.max_iterations="
 _OWN = ("run.", "run=", "init_from=", "recording.")  # overrides that say where, not what
 
 
@@ -90,16 +91,24 @@ def read_record(path: Path) -> dict[str, Any]:
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run that it began with.
 
+    A run that was only resumed exactly, perhaps to go on for longer, is what one training of that length makes.
+
     Raises:
-        RunDirectoryError: it was not trained in one go, or began with a run that is not there any more.
+        RunDirectoryError: no one training makes it, or it began with a run that is not there any more.
     """
     data = run.manifest().data
-    if data["resumes"] or data["status"] != "finished":
+    longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
+    exact = all(entry.get("exact") is True for entry in data["resumes"])
+    if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         raise RunDirectoryError(
-            "was not trained in one go", key=run.id, expected="a finished run that has never been resumed"
+            "was not trained in one go",
+            key=run.id,
+            expected="a finished run that has never been resumed, or exactly and with no change but of its length",
         )
     with for_people(run.hydra, "read"):
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
+    if longer:
+        overrides = [*(word for word in overrides if not word.startswith(_LENGTH)), longer[-1]]
     found: dict[str, Any] = {
         "overrides": [word for word in overrides if not word.lstrip("+~").startswith(_OWN)],
         "begins_with": None,
