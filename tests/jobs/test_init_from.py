@@ -95,6 +95,14 @@ def test_the_manifest_says_whose_networks_they_were(begun: RunDirectory, trained
     assert json.loads((begun.asset / "asset.json").read_text())["sources"][facts["kept"]] == digest(kept)
 
 
+def test_the_same_networks_of_two_runs_are_one_file(begun: RunDirectory, trained: Trained, tmp_path):
+    source = copied(trained, tmp_path / "sources")
+    moved = source.path.with_name("another")
+    source.path.rename(moved)
+    run = train(tmp_path / "runs", moved, "agent.max_iterations=1")
+    assert run.manifest().data["init_from"]["kept_sha256"] == begun.manifest().data["init_from"]["kept_sha256"]
+
+
 def test_a_replay_needs_nothing_of_the_other_run(begun: RunDirectory, tmp_path):
     said = wheelleg("replay", begun.path, "--root", tmp_path / "runs")
     assert said.status == 0, said.err

@@ -315,7 +315,7 @@ def _load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
 
 def _load_initial(algorithm: Any, initial: Initial) -> None:
     """Give the networks what a checkpoint's have learned; nothing is drawn, so that all else begins as without."""
-    whose = initial.facts.get("run") or initial.facts.get("checkpoint")
+    whose = initial.facts.get("named") or initial.facts.get("checkpoint")
     wrong = []
     for role in (part for part in initial.parts if part in checkpoint.ROLES):
         has = {name: list(value.shape) for name, value in initial.state[f"{role}_state_dict"].items()}

@@ -46,8 +46,12 @@ class _Source:
 
 
 @contextmanager
-def initial_file(config: Mapping[str, Any], note: Callable[[str], None]) -> Iterator[dict[str, Path]]:
-    """Yield the file of what a training begins with by its name beside the robot; nothing where nothing is named.
+def initial_file(
+    config: Mapping[str, Any], note: Callable[[str], None]
+) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
+    """Yield the file of what a training begins with by its name beside the robot, and whose it is; both may be empty.
+
+    The file does not say whose it is: the same networks of two runs are one file.
 
     Args:
         config: the composed tree, plain.
@@ -58,7 +62,7 @@ def initial_file(config: Mapping[str, Any], note: Callable[[str], None]) -> Iter
             and networks of the config; it names those that do not.
     """
     if config.get(KEY) is None:
-        yield {}
+        yield {}, {}
         return
     with _blamed():
         source = _find(str(config[KEY]), config["run"]["root"])
@@ -68,7 +72,7 @@ def initial_file(config: Mapping[str, Any], note: Callable[[str], None]) -> Iter
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
         path.write_bytes(checkpoint.serialize(kept))
-        yield {INITIAL: path}
+        yield {INITIAL: path}, _whose(source)
 
 
 def kept_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial | None:
@@ -91,13 +95,15 @@ def kept_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial 
     if not isinstance(facts, Mapping):
         raise RunDirectoryError("does not say whose it is", key=str(path), expected="the file that the run has kept")
     parts = [str(part) for part in facts.get("parts") or ()]
-    return Initial(state, tuple(parts), {**facts, "kept": INITIAL, "kept_sha256": sha256(path)})
+    return Initial(
+        state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
+    )
 
 
 def _kept_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
     """Return the part of a checkpoint that is taken over, in the form of a checkpoint, and where it is from."""
     what = _what(config)
-    parts, run = PARTS[what], source.run
+    parts = PARTS[what]
     if "actor" not in config["agent"]:
         raise ConfigError("a student learns from its teacher alone", key=KEY, expected="null, or another agent")
     absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
@@ -108,8 +114,6 @@ def _kept_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, A
             expected="policy, which takes the actor alone",
         )
     facts = {
-        "run": None if run is None else run.id,
-        "task": None if run is None else str(run.manifest().data["task"]),
         "checkpoint": source.path.name,
         "iteration": int(state["iter"]),
         "sha256": sha256(source.path),
@@ -120,6 +124,11 @@ def _kept_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, A
     networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
     networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
     return {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
+
+
+def _whose(source: _Source) -> dict[str, Any]:
+    run = source.run
+    return {} if run is None else {"run": run.id, "task": str(run.manifest().data["task"])}
 
 
 def _what(config: Mapping[str, Any]) -> str:

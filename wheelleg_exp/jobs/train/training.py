@@ -56,6 +56,7 @@ class Recipe:
         source_roots: folders whose source the snapshot keeps, this package's own first.
         asset: the converted robot.
         config_dirs: the user's config folders.
+        begun_with: whose networks it begins with, as far as it is known.
     """
 
     config: dict[str, Any]
@@ -63,6 +64,7 @@ class Recipe:
     source_roots: Sequence[Path]
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
+    begun_with: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
     """
     with composed.placing():
         require_recorded(composed.config)
-        with initial_file(composed.config, display.note) as initial:
+        with initial_file(composed.config, display.note) as (initial, begun_with):
             networks = find_teacher(composed.config) | initial
             asset = prepare_asset(composed.config, composed.asset_roots, networks)
         recipe = Recipe(
@@ -105,6 +107,7 @@ def prepare(composed: Composed, command: Sequence[str], display: Display) -> Tra
             source_roots=source_roots(composed),
             asset=asset,
             config_dirs=composed.config_dirs,
+            begun_with=begun_with,
         )
         trust([*recipe.config_dirs, *recipe.source_roots])
         return start(recipe, command, display)
@@ -138,7 +141,7 @@ def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
         )
         manifest.record(config_dirs=[str(folder) for folder in recipe.config_dirs])
         if (initial := kept_initial(config, recipe.asset)) is not None:
-            manifest.record(init_from=dict(initial.facts))
+            manifest.record(init_from={**recipe.begun_with, **initial.facts})
         sync_folder(directory.path)
     except BaseException:
         if not (directory.path / MANIFEST_NAME).exists():  # nobody could tell what it is
