@@ -126,6 +126,13 @@ VALUES = {
 }
 
 
+def test_a_kernel_of_the_height_costs_what_it_loses_at_the_tolerance():
+    looked_at = case(rewards={"x": term("rewards.base_height_exp", weight=3.0, target_height=0.4, std=0.02)})
+    (item,) = contributions(looked_at)  # 40 mm, twice the deviation
+    assert item.per_episode(looked_at) == pytest.approx(3.0 * math.exp(-4.0) * 10.0)
+    assert item.best == 1.0
+
+
 @pytest.mark.parametrize("target", VALUES)
 def test_what_a_reward_adds_in_an_episode_at_its_tolerance(target):
     settings, value = VALUES[target]

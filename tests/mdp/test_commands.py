@@ -103,6 +103,72 @@ def test_wrong_moments_name_their_key(make_env, change, key):
     assert caught.value.key == f"env.commands.c.{key}"
 
 
+# ---- velocities that sum up their error ----
+
+AXLES = ["left_axle", "right_axle"]
+WHEELS = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": AXLES}
+
+
+def _travel(make_env, v_x=0.3, w_z=0.5, most=(10.0, 10.0), **fields):
+    ranges = {"lin_vel_x": [v_x, v_x], "ang_vel_z": [w_z, w_z]}
+    node = {"resampling_time_range": [9.0, 9.0], "ranges": ranges, "wheel_cfg": WHEELS, "wheel_radius": 0.1}
+    most = {"max_travel_error": most[0], "max_heading_error": most[1]}
+    return _env(make_env, "UniformVelocityTravelCommand", **(node | most | fields))
+
+
+def test_travel_is_what_wheels_and_gyroscope_add_up_to_beyond_the_command(make_env):
+    """Summed up by hand, step by step, from the wheels' mean rate and the yaw rate in the base's axes."""
+    env, term = _travel(make_env)
+    data, expected = env.scene.robot.data, torch.zeros(4, 2)
+    columns = [env.scene.robot.joint_names.index(name) for name in AXLES]
+    push = torch.tensor([[0.0, 0.0, 1.0, -2.0], [0.0, 0.0, 3.0, 3.0], [0.0] * 4, [0.5, 0.1, -1.0, 1.0]])
+    for _ in range(20):
+        env.step(push)
+        rolled = 0.1 * data.joint_vel[:, columns].mean(dim=1)
+        turned = data.root_ang_vel_b[:, 2]
+        expected += torch.stack((rolled - 0.3, turned - 0.5), dim=1) * env.step_dt
+    torch.testing.assert_close(term.travel_error, expected)
+    assert (expected.std(dim=0) > 1e-3).all()  # they do not all do the same
+
+
+def test_travel_is_summed_up_to_a_bound_and_anew_in_each_episode(make_env):
+    env, term = _travel(make_env, v_x=50.0, w_z=-50.0, most=(0.4, 0.2))
+    for _ in range(3):
+        env.step(STILL)
+    assert term.travel_error.tolist() == [pytest.approx([-0.4, 0.2])] * 4
+    env.reset(env_ids=torch.tensor([1, 3]))
+    assert term.travel_error[[1, 3]].tolist() == [[0.0, 0.0]] * 2
+    assert term.travel_error[[0, 2]].tolist() == [pytest.approx([-0.4, 0.2])] * 2
+
+
+def test_travel_is_seen_and_rewarded(make_env):
+    seen = {"_target_": "wheelleg_exp.mdp.observations.travel_error", "command_name": "c"}
+    cost = {"_target_": "wheelleg_exp.mdp.rewards.travel_error_l2", "command_name": "c", "heading_length": 0.5}
+    ranges = {"lin_vel_x": [0.3, 0.3], "ang_vel_z": [0.5, 0.5]}
+    command = {"_target_": C + "UniformVelocityTravelCommand", "resampling_time_range": [9.0, 9.0], "ranges": ranges}
+    command |= {"wheel_cfg": WHEELS, "wheel_radius": 0.1, "max_travel_error": 0.4, "max_heading_error": 0.2}
+    env = make_env(
+        commands={"c": command},
+        observations={"policy": {"terms": {"t": seen}}},
+        rewards={"t": {**cost, "weight": -1.0}},
+        num_envs=4,
+    )
+    env.reset()
+    term = env.command_manager.get_term("c")
+    term.travel_error.copy_(torch.tensor([[0.1, 0.2], [-0.3, 0.0], [0.0, -0.1], [0.4, 0.1]]))
+    expected = torch.tensor([0.01 + 0.01, 0.09, 0.0025, 0.16 + 0.0025])
+    _, reward, *_ = env.step(STILL)
+    torch.testing.assert_close(reward, -expected * env.step_dt)
+    torch.testing.assert_close(env.observation_manager.compute()["policy"][:, -2:], term.travel_error)
+
+
+def test_a_command_that_sums_up_nothing_is_named(make_env):
+    plain = {"_target_": C + "UniformVelocityCommand", "resampling_time_range": [9.0, 9.0], "ranges": {}}
+    seen = {"_target_": "wheelleg_exp.mdp.observations.travel_error", "command_name": "c"}
+    with pytest.raises(ConfigError, match="does not sum up its error"):
+        make_env(commands={"c": plain}, observations={"policy": {"terms": {"t": seen}}})
+
+
 # ---- no command ----
 
 

@@ -73,6 +73,15 @@ def test_height():
     close(rewards.base_height_l2(env, target_height=0.3), [0.04, 0.04])
 
 
+def test_closeness_to_a_height_is_counted_from_the_ground_below():
+    env = fake_env(
+        data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.52], [1.0, 9.0, 0.5]]),
+        ground=lambda xy: torch.where(xy[..., 0] > 5.0, 0.2, 0.16),
+    )
+    reward = rewards.base_height_exp(env, target_height=0.3, std=0.02)
+    close(reward, [1.0, math.exp(-1.0), math.exp(-4.0)])
+
+
 def test_height_over_what_rays_hit():
     env = fake_env(data_root_pos_w=T([[9.0, 9.0, 0.5], [9.0, 9.0, 0.5], [9.0, 9.0, 0.5]]))
     hits = T([[[0.0, 0.0, 0.1], [5.0, 5.0, 0.3]], [[0.0, 0.0, 0.2]] * 2, [[0.0, 0.0, 0.0], [0.0, 0.0, math.inf]]])

@@ -18,6 +18,7 @@ TRACKING = {
     "rewards.track_ang_vel_z_exp": "ang",
     "rewards.track_ang_vel_z_world_exp": "ang",
 }
+CLOSE_HEIGHT = "rewards.base_height_exp"
 HEIGHTS = ("rewards.base_height_l2", "rewards.base_height_over_ground_l2")
 FAILURES = ("rewards.is_terminated", "rewards.is_terminated_term")
 CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.no_desired_contact")
@@ -46,7 +47,7 @@ class Contribution:
     @property
     def best(self) -> float:
         """The term's value, before weight, for a perfect robot."""
-        return (self.value or 0.0) + (self.cost if self.term.kind in TRACKING else 0.0)
+        return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, CLOSE_HEIGHT) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
         """Return what one control step adds: weight times value times the control step."""
@@ -75,6 +76,8 @@ def _contribution(case: Case, term: TermView) -> Contribution:
         return Contribution(term, weight, "one failure", 1.0, 1.0, once=True)
     if term.kind in TRACKING:
         return _tracking(case, term, weight)
+    if term.kind == CLOSE_HEIGHT:
+        return _close_height(case, term, weight)
     known = _SQUARES.get(term.kind)
     if known is None:
         return Contribution(term, weight, "", None)
@@ -87,6 +90,12 @@ def _tracking(case: Case, term: TermView, weight: float) -> Contribution:
     if error == 0.0:
         return Contribution(term, weight, "no error: nothing is commanded", 1.0)
     value = math.exp(-((error / float(term.node["std"])) ** 2))
+    return Contribution(term, weight, text, value, 1.0 - value)
+
+
+def _close_height(case: Case, term: TermView, weight: float) -> Contribution:
+    text, square = _height(case, term)
+    value = math.exp(-square / float(term.node["std"]) ** 2)
     return Contribution(term, weight, text, value, 1.0 - value)
 
 
@@ -159,6 +168,11 @@ def _action_rate(case: Case, _term: TermView) -> tuple[str, float]:
     return f"{ACTION} of a unit on {width} actions", width * ACTION**2
 
 
+def _travel(case: Case, term: TermView) -> tuple[str, float]:
+    most = case.env["commands"].get(str(term.node["command_name"]), {}).get("max_travel_error", 0.0)
+    return f"{1e3 * SHARE * most:.3g} mm, a tenth of what is summed up", (SHARE * most) ** 2
+
+
 def _one(_case: Case, _term: TermView) -> tuple[str, float]:
     return "one body", 1.0
 
@@ -173,6 +187,7 @@ _SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.stand_still_joint_deviation_l1": _deviation,
     "rewards.joint_symmetry_l1": _symmetry,
     "rewards.joint_torques_l2": _torques,
+    "rewards.travel_error_l2": _travel,
     "rewards.action_rate_l2": _action_rate,
     "rewards.action_l2": _action_rate,
     "rewards.action_acceleration_l2": _action_rate,

@@ -3,6 +3,7 @@
 | module | what it offers |
 |---|---|
 | `velocity` | velocities in the base's axes, uniform or normal |
+| `travel` | velocities, and how far the robot is from where they would have brought it |
 | `pose` | places to go to, and poses of a body |
 | `base_pose` | height and tilt of the base |
 | `null` | no command |
@@ -12,6 +13,7 @@
 from wheelleg_exp.mdp.commands.base_pose import UniformBasePoseCommand
 from wheelleg_exp.mdp.commands.null import NullCommand
 from wheelleg_exp.mdp.commands.pose import TerrainBasedPose2dCommand, UniformPose2dCommand, UniformPoseCommand
+from wheelleg_exp.mdp.commands.travel import UniformVelocityTravelCommand
 from wheelleg_exp.mdp.commands.velocity import NormalVelocityCommand, UniformVelocityCommand
 
 __all__ = [
@@ -22,4 +24,5 @@ __all__ = [
     "UniformPose2dCommand",
     "UniformPoseCommand",
     "UniformVelocityCommand",
+    "UniformVelocityTravelCommand",
 ]

@@ -13,7 +13,7 @@ from wheelleg_exp.managers import Env, member
 from wheelleg_exp.mdp.commands.ranges import RangedCommand
 from wheelleg_exp.sim.rotation import wrap_to_pi
 
-_Axis = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"]
+VelocityAxis = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"]
 
 
 def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -44,7 +44,7 @@ class UniformVelocityCommand(RangedCommand):
     def __init__(
         self,
         env: Env,
-        ranges: Mapping[_Axis, Interval | None],
+        ranges: Mapping[VelocityAxis, Interval | None],
         resampling_time_range: PositiveInterval,
         generator: torch.Generator,
         rel_standing_envs: Share = 0.0,
@@ -57,7 +57,7 @@ class UniformVelocityCommand(RangedCommand):
         self.robot = member(env.scene, asset_name, "asset_name")
         if ranges.get("heading") is not None and not heading_command:
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
-        self.take_ranges(ranges, get_args(_Axis))
+        self.take_ranges(ranges, get_args(VelocityAxis))
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
         self._stiffness = heading_control_stiffness

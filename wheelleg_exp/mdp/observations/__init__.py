@@ -51,6 +51,7 @@ from wheelleg_exp.mdp.observations.task import (
     generated_commands,
     last_action,
     remaining_time_s,
+    travel_error,
 )
 
 __all__ = [
@@ -90,4 +91,5 @@ __all__ = [
     "root_link_lin_vel",
     "root_pos_w",
     "root_quat_w",
+    "travel_error",
 ]

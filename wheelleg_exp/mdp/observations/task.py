@@ -10,6 +10,7 @@ import torch
 
 from wheelleg_exp.constraints import NotEmpty, Positive
 from wheelleg_exp.managers import Env
+from wheelleg_exp.mdp.commands.travel import kept_travel_error
 
 
 def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
@@ -22,6 +23,19 @@ def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
 def generated_commands(env: Env, command_name: str) -> torch.Tensor:
     """The present command of a term."""
     return env.command_manager.get_command(command_name)
+
+
+def travel_error(env: Env, command_name: str) -> torch.Tensor:
+    """How far the robot is ahead of its velocity command, m, and turned too far, rad. Not in Isaac Lab.
+
+    Args:
+        env: the environment.
+        command_name: a command that keeps it, ``UniformVelocityTravelCommand``.
+
+    Returns:
+        (N, 2).
+    """
+    return kept_travel_error(env, command_name)
 
 
 def current_time_s(env: Env) -> torch.Tensor:

@@ -44,6 +44,7 @@ from wheelleg_exp.mdp.rewards.joints import (
 )
 from wheelleg_exp.mdp.rewards.root import (
     ang_vel_xy_l2,
+    base_height_exp,
     base_height_l2,
     base_height_over_ground_l2,
     body_lin_acc_l2,
@@ -60,6 +61,7 @@ from wheelleg_exp.mdp.rewards.tracking import (
     track_base_tilt_exp,
     track_lin_vel_xy_exp,
     track_lin_vel_xy_yaw_frame_exp,
+    travel_error_l2,
 )
 from wheelleg_exp.mdp.rewards.wheels import wheel_slip, wheel_spin_in_air_l1
 
@@ -70,6 +72,7 @@ __all__ = [
     "air_time_variance",
     "ang_vel_xy_l2",
     "applied_torque_limits",
+    "base_height_exp",
     "base_height_l2",
     "base_height_over_ground_l2",
     "body_lin_acc_l2",
@@ -106,6 +109,7 @@ __all__ = [
     "track_base_tilt_exp",
     "track_lin_vel_xy_exp",
     "track_lin_vel_xy_yaw_frame_exp",
+    "travel_error_l2",
     "undesired_contacts",
     "upward",
     "wheel_slip",

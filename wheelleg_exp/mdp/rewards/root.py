@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from wheelleg_exp.constraints import Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg
 from wheelleg_exp.mdp.ground import height_over_ground
 
@@ -56,6 +57,21 @@ def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneE
     """(h - target)^2 of the root link's height h above the ground straight below, m^2. Not in Isaac Lab."""
     height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
     return (height - target_height).square()
+
+
+def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-(h - target)^2 / std^2) of the root link's height h above the ground straight below. Not in Isaac Lab.
+
+    Unlike a square it still tells a millimetre from two.
+
+    Args:
+        env: the environment.
+        target_height: m.
+        std: error that leaves 1/e of the reward, m.
+        asset_cfg: the robot.
+    """
+    height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
+    return torch.exp(-((height - target_height) / std).square())
 
 
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from wheelleg_exp.constraints import Positive
+from wheelleg_exp.constraints import NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg
+from wheelleg_exp.mdp.commands.travel import kept_travel_error
 from wheelleg_exp.mdp.ground import height_over_ground
 
 _ROBOT = SceneEntityCfg("robot")
@@ -74,3 +75,15 @@ def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: S
     roll, pitch = torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
     error = (command[:, 1] - roll).square() + (command[:, 2] - pitch).square()
     return torch.exp(-error / std**2)
+
+
+def travel_error_l2(env: Env, command_name: str, heading_length: NonNegative = 0.0) -> torch.Tensor:
+    """Squared distance, m^2, from where the velocity command would have brought the robot. Not in Isaac Lab.
+
+    Args:
+        env: the environment.
+        command_name: a command that keeps the error, ``UniformVelocityTravelCommand``.
+        heading_length: m that a radian of heading counts as.
+    """
+    travel, heading = kept_travel_error(env, command_name).unbind(dim=1)
+    return travel.square() + (heading_length * heading).square()

@@ -11,6 +11,7 @@ SIGNS: Mapping[str, tuple[float, ...]] = {
     "planar_velocity": (1, -1, -1),  # forwards, to the left, yaw rate
     "quaternion": (1, -1, 1, -1),
     "roll_pitch": (-1, 1),
+    "travel": (1, -1),  # forwards, turned
     "place": (1, -1, 1, -1),  # the way to a place, and the turn that is left
     "base_pose": (1, -1, 1),  # height, roll, pitch
     "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
@@ -62,6 +63,7 @@ OF_TERMS: Mapping[str, str] = {
     "joint_pos_sin_cos": "joints_sin_cos",
     "last_action": "actions",
     "generated_commands": COMMAND,
+    "travel_error": "travel",
     "gait_phase": "phases",
     "height_scan": "rays",
     "imu_orientation": "imu_quaternion",
@@ -77,6 +79,7 @@ OF_TERMS: Mapping[str, str] = {
 # Stock commands by the name of their class.
 OF_COMMANDS: Mapping[str, str] = {
     "UniformVelocityCommand": "planar_velocity",
+    "UniformVelocityTravelCommand": "planar_velocity",
     "NormalVelocityCommand": "planar_velocity",
     "UniformPose2dCommand": "place",
     "UniformBasePoseCommand": "base_pose",

@@ -1,0 +1,99 @@
+"""Velocity commands that remember how far the robot is from where they would have brought it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+
+from wheelleg_exp.constraints import Interval, NonNegative, Positive, PositiveInterval, Share
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import Env, SceneEntityCfg, member
+from wheelleg_exp.mdp.commands.velocity import UniformVelocityCommand, VelocityAxis
+
+
+class UniformVelocityTravelCommand(UniformVelocityCommand):
+    """A uniform velocity command that also sums up what the robot has travelled too far or not far enough.
+
+    A policy that sees velocities alone creeps at zero command, by whatever it misjudges of them; one that sees the
+    sum of its error can hold its place, as an integral controller does. The sum is of what a robot can measure:
+    its wheels' rates, which are its speed where they roll, and the yaw rate of its gyroscope. Not in Isaac Lab.
+
+    Args:
+        env: the environment.
+        ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
+        resampling_time_range: shortest and longest time between two draws, s.
+        generator: the term's random stream.
+        wheel_cfg: joints of the wheels; each drives forwards when it turns positively.
+        wheel_radius: of the wheels, m.
+        max_travel_error: up to which travel is summed up, m: what is lost beyond it is not made good.
+        max_heading_error: the same for the heading, rad.
+        rel_standing_envs: share of draws that stand still.
+        rel_heading_envs: share of draws that follow a heading.
+        heading_command: whether headings are drawn at all.
+        heading_control_stiffness: k, 1/s.
+        asset_name: the member of the scene that is commanded.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[VelocityAxis, Interval | None],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        wheel_cfg: SceneEntityCfg,
+        wheel_radius: Positive,
+        max_travel_error: Positive,
+        max_heading_error: Positive,
+        rel_standing_envs: Share = 0.0,
+        rel_heading_envs: Share = 1.0,
+        heading_command: bool = False,
+        heading_control_stiffness: NonNegative = 1.0,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(
+            env,
+            ranges,
+            resampling_time_range,
+            generator,
+            rel_standing_envs,
+            rel_heading_envs,
+            heading_command,
+            heading_control_stiffness,
+            asset_name,
+        )
+        self._wheels = member(env.scene, wheel_cfg.name, "wheel_cfg.name")
+        self._wheel_ids, self._radius = wheel_cfg.joint_ids, wheel_radius
+        self.travel_error = torch.zeros(env.num_envs, 2, device=env.device)  # m and rad; positive is too far
+        # A tuple: tensors among the attributes are state.
+        self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
+
+    def compute(self, dt: float) -> torch.Tensor:
+        """Add this step's error to the sum, then advance the command."""
+        rolled = self._wheels.data.joint_vel[:, self._wheel_ids].mean(dim=1) * self._radius
+        turned = self.robot.data.root_ang_vel_b[:, 2]
+        missed = torch.stack((rolled - self._command[:, 0], turned - self._command[:, 2]), dim=1)
+        (most,) = self._most
+        self.travel_error.add_(missed * dt).clamp_(-most, most)
+        return super().compute(dt)
+
+    def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Begin the sum anew as well."""
+        self.travel_error[env_ids] = 0.0
+        return super().finish_episode(env_ids)
+
+
+def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:
+    """Return the travel error (N, 2), m and rad, of a command that keeps one.
+
+    Raises:
+        ConfigError: the command keeps none.
+    """
+    term = env.command_manager.get_term(command_name)
+    if not isinstance(term, UniformVelocityTravelCommand):
+        raise ConfigError(
+            f"the command '{command_name}' does not sum up its error",
+            key="command_name",
+            expected="a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand",
+        )
+    return term.travel_error
