@@ -53,6 +53,11 @@ ISAAC_LAB_KEYS = {
             "wheel_air",
             "track_lin_vel_xy",
             "track_ang_vel_z",
+            "flat_orientation",
+            "base_height_close",
+            "action_rate",
+            "wheel_torques",
+            "wheel_travel",
         )
     ),
     *(f"Episode_Termination/{term}" for term in ("time_out", "base_contact", "leg_contact", "non_finite_state")),
