@@ -25,7 +25,7 @@ def _task(folder: Path, name: str, text: str) -> None:
 @pytest.mark.parametrize(
     ("words", "key"),
     [
-        ("reward@env.rewards=[alive,lin_vel_z,alive]", "env.rewards.alive"),
+        ("event@env.events=[push_robot,reset_base,push_robot]", "env.events.push_robot"),
         ("+reward@env.rewards=alive", "env.rewards.alive"),
         ("action@env.actions=[leg_pos,leg_pos]", "env.actions.leg_pos"),
         ("termination@env.terminations=[time_out,time_out]", "env.terminations.time_out"),
@@ -41,12 +41,16 @@ def test_a_term_that_is_listed_twice_is_told(words, key):
 
 
 @pytest.mark.parametrize(
-    "entry", ["/reward@env.rewards: [alive]", "override /reward@env.rewards: [lin_vel_z, alive, alive]"]
+    ("entry", "key"),
+    [
+        ("/reward@env.rewards: [alive]", "env.rewards.alive"),
+        ("override /event@env.events: [reset_base, push_robot, push_robot]", "env.events.push_robot"),
+    ],
 )
-def test_a_term_that_a_child_lists_again_is_told_with_its_line(tmp_path, entry):
+def test_a_term_that_a_child_lists_again_is_told_with_its_line(tmp_path, entry, key):
     _task(tmp_path, "again", f"defaults:\n  - stand\n  - {entry}\n  - _self_\n")
     (error,) = _told("task=again", folder=tmp_path)
-    assert error.key == "env.rewards.alive"
+    assert error.key == key
     assert str(error.where).endswith("task/again.yaml:5")
 
 

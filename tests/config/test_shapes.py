@@ -32,7 +32,10 @@ VARIANTS = {
 def test_the_layout_is_that_of_the_built_environments_tensors(task, variant):
     from wheelleg_exp.build import build_env
 
-    composed = compose([f"task={task}", "env.num_envs=3", *VARIANTS[variant]])
+    words = [f"task={task}", "env.num_envs=3", *VARIANTS[variant]]
+    if variant.endswith("others") and task != "stand":  # the tasks' own settings of a term that the list leaves out
+        words.append("env.observations.critic.terms.travel_error=null")
+    composed = compose(words)
     found = shapes(composed)
     env = build_env(composed.config)
     observations, _ = env.reset()

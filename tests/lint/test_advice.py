@@ -261,7 +261,9 @@ def test_all_that_is_recommended_on_the_stock_task_can_be_written(capsys):
         return json.loads(capsys.readouterr().out)["findings"]
 
     before = findings()
-    advised = [f for f in before if f["advice"] and "init_state" not in f["key"] and "push" not in f["key"]]
+    # What torques cost goes with the effort limits, which are among what is recommended.
+    apart = ("init_state", "push", "wheel_torques")
+    advised = [f for f in before if f["advice"] and not any(part in f["key"] for part in apart)]
     assert len(advised) > 8
     words = [f"++{key}={value}".replace(" ", "") for f in advised for key, value in f["advice"][0].items()]
     after = {(f["rule"], f["key"]) for f in findings(*words)}
