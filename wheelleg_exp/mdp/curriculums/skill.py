@@ -66,7 +66,7 @@ class command_levels_by_skill(TermBase):
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
         self._sums = torch.zeros(shape, device=env.device)  # score, still and steps of the present episodes
-        self._total = torch.zeros(shape[:2], dtype=torch.float64, device=env.device)  # of those that have ended
+        self._total = torch.zeros(shape[:2], device=env.device)  # of those that have ended
         self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)  # begun since the last growth
         self._ended = 0
         self._streak = dict.fromkeys(self._names, 0)
