@@ -175,8 +175,8 @@ def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
     assert v.ranges == {"lin_vel_x": [-0.25, 0.4], "lin_vel_y": [-0.1, 0.1], "ang_vel_z": [-1.0, 1.0]}
     assert extras["log"]["Curriculum/c/lin_vel_x"] == 0.4
     assert float(v.command[:, 0].min()) >= -0.25
-    for _ in range(3):
-        for _ in range(50):
+    for steps in (50, 50, 50, 10, 92):  # the last is good, and is looked at together with those before it
+        for _ in range(steps):
             env.step(STILL)
         env.reset()
     assert v.ranges["lin_vel_x"] == [-0.25, 0.4]

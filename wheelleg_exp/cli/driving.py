@@ -47,8 +47,6 @@ def run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | No
 
     wish = Wish(run, checkpoint, args.overrides, args.scene, args.script, args.command)
     with ConsoleDisplay(quiet=True) as display, _page(args, run) as page:
-        if page is not None:
-            display.note(f"drive it at {page.url}  (Ctrl-C, or Finish in the page, ends the drive)")
         drives = drive(wish, display, page)
     if args.json:
         documents = [{"folder": str(made.folder), "figures": made.figures} for made in drives]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -83,6 +84,17 @@ def test_what_cannot_be_driven_is_told(run, script):
         assert said.status == 2
         assert "--drive or --script FILE" in said.err
     assert not run.play.exists() or not list(run.play.iterdir())
+
+
+@pytest.mark.train
+@pytest.mark.parametrize("absent", ["viser", "mjviser"])
+def test_a_page_without_its_extra_says_what_to_install(run, monkeypatch, absent):
+    monkeypatch.setitem(sys.modules, absent, None)
+    said = wheelleg("play", "latest", "--drive", "--port", "0", *RANGES)
+    assert said.status == 2
+    assert absent in said.err
+    assert 'pip install "wheelleg_exp[drive]"' in said.err
+    assert not run.play.exists()
 
 
 @pytest.mark.train

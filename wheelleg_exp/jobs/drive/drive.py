@@ -31,8 +31,8 @@ from wheelleg_exp.user_code import ending_as
 class Face(Protocol):
     """What shows a drive to the one who drives, and lets them ask."""
 
-    def open(self, session: DriveSession, choice: Choose, push: float) -> None:
-        """Show a drive that begins, of a checkpoint on a ground, with pushes of so many m/s."""
+    def open(self, session: DriveSession, choice: Choose, push: float) -> str:
+        """Show a drive that begins, of a checkpoint on a ground, with pushes of so many m/s; return where it is."""
 
     def show(self, status: Status) -> None:
         """Show how it stands."""
@@ -137,7 +137,8 @@ def _recorded(
     recording = prepared.recording(folder, wish.command) if tree["recording"]["enabled"] else None
     with recording or nullcontext():
         if face is not None:
-            face.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
+            where = face.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
+            display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
         following = _Driver(session, script, tree["drive"], display, face, stop).run()
         content = {
             **prepared.about,

@@ -21,7 +21,7 @@ from wheelleg_exp.jobs.drive.hands import SLOW, Hands
 from wheelleg_exp.jobs.drive.session import DriveSession, Status
 from wheelleg_exp.recording.writing.feed import LOOPBACK
 
-_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 9.0  # as seen from the base, in heights of it
+_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5  # as seen from the base, in heights of it
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
 
@@ -69,8 +69,14 @@ class DrivePage:
         """What a browser opens."""
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
-    def open(self, session: DriveSession, choice: Choose, push: float) -> None:
-        """Show a drive that begins: its robot, its ground, what can be asked of it, and pushes of so many m/s."""
+    def open(self, session: DriveSession, choice: Choose, push: float) -> str:
+        """Show a drive that begins: its robot, its ground, what can be asked of it; return the page's address.
+
+        Args:
+            session: the drive.
+            choice: the checkpoint and the ground.
+            push: the push of a key or a button, m/s.
+        """
         self._session, self._hands.push = session, push
         self._controls = self._hands.controls = session.controls
         self._data = mujoco.MjData(session.env.scene.sim.model)
@@ -81,6 +87,7 @@ class DrivePage:
         self._look_from()
         self._build(choice)
         _run_in_page(self._server, self._hands.javascript())
+        return self.url
 
     def show(self, status: Status) -> None:
         """Show how the drive stands."""
