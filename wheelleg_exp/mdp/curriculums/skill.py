@@ -108,7 +108,8 @@ class command_levels_by_skill(TermBase):
 
     def _judge(self, env: Env) -> None:
         ranges, grown = self._ranges(env), False
-        for axis, (score, still, steps) in zip(self._names, self._total.T.tolist(), strict=True):
+        for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
+            score, still, steps = map(float, total)
             if steps - still <= 0.0:  # nobody was told to move
                 continue
             self._skill[axis] = (score - still) / (steps - still)
