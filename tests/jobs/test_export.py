@@ -278,6 +278,7 @@ def test_a_network_that_the_runner_does_not_know_is_refused_by_name(run, key, va
 
 
 VARIANTS = {
+    "missed_command": ["task=walk"],
     "no_history": [
         "env.observations.policy.history_length=0",
         "action@env.actions=[leg_pos_delayed,wheel_vel]",
@@ -312,7 +313,7 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
     words = [*TINY, "agent.max_iterations=1", "recording.enabled=false", f"run.root={tmp_path / 'runs'}"]
     said = wheelleg("train", *words, *VARIANTS[variant])
     assert said.status == 0, said.err
-    (path,) = (tmp_path / "runs" / "stand").iterdir()
+    (path,) = (tmp_path / "runs").glob("*/*")
     made = exported(RunDirectory.open(path, tmp_path))
     worst = runner.check(made.folder)
     assert max(worst[name] for name in ("observations", "actions", "targets")) <= 1e-6
@@ -325,6 +326,10 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
         assert spec["actions"][0]["trained_with"] == {"delay_steps": [0, 2]}
         assert "action `leg_pos_delayed`: 0 to 2 physics steps of 8.333 ms late" in text
         assert "observation `joint_pos_rel_late`: 0 to 2 physics steps" in text
+    elif variant == "missed_command":
+        (term,) = (t for t in spec["observations"][0]["terms"] if t["name"] == "travel_error")
+        assert (term["joint_names"], term["wheel_radius"]) == (["l03", "r03"], pytest.approx(0.02, rel=0.05))
+        assert term["needs"] == ["joint_vel", "base_ang_vel", "commands.base_velocity"]
     else:
         assert spec["actions"][0]["alpha"] == pytest.approx([0.3] * 4)
 

@@ -13,6 +13,7 @@ from wheelleg_exp.jobs.export.readings import COMMANDS
 from wheelleg_exp.managers import SceneEntityCfg, Term
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.mdp import modifiers, observations
+from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
 from wheelleg_exp.terms.binding import TARGET
 
 Spec = dict[str, Any]
@@ -143,6 +144,27 @@ def _within_limits(env: ManagerBasedRLEnv, term: Term) -> Spec:
     return {"function": "within_limits", "reading": "joint_pos", **joints, **span}
 
 
+def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
+    name = term.params["command_name"]
+    command: Any = env.command_manager.get_term(name)
+    if type(command) is not UniformVelocityTravelCommand:
+        kind = type(command).__name__
+        message = f"a runner does not know how a '{kind}' sums up its error"
+        raise ConfigError(message, key=term.path, expected="a UniformVelocityTravelCommand")
+    ids = torch.arange(len(env.scene.robot.joint_names))[command._wheel_ids].tolist()
+    most = command._most[0].tolist()
+    return {
+        "function": "travel_error",
+        "needs": ["joint_vel", "base_ang_vel", f"{COMMANDS}{name}"],
+        "columns": ids,
+        "joint_names": [env.scene.robot.joint_names[i] for i in ids],
+        "command": f"{COMMANDS}{name}",
+        "wheel_radius": command._radius,
+        "max_travel_error": most[0],
+        "max_heading_error": most[1],
+    }
+
+
 def _last_action(env: ManagerBasedRLEnv, term: Term) -> Spec:
     manager, chosen = env.action_manager, term.params.get("action_name")
     start, columns = 0, {}
@@ -174,6 +196,7 @@ _KNOWN: dict[Any, Callable[[ManagerBasedRLEnv, Term], Spec]] = {
         "reading": f"{COMMANDS}{term.params['command_name']}",
     },
     observations.last_action: _last_action,
+    observations.travel_error: _travel_error,
     observations.current_time_s: lambda _env, _term: {"function": "time"},
     observations.remaining_time_s: lambda env, _term: {
         "function": "remaining_time",
