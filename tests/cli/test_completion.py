@@ -56,7 +56,7 @@ OFFERED = {
     "wheelleg train env.rewards.alive=": ["env.rewards.alive=null"],
     "wheelleg train ~env.events.pu": ["~env.events.push_robot", "~env.events.push_robot."],
     "wheelleg train 'env.decim": ["env.decimation="],
-    "wheelleg train reward@env.rewards=[alive] env.rewards.": ["env.rewards.alive."],
+    "wheelleg train termination@env.terminations=[time_out] env.terminations.": ["env.terminations.time_out."],
     "wheelleg explain env.sim.d": ["env.sim.device", "env.sim.dt"],
     "wheelleg explain robo": ["robot"],
     "wheelleg list r": ["runs"],

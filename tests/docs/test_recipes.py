@@ -73,13 +73,13 @@ def env(folder: Path, *overrides: str) -> dict[str, Any]:
 
 
 def test_a_term_is_added(folder):
-    rewards = env(folder, "+reward@env.rewards=action_rate")["rewards"]
-    assert list(rewards) == [*STAND["rewards"], "action_rate"]
+    rewards = env(folder, "+reward@env.rewards=action_acceleration")["rewards"]
+    assert list(rewards) == [*STAND["rewards"], "action_acceleration"]
     own = env(folder, "+env.rewards.effort={_target_: wheelleg_exp.mdp.rewards.joint_torques_l2, weight: -0.001}")
     assert list(own["rewards"]) == [*STAND["rewards"], "effort"]
     smooth = env(folder, "task=smooth")["rewards"]
-    assert list(smooth) == [*STAND["rewards"], "action_rate"]
-    assert smooth["action_rate"]["weight"] == -0.02
+    assert list(smooth) == [*STAND["rewards"], "action_acceleration"]
+    assert smooth["action_acceleration"]["weight"] == -0.02
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from jobs.small import Trained, cache_of, trained_once
 
 from foreign.trial import SECRET, VARIABLE, Trial
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.jobs import play
+from wheelleg_exp.jobs import run_policy
 from wheelleg_exp.jobs.train import training
 from wheelleg_exp.report import drawings
 from wheelleg_exp.report.blocks import Plot
@@ -55,7 +55,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
     monkeypatch.setattr(drawings, "_plot", lambda panel, prefix: Plot("", panel.title))
-    monkeypatch.setattr(play, "compose", once)
+    monkeypatch.setattr(run_policy, "compose", once)
     monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
 
 

@@ -220,7 +220,7 @@ def _request(*overrides: str, digest: str = "") -> Request:
 def _ended(request: Request, stop: StopRequest) -> tuple[int, dict]:
     reader, writer = os.pipe()
     events = child.Events(writer)
-    status = child._ended(events, lambda: sweep_job._train(events, request.line(), stop))
+    status = child._ended(events, lambda: sweep_job.train(events, request.line(), stop))
     os.close(writer)
     with os.fdopen(reader) as lines:
         return status, json.loads(lines.read().splitlines()[-1])

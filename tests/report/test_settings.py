@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 def test_an_override_is_told_with_both_values(page, root):
     text = page(make_run(root, ["env.rewards.base_height.weight=-30"])).section("settings")
     assert "2 overrides on the command line: task=stand env.rewards.base_height.weight=-30" in text
-    told = "env.rewards.base_height.weight -50.0 -30 override env.rewards.base_height.weight=-30"
+    told = "env.rewards.base_height.weight -1000.0 -30 override env.rewards.base_height.weight=-30"
     assert told in text
 
 
@@ -28,12 +28,12 @@ def test_a_run_without_overrides_differs_in_nothing(page, root):
 
 
 def test_terms_that_an_override_removed_or_added_name_it(page, root):
-    run = make_run(root, ["~env.events.push_robot", "+reward@env.rewards=action_rate"])
+    run = make_run(root, ["~env.events.push_robot", "+reward@env.rewards=action_acceleration"])
     text = page(run).section("settings")
     assert "env.events.push_robot" in text
     assert "not there override ~env.events.push_robot" in text
-    assert "env.rewards.action_rate not there" in text
-    assert "weight: -0.01} override +reward@env.rewards=action_rate" in text
+    assert "env.rewards.action_acceleration not there" in text
+    assert "weight: -0.005} override +reward@env.rewards=action_acceleration" in text
 
 
 def test_another_robot_names_the_file_that_set_its_values(page, root):
@@ -74,4 +74,4 @@ def test_overrides_that_no_longer_compose_leave_the_values(page, root):
     run = make_run(root, ["env.rewards.base_height.weight=-30"])
     write_text(run.hydra / "overrides.yaml", json.dumps(["env.rewards.gone.weight=1"]))
     text = page(run).section("settings")
-    assert "env.rewards.base_height.weight -50.0 -30 the configs of that time" in text
+    assert "env.rewards.base_height.weight -1000.0 -30 the configs of that time" in text

@@ -10,7 +10,7 @@ import dataclasses
 import inspect
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from wheelleg_exp.config import schema
@@ -58,7 +58,7 @@ class Slot:
     """
 
     annotation: Any = Any
-    default: Any = REQUIRED
+    default: Any = field(default_factory=lambda: REQUIRED)  # as a default it would mean none to `inspect`
     meaning: str = ""
     reader: str = ""
 

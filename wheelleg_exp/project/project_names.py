@@ -48,7 +48,8 @@ def _problem(name: str) -> str | None:
 
 
 def _stock(name: str) -> str | None:
-    for file in sorted(configs_dir().rglob("*.yaml")):
+    files = sorted(configs_dir().rglob("*.yaml"))
+    for file in sorted(files, key=lambda path: path.parent.name != "task"):  # a task is what one would run into
         if file.stem == name:
             return file.relative_to(configs_dir()).with_suffix("").as_posix()
     return None

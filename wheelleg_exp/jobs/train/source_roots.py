@@ -101,7 +101,9 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    return [path.resolve() for path in found if path.is_absolute() and path.exists()]
+    # A system's sitecustomize is a link in the standard library to somewhere else.
+    own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
+    return [path.resolve() for path in own if path.exists()]
 
 
 def _python_folders() -> list[Path]:
