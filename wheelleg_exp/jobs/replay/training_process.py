@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from wheelleg_exp.errors import EXIT_INPUT, Interrupted, RunDirectoryError, SimulationFailure, WheellegError
-from wheelleg_exp.jobs.processes import Child, Event, listen
+from wheelleg_exp.jobs.heard_process import HeardProcess
+from wheelleg_exp.jobs.processes import Child
 from wheelleg_exp.jobs.replay import boot as replay_boot
 from wheelleg_exp.jobs.replay.snapshot_training import Request
 from wheelleg_exp.jobs.stop import StopRequest
 
-_WAIT_S = 0.2
-_PATIENCE_S = 10.0
-
 
 @dataclass
-class TrainingProcess:
+class TrainingProcess(HeardProcess):
     """A training from a snapshot in a process of its own; left, it has ended.
 
     Args:
@@ -39,40 +34,13 @@ class TrainingProcess:
     folder: Path
     stop: StopRequest
 
-    def __enter__(self) -> Self:
+    def _start(self) -> Child:
         # -P: nothing of the working folder is imported. The code is handed over as text, so that no file of this
         # version is among the process's modules.
         code = Path(replay_boot.__file__).read_text(encoding="utf-8")
         places = json.dumps({name: str(folder) for name, folder in self.places.items()})
         program = (sys.executable, "-P", "-c", code, places)
-        self._child = Child(program, self.request.line(), self.environ, self.folder)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End what still runs: politely, then at once, then by force."""
-        try:
-            self._end(self._child.ask_to_stop, 0.0 if self.stop.requested else _PATIENCE_S)
-            self._end(self._child.interrupt, _PATIENCE_S)
-        finally:
-            self._child.kill()
-            self._child.process.wait()
-            self._child.close()
-
-    def events(self) -> Iterator[Event]:
-        """Yield what it tells; its lines for people come as ``note``.
-
-        Raises:
-            WheellegError: it failed, with the exit status that it had.
-            Interrupted: it was stopped.
-        """
-        while self._child.open:
-            if self.stop.requested:
-                self._child.ask_to_stop()
-            for _, event in listen([self._child], _WAIT_S):
-                yield event
-        self._require_finished(self._child.process.wait())
+        return Child(program, self.request.line(), self.environ, self.folder)
 
     def _require_finished(self, status: int) -> None:
         ended = self._child.ended
@@ -85,12 +53,3 @@ class TrainingProcess:
             message = f"the training from the snapshot failed: {ended['error']['message']}"
             kind: type[WheellegError] = RunDirectoryError if status == EXIT_INPUT else SimulationFailure
             raise kind(message)
-
-    def _end(self, act: Callable[[], None], patience_s: float) -> None:
-        if self._child.process.poll() is not None:
-            return
-        act()
-        deadline = time.monotonic() + patience_s
-        while self._child.process.poll() is None and time.monotonic() < deadline:
-            for _ in listen([self._child], 0.05):  # it may have to be heard before it can end
-                pass
