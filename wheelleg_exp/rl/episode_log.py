@@ -68,11 +68,13 @@ class EpisodeLog:
 
     Args:
         num_envs: number of environments, N.
+        device: where the environments' tensors are.
     """
 
-    def __init__(self, num_envs: int) -> None:
-        self._return = torch.zeros(num_envs)
-        self._length = torch.zeros(num_envs)
+    def __init__(self, num_envs: int, device: torch.device | str = "cpu") -> None:
+        self._return = torch.zeros(num_envs, device=device)
+        self._length = torch.zeros(num_envs, device=device)
+        self._ended: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
         self._returns: deque[float] = deque(maxlen=_EPISODES)
         self._lengths: deque[float] = deque(maxlen=_EPISODES)
         self._values: defaultdict[str, list[float]] = defaultdict(list)
@@ -87,17 +89,20 @@ class EpisodeLog:
             self._non_finite.update(keys)
         if extras.get("log_is_fresh"):
             self._pending.append(extras["log"])
-            ids = dones.nonzero().squeeze(1)
-            self._returns.extend(self._return[ids].tolist())
-            self._lengths.extend(self._length[ids].tolist())
-            self._return[ids] = 0.0
-            self._length[ids] = 0.0
+            done = dones > 0
+            self._ended.append((done, self._return.clone(), self._length.clone()))
+            self._return.masked_fill_(done, 0.0)
+            self._length.masked_fill_(done, 0.0)
 
     def _take_pending(self) -> None:
         for log in self._pending:
             for key, value in log.items():
                 self._values[key].append(float(value))
         self._pending.clear()
+        for done, returns, lengths in self._ended:
+            self._returns.extend(returns[done].tolist())
+            self._lengths.extend(lengths[done].tolist())
+        self._ended.clear()
 
     def collect(self) -> dict[str, float]:
         """Return the scalars since the last call: means over the reset batches, and over the last episodes."""
@@ -131,4 +136,5 @@ class EpisodeLog:
         self._lengths = deque(saved["lengths"], maxlen=_EPISODES)
         self._values = defaultdict(list, {key: list(values) for key, values in saved["values"].items()})
         self._pending.clear()
+        self._ended.clear()
         self._non_finite = Counter(saved["non_finite"])

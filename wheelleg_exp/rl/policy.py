@@ -26,7 +26,7 @@ def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPMo
         RunDirectoryError: the checkpoint is damaged or does not fit the environment.
     """
     state = checkpoint.load(path)
-    policy = build_algorithm(env, {**agent, "device": "cpu"}).get_policy()
+    policy = build_algorithm(env, {**agent, "device": str(env.env.device)}).get_policy()
     try:
         policy.load_state_dict(checkpoint.policy_state(state))
     except (RuntimeError, TypeError, AttributeError) as error:

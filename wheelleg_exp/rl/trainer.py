@@ -113,7 +113,7 @@ class Trainer:
             _load_teacher(self.algorithm, teacher)
         if initial is not None:
             _load_initial(self.algorithm, initial)
-        self.log = EpisodeLog(env.num_envs)
+        self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
 
     def learn(self, until: int) -> Iterator[Iteration]:
@@ -151,7 +151,7 @@ class Trainer:
         observations = self.env.get_observations().to(self.device)
         failed = FailureCount(self.env.num_envs, self._agent)
         for _ in range(self.num_steps):
-            actions = self.algorithm.act(observations).to("cpu")
+            actions = self.algorithm.act(observations).to(self.env.env.device)
             require_finite_actions(self.env.env, actions)
             with no_global_draws("torch"):
                 observations, rewards, dones, extras = self.env.step(actions)

@@ -24,7 +24,7 @@ class RslRlVecEnv(VecEnv):
         self.num_envs = env.num_envs
         self.num_actions = env.action_manager.total_action_dim
         self.max_episode_length = env.max_episode_length
-        self.device = "cpu"
+        self.device = str(env.device)
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
         self.mirror: Any = None  # what rsl_rl's symmetry asks for images

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import torch
@@ -34,7 +34,7 @@ class Engine(Kept, ABC):
             ``WRENCHES``.
     """
 
-    exact: ClassVar[bool]
+    exact: bool
     model: mujoco.MjModel
     num_envs: int
     device: torch.device
@@ -45,8 +45,9 @@ class Engine(Kept, ABC):
     asked: set[str]
 
     def constant(self, name: str) -> torch.Tensor:
-        """Return a copy of a field of the compiled model, as MuJoCo has it."""
-        return torch.from_numpy(getattr(self.model, name).copy()).to(self.device)
+        """Return a copy of a field of the compiled model, as MuJoCo has it; numbers with a point in ``dtype``."""
+        field = torch.from_numpy(getattr(self.model, name).copy())
+        return field.to(self.device, self.dtype if field.is_floating_point() else None)
 
     @abstractmethod
     def view(self, name: str) -> torch.Tensor:

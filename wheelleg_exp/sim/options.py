@@ -24,8 +24,9 @@ class SimOptions:
     """The solver (``env.sim``), in MuJoCo's terms.
 
     Attributes:
-        engine: what simulates: ``mujoco`` is MuJoCo's batch on the CPU, which repeats to the bit.
-        device: where the engine's tensors are.
+        engine: what simulates: ``mujoco`` is MuJoCo's batch on the CPU, which repeats to the bit; ``warp`` is
+            mujoco-warp, in single precision, on a GPU, or on the CPU for tests.
+        device: where the engine's tensors are: ``cpu``, or ``cuda:0`` and so on for the engine ``warp``.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.
         integrator: MuJoCo integrator.
@@ -36,10 +37,15 @@ class SimOptions:
         tolerance: solver tolerance at which iterations end early.
         impratio: frictional to normal constraint impedance.
         nthread: physics threads; 0 takes one for each core that the process may use. It never changes a result.
+        nconmax: engine ``warp``: contacts that there is room for, a simulation on average, since all share one room; 0
+            works it out of the model. More than that is an error.
+        njmax: engine ``warp``: constraint rows that each simulation has room for; 0 works it out of the model and
+            ``nconmax``. More than that is an error.
+        graph: engine ``warp`` on a GPU: whether a physics step is launched as one CUDA graph, which changes no number.
     """
 
-    engine: Literal["mujoco"]
-    device: Literal["cpu"]
+    engine: Literal["mujoco", "warp"]
+    device: str
     dt: Positive
     gravity: Annotated[Sequence[float], Length(3)]
     integrator: Literal["euler", "rk4", "implicit", "implicitfast"]
@@ -50,6 +56,9 @@ class SimOptions:
     tolerance: NonNegative
     impratio: Positive
     nthread: Natural
+    nconmax: Natural = 0
+    njmax: Natural = 0
+    graph: bool = True
 
 
 @dataclass(frozen=True)
