@@ -1,6 +1,7 @@
 """Development sessions. They share the one environment that `make setup` makes: run them as `.venv/bin/nox`."""
 
 import importlib.util
+import os
 import sys
 import sysconfig
 from pathlib import Path
@@ -49,6 +50,25 @@ def lint(session: nox.Session) -> None:
 def typecheck(session: nox.Session) -> None:
     """Check types."""
     _python(session, "mypy")
+
+
+@nox.session
+def gpu(session: nox.Session) -> None:
+    """Run the tests of the engine on mujoco-warp on a GPU; say what is lacking where there is none."""
+    _require_gpu(session)
+    _python(session, "pytest", "-p", "no:xdist", "tests/sim/warp", *session.posargs)
+
+
+def _require_gpu(session: nox.Session) -> None:
+    """Let the engine's tests run on a GPU; skip the session, and say why, where there is none."""
+    lacking = [name for name in ("warp", "mujoco_warp") if importlib.util.find_spec(name) is None]
+    if lacking:
+        session.skip(f"there is no {' and no '.join(lacking)}: pip install 'wheelleg_exp[gpu]'")
+    import torch
+
+    if not torch.cuda.is_available():
+        session.skip(f"torch {torch.__version__} sees no GPU: `nox -s tests` runs the same tests on Warp's CPU device")
+    os.environ.setdefault("WHEELLEG_TEST_DEVICE", "cuda:0")
 
 
 @nox.session(venv_backend="virtualenv")

@@ -1,0 +1,269 @@
+"""How close a full ``env.step`` on mujoco-warp comes to bare mujoco-warp, and what a training iteration takes.
+
+    python benchmarks/gpu_throughput.py [--num-envs 512 4096 16384] [--steps 200] [--device cuda:0] [--json FILE]
+        [--train] [--profile] [overrides ...]
+
+Blocks of environment steps alternate with bare physics steps of the same model, room, states and controls, as many a
+control step as the environment makes, in one CUDA graph. ``--train`` adds iterations of the task's own algorithm,
+``--profile`` the kernels of one environment step and the waits of the host for the device. On ``--device cpu`` it runs
+with few environments, to be tried.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.threads import prepare_threads
+
+prepare_threads()
+
+import torch  # noqa: E402  (thread variables come first)
+
+from wheelleg_exp.build import build_env  # noqa: E402
+from wheelleg_exp.config.composing.compose import compose  # noqa: E402
+from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
+from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
+
+BLOCK = 20  # steps between the two
+WARM_UP = 30
+
+
+def now(device: torch.device) -> float:
+    """Return the time at which all that was launched is done, s."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+class Bare:
+    """mujoco-warp alone: the physics steps of one control step, in one graph on a GPU."""
+
+    def __init__(self, env: ManagerBasedRLEnv) -> None:
+        engine = env.scene.sim
+        assert isinstance(engine, WarpEngine)
+        self._engine, self._env = engine, env
+        self._wp, mjw = engine._wp, engine._mjw
+        room, place = engine.room, engine._graphs.place
+        with self._wp.ScopedDevice(place):
+            model = mjw.put_model(engine.model)
+            model.opt.warn_overflow = 0
+            model.opt.contact_sensor_maxmatch = engine._m.opt.contact_sensor_maxmatch
+            self.data = mjw.make_data(engine.model, nworld=env.num_envs, nconmax=room.contacts, njmax=room.rows)
+
+            def steps() -> None:
+                for _ in range(env.decimation):
+                    mjw.step(model, self.data)
+
+            self._steps, self._graph = steps, None
+            self.take_states()
+            steps()
+            if env.device.type == "cuda":
+                with self._wp.ScopedCapture(place) as capture:
+                    steps()
+                self._graph = capture.graph
+
+    def take_states(self) -> None:
+        """Begin from where the environments are, with their controls."""
+        for name in ("qpos", "qvel", "ctrl", "xfrc_applied", "qacc_warmstart"):
+            self._wp.to_torch(getattr(self.data, name)).view_as(self._engine.view(name)).copy_(self._engine.view(name))
+
+    def step(self) -> None:
+        """Make the physics steps of one control step."""
+        if self._graph is None:
+            with self._wp.ScopedDevice(self._engine._graphs.place):
+                self._steps()
+        else:
+            self._wp.capture_launch(self._graph)
+
+
+def actions(env: ManagerBasedRLEnv, steps: int) -> list[torch.Tensor]:
+    """Return small random actions, so that episodes end at many different times."""
+    generator = torch.Generator().manual_seed(0)
+    shape = (env.num_envs, env.action_manager.total_action_dim)
+    return [(0.3 * torch.randn(shape, generator=generator)).to(env.device) for _ in range(min(steps, 2 * BLOCK))]
+
+
+def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
+    """Return seconds a step in ``env.step`` and in bare physics, taken in turn: medians of blocks."""
+    bare, todo = Bare(env), actions(env, WARM_UP)
+    full_times, bare_times = [], []
+    with torch.inference_mode():
+        for index in range(WARM_UP):
+            env.step(todo[index % len(todo)])
+        for _ in range(max(1, steps // BLOCK)):
+            bare.take_states()
+            start = now(env.device)
+            for index in range(BLOCK):
+                env.step(todo[index % len(todo)])
+            middle = now(env.device)
+            for _ in range(BLOCK):
+                bare.step()
+            end = now(env.device)
+            full_times.append((middle - start) / BLOCK)
+            bare_times.append((end - middle) / BLOCK)
+    return sorted(full_times)[len(full_times) // 2], sorted(bare_times)[len(bare_times) // 2]
+
+
+def parts(env: ManagerBasedRLEnv, steps: int) -> dict[str, float]:
+    """Return milliseconds a step by part; the device is waited for behind each, so the sum is more than a step."""
+    spent: dict[str, float] = {}
+
+    def timed(owner: Any, name: str, label: str) -> None:
+        function = getattr(owner, name)
+
+        def wrapper(*args: Any, **kwargs: Any) -> Any:
+            start = now(env.device)
+            try:
+                return function(*args, **kwargs)
+            finally:
+                spent[label] = spent.get(label, 0.0) + now(env.device) - start
+
+        setattr(owner, name, wrapper)
+
+    timed(env.scene.sim, "step", "physics")
+    timed(env.scene, "update", "sensors")
+    timed(env.scene, "write_data_to_sim", "actuators")
+    timed(env.action_manager, "process_action", "actions")
+    timed(env.action_manager, "apply_action", "actions")
+    timed(env.termination_manager, "compute", "terminations")
+    timed(env.reward_manager, "compute", "rewards")
+    timed(env, "_reset_idx", "resets")
+    timed(env.command_manager, "compute", "commands")
+    timed(env.event_manager, "apply_interval", "interval events")
+    timed(env.scene, "refresh", "refresh after resets")
+    timed(env.observation_manager, "compute", "observations")
+    todo = actions(env, steps)
+    with torch.inference_mode():
+        for index in range(steps):
+            env.step(todo[index % len(todo)])
+    return {label: 1e3 * value / steps for label, value in sorted(spent.items(), key=lambda item: -item[1])}
+
+
+def profile(env: ManagerBasedRLEnv) -> dict[str, Any]:
+    """Return how many kernels one step launches, and where the host waits for the device."""
+    todo, count = actions(env, BLOCK), 5
+    with torch.inference_mode(), torch.profiler.profile() as seen:
+        for index in range(count):
+            env.step(todo[index])
+        now(env.device)
+    on_device = [e for e in seen.events() if e.device_type == torch.autograd.DeviceType.CUDA]
+    copies = [e for e in on_device if "memcpy" in e.name.lower()]
+    waits: list[str] = []
+    if env.device.type == "cuda":
+        torch.cuda.set_sync_debug_mode("warn")
+        with torch.inference_mode(), warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            env.step(todo[0])
+        torch.cuda.set_sync_debug_mode("default")
+        waits = [f"{Path(w.filename).name}:{w.lineno}" for w in told]
+    launches = sum(
+        e.count for e in seen.key_averages() if e.key in ("cudaLaunchKernel", "cuLaunchKernel", "cudaLaunchKernelExC")
+    )
+    graphs = sum(e.count for e in seen.key_averages() if "GraphLaunch" in e.key)
+    return {
+        "kernels": len(on_device) / count,
+        "copies": len(copies) / count,
+        "launches": launches / count,
+        "graph_launches": graphs / count,
+        "waits": waits,
+    }
+
+
+def train(overrides: list[str], num_envs: int, device: str, iterations: int) -> dict[str, float]:
+    """Return seconds of the rollout and of the update of an iteration, medians, and environment steps/s."""
+    from wheelleg_exp.rl.trainer import Trainer
+    from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+    composed = compose([*overrides, f"env.num_envs={num_envs}", f"agent.device={device}"])
+    env = build_env(composed.config, asset_roots=composed.asset_roots)
+    trainer = Trainer(RslRlVecEnv(env, composed.config["agent"].get("clip_actions")), composed.config["agent"], 0)
+    collected, learned = [], []
+    for done in trainer.learn(until=iterations):
+        if done.index >= min(3, iterations - 1):
+            collected.append(done.scalars["Perf/collection_time"])
+            learned.append(done.scalars["Perf/learning_time"])
+    rollout, update = (sorted(times)[len(times) // 2] for times in (collected, learned))
+    steps = trainer.num_steps * num_envs
+    return {"rollout_s": rollout, "update_s": update, "env_steps_per_s": steps / (rollout + update)}
+
+
+def machine(device: torch.device) -> dict[str, Any]:
+    """Return what it ran on."""
+    found: dict[str, Any] = {"python": platform.python_version(), "torch": torch.__version__}
+    for name in ("mujoco", "mujoco_warp", "warp"):
+        found[name] = __import__(name).__version__
+    found["device"] = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor()
+    return found
+
+
+def measure(num_envs: int, args: argparse.Namespace) -> dict[str, Any]:
+    """Measure one size and print it."""
+    overrides = ["env.sim.engine=warp", f"env.sim.device={args.device}", *args.overrides]
+    composed = compose([*overrides, f"env.num_envs={num_envs}"])
+    start = time.perf_counter()
+    env = build_env(composed.config, asset_roots=composed.asset_roots)
+    env.reset()
+    engine = env.scene.sim
+    assert isinstance(engine, WarpEngine)
+    full, bare = paired(env, args.steps)
+    result: dict[str, Any] = {
+        "num_envs": num_envs,
+        "env_ms": 1e3 * full,
+        "bare_ms": 1e3 * bare,
+        "env_steps_per_s": num_envs / full,
+        "bare_env_steps_per_s": num_envs / bare,
+        "ratio": bare / full,
+        "first_s": time.perf_counter() - start,
+        "room": [engine.room.contacts, engine.room.rows],
+        "contacts": int(engine._d.nacon.numpy()[0]) / num_envs,
+        "most_rows": int(engine._d.nefc.numpy().max()),
+    }
+    if env.device.type == "cuda":
+        result["memory_gb"] = (torch.cuda.mem_get_info()[1] - torch.cuda.mem_get_info()[0]) / 1e9
+    print(f"\n{num_envs} environments, decimation {env.decimation}")
+    print(f"  env.step  {result['env_ms']:8.3f} ms  {result['env_steps_per_s']:12,.0f} environment steps/s")
+    print(f"  bare      {result['bare_ms']:8.3f} ms  {result['bare_env_steps_per_s']:12,.0f}")
+    print(f"  ratio     {result['ratio']:8.3f}     (1 is mujoco-warp alone)")
+    print("  " + ", ".join(f"{k} {result[k]}" for k in ("room", "contacts", "most_rows", "first_s")), flush=True)
+    if args.profile:
+        result["profile"] = profile(env)
+        result["parts_ms"] = parts(env, BLOCK)
+        print("  one step: " + ", ".join(f"{k} {v}" for k, v in result["profile"].items()))
+        for label, value in result["parts_ms"].items():
+            print(f"    {label:24s} {value:8.3f} ms", flush=True)
+    if args.train:
+        result["train"] = train(overrides, num_envs, args.device, args.iterations)
+        words = ", ".join(f"{name} {value:,.3f}" for name, value in result["train"].items())
+        print(f"  training: {words}", flush=True)
+    return result
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--num-envs", type=int, nargs="+", default=[512, 4096, 16384])
+    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--train", action="store_true")
+    parser.add_argument("--iterations", type=int, default=10, help="of each training")
+    parser.add_argument("--profile", action="store_true")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("overrides", nargs="*")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    found = {"machine": machine(torch.device(args.device)), "sizes": []}
+    print(found["machine"])
+    for num_envs in args.num_envs:
+        found["sizes"].append(measure(num_envs, args))
+    if args.json:
+        args.json.write_text(json.dumps(found, indent=2))
+
+
+if __name__ == "__main__":
+    main()
