@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "wheelleg_exp"
 NAME = PACKAGE.name
 # From the ground up; those of one line may import one another.
 LAYERS = (
-    ("errors", "paths", "files", "plain_yaml", "constraints", "memory", "threads", "reading", "progress"),
+    ("errors", "paths", "files", "plain_yaml", "constraints", "memory", "threads", "torchrun", "reading", "progress"),
     ("user_code", "trusted_folders"),
     ("packages", "definitions"),
     ("terms",),

@@ -5,15 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from wheelleg_exp.errors import WheellegError, nearest_name, printable
+from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, WheellegError, nearest_name, printable
 from wheelleg_exp.files import dump_json, json_plain
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.provenance import Source
+    from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.rl.ranks import Ranks
+
+    First = Callable[[argparse.Namespace, StopRequest, Ranks], int]
+    Other = Callable[[argparse.Namespace, StopRequest, Ranks], None]
 
 
 class UsageError(WheellegError):
@@ -125,3 +130,30 @@ def source_document(source: Source) -> dict[str, Any]:
         "line": source.line,
         "override": source.override,
     }
+
+
+def together(first: First, other: Other, args: argparse.Namespace, stop: StopRequest) -> int:
+    """Carry a command out as one of the processes that torchrun has started; return the exit status.
+
+    Args:
+        first: what the first process does.
+        other: what each of the others does; it prints nothing.
+        args: the command's words.
+        stop: asks to stop.
+
+    Raises:
+        WheellegError: in the first process, or where another one is gone.
+    """
+    from wheelleg_exp.rl.rank_errors import ToldByFirst
+    from wheelleg_exp.rl.ranks import joined
+
+    with joined() as ranks:
+        if ranks.first:
+            return first(args, stop, ranks)
+        try:
+            other(args, stop, ranks)
+        except KeyboardInterrupt:
+            return EXIT_INTERRUPTED
+        except ToldByFirst as error:
+            return error.exit_code
+        return EXIT_OK

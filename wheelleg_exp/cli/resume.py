@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, add_root
+from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, together
 from wheelleg_exp.cli.printing.outcome import tell_trained, train_on
+from wheelleg_exp.torchrun import require_alone, world_size
 
 if TYPE_CHECKING:
     from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.rl.ranks import Ranks
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,10 +33,10 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs.stop import StopRequest
 
     with StopRequest() as stop:
-        return _resume(args, stop)
+        return together(_resume, _follow, args, stop) if world_size() > 1 else _resume(args, stop)
 
 
-def _resume(args: argparse.Namespace, stop: StopRequest) -> int:
+def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
     from wheelleg_exp.run.directory import RunDirectory
     from wheelleg_exp.run.pipeline_index import find_pipeline
 
@@ -42,16 +44,27 @@ def _resume(args: argparse.Namespace, stop: StopRequest) -> int:
     if pipeline is not None:
         from wheelleg_exp.cli.pipeline import resume_pipeline
 
+        require_alone("pipeline")
         return resume_pipeline(args, pipeline, stop)
     directory = RunDirectory.open(args.run, args.root)
 
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import shown
     from wheelleg_exp.jobs.resume import resume
+    from wheelleg_exp.rl.ranks import ALONE
 
     with ConsoleDisplay(quiet=True) as display:
-        stop.check()
+        stop.check(ranks.any(stop.requested) if ranks else None)
         display.note(f"run directory: {shown(directory.path)}")
-        ready = resume.prepare(directory, args.overrides, args.command, display, args.config_dirs)
+        ready = resume.prepare(directory, args.overrides, args.command, display, args.config_dirs, ranks or ALONE)
         results = train_on(ready, display, stop)
     return tell_trained(directory, results, as_json=args.json)
+
+
+def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
+    """Go on with the first process."""
+    from wheelleg_exp.jobs.resume.others import follow
+    from wheelleg_exp.jobs.train.follow import run
+
+    stop.check(ranks.any(stop.requested))
+    run(*follow(ranks, args.config_dirs), stop)

@@ -28,10 +28,14 @@ class StopRequest:
         self.requested = False
         self._before: dict[signal.Signals, signal._HANDLER] = {}
 
-    def check(self) -> None:
-        """Raise ``Interrupted`` when a stop was asked for."""
+    def check(self, agreed: bool | None = None) -> None:
+        """Raise ``Interrupted`` when a stop was asked for.
+
+        Args:
+            agreed: whether processes that stop together have been asked, where there are several.
+        """
         self._listen()  # imported code may have put handlers of its own in place
-        if self.requested:
+        if self.requested if agreed is None else agreed:
             raise Interrupted
 
     def __enter__(self) -> StopRequest:

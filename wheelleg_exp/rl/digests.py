@@ -7,7 +7,7 @@ kinds, shapes and bytes count, and nothing else: two states have equal digests w
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 
 _LENGTH = 16  # hexadecimal digits: an unnoticed difference has a chance of 5e-20
-_LABELS = ("format_version", "iter", "infos")
+_LABELS = ("format_version", "iter", "infos", "ranks")
 
 
 def of_state(state: Mapping[str, Any]) -> dict[str, str]:
@@ -29,9 +29,20 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
 
     ``parameters`` are the networks, ``optimizer`` its state with the learning rate, ``environment`` all of the
     environment but its random streams, ``streams`` those and torch's, ``log`` the running episode sums, and
-    ``rest`` whatever else there is.
+    ``rest`` whatever else there is. Of a training by several processes they are over the parts of all.
     """
-    return {name: tree_digest(part) for name, part in _parts(state).items()}
+    first = {name: tree_digest(part) for name, part in _parts(state).items()}
+    return joined(first, [of_state(other) for other in state.get("ranks") or ()])
+
+
+def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """Return the digests of the first process's parts with those of the others' parts of the same names."""
+    if not others:
+        return dict(first)
+    return {
+        name: tree_digest([digest, *(one[name] for one in others)]) if name in others[0] else digest
+        for name, digest in first.items()
+    }
 
 
 def tree_digest(tree: Any) -> str:

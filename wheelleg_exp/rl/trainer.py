@@ -27,6 +27,8 @@ from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
 from wheelleg_exp.rl.one_thread import one_thread
 from wheelleg_exp.rl.options import require_agent
+from wheelleg_exp.rl.rank_errors import communicating, is_communication, left
+from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.step_means import StepMeans
 from wheelleg_exp.rl.symmetry.mirror import Mirror, options_of
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -89,6 +91,7 @@ class Trainer:
         seed: the run's seed.
         teacher: the checkpoint whose policy teaches, of a distillation.
         initial: what the networks begin with; what explores and what is simulated begin anew.
+        ranks: the processes that train together; the others must have a trainer as well.
 
     Raises:
         ConfigError: rsl_rl refuses the section, or the teacher or the initial networks do not fit it.
@@ -101,14 +104,16 @@ class Trainer:
         seed: int,
         teacher: Mapping[str, Any] | None = None,
         initial: Initial | None = None,
+        ranks: Ranks = ALONE,
     ) -> None:
         self.env = env
+        self.ranks = ranks
         self.device = str(agent["device"])
         self.num_steps = int(agent["num_steps_per_env"])
         self.iteration = 0
         self._agent = dict(agent)
-        torch.manual_seed(stream_seed(seed, "agent"))
-        self.algorithm = build_algorithm(env, agent)
+        torch.manual_seed(stream_seed(ranks.seed(seed), "agent"))
+        self.algorithm = build_algorithm(env, agent, ranks)
         if teacher is not None:
             _load_teacher(self.algorithm, teacher)
         if initial is not None:
@@ -119,19 +124,27 @@ class Trainer:
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.
 
+        Where several processes train together, all of them must ask for each iteration. What the first yields is of
+        all: scalars are means, steps are sums.
+
         Raises:
             SimulationFailure: numbers were not finite: observations, actions, what an event wrote, a loss, a parameter,
                 or physics and rewards in more environments than may be (``agent.max_non_finite``).
         """
         self.algorithm.train_mode()
+        if self.ranks.together:
+            self.algorithm.broadcast_parameters()
         while self.iteration < until:
             start = time.perf_counter()
-            with self._told(), no_global_draws("numpy", "python"):
+            with self.ranks.agreed(), self._told(), no_global_draws("numpy", "python"):
                 self._collect()
             collected = time.perf_counter()
             with self._told():
                 losses = self.algorithm.update()
-            self._require_sane(losses)
+            with self.ranks.agreed():
+                self._require_sane(losses)
+            if self.ranks.together:
+                self._share_buffers()
             learned = time.perf_counter()
             scalars = self.log.collect() | self._means.collect()
             scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
@@ -141,7 +154,8 @@ class Trainer:
             scalars["Perf/total_fps"] = steps / (learned - start)
             scalars["Perf/collection_time"] = collected - start
             scalars["Perf/learning_time"] = learned - collected
-            done = Iteration(self.iteration, scalars, steps)
+            scalars = self.ranks.merged(scalars, ("Perf/collection_time", "Perf/learning_time"))
+            done = Iteration(self.iteration, scalars, steps * self.ranks.size)
             self.iteration += 1
             yield done
 
@@ -164,6 +178,14 @@ class Trainer:
         with one_thread():
             self.algorithm.compute_returns(observations)
 
+    def _share_buffers(self) -> None:
+        """Give all processes the first's running means of observations: each has seen its own samples alone."""
+        networks = [getattr(self.algorithm, role) for role in checkpoint.roles_of(self.algorithm)]
+        rnd = getattr(self.algorithm, "rnd", None)
+        with communicating():
+            for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
+                torch.distributed.broadcast(buffer, src=0)
+
     @contextmanager
     def _told(self) -> Iterator[None]:
         """Tell of an error in rsl_rl or in a network: numbers that have grown too large end in many ways."""
@@ -175,6 +197,8 @@ class Trainer:
         except (WheellegError, ImportError):
             raise
         except Exception as error:
+            if self.ranks.together and is_communication(error):
+                raise left() from error
             self._require_sane({}, error)
             raise SimulationFailure(
                 f"learning fails in iteration {self.iteration}: {in_words(error).splitlines()[0]}",
@@ -254,7 +278,7 @@ class Trainer:
         return state
 
 
-def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Any:
+def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = ALONE) -> Any:
     """Build rsl_rl's algorithm from the ``agent`` section.
 
     Raises:
@@ -287,7 +311,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Any:
         env.mirror = Mirror(env.env, options, groups, str(agent["device"]))
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
-    config["multi_gpu"] = None
+    config["multi_gpu"] = ranks.for_rsl_rl()
     make_classes_importable(config)
     try:
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):

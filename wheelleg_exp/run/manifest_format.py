@@ -62,6 +62,7 @@ _MANIFEST = {
     "recording_unfinished": Maybe(str),
     "replay_of": Maybe(str),
     "replay": Maybe(dict),
+    "ranks": Maybe({"world_size": int, "backend": Maybe(str), "seeds": Maybe(list)}),
 }
 
 

@@ -40,11 +40,18 @@ def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     """Refuse a snapshot that is not, byte for byte, what the manifest recorded.
 
     Raises:
-        RunDirectoryError: a file of it is missing, changed, or not the run's own; or the manifest itself was changed.
+        RunDirectoryError: a file of it is missing, changed, or not the run's own; the manifest itself was changed; or
+            several processes have trained the run.
     """
     if manifest.seal_holds() is False:
         raise RunDirectoryError(
             "the manifest is not what the run wrote", where=str(run.path / MANIFEST_NAME), expected="an unchanged run"
+        )
+    processes = int((manifest.data.get("ranks") or {}).get("world_size", 1))
+    if processes > 1:
+        raise RunDirectoryError(
+            f"run '{run.id}' was trained by {processes} processes, and a replay trains with one",
+            expected="'wheelleg train' again with the recorded command under torchrun, and 'wheelleg verify A B'",
         )
     recorded = {name: entry for name, entry in manifest.data["files"].items() if name.startswith(SNAPSHOT)}
     absent = next((name for name in _NEEDED if name not in recorded), None)

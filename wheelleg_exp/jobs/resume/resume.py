@@ -12,18 +12,20 @@ from wheelleg_exp.config.problems import join, parts
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.files import read_text, sha256
 from wheelleg_exp.jobs.display import Display
-from wheelleg_exp.jobs.kept_robot import kept_model_digest, kept_robot
+from wheelleg_exp.jobs.kept_robot import kept_model_digest
 from wheelleg_exp.jobs.resume.changes import changed, changed_texts, kept_tree, record
 from wheelleg_exp.jobs.resume.differences import brief, differences_now
 from wheelleg_exp.jobs.resume.drop_past_checkpoint import drop_past_checkpoint
+from wheelleg_exp.jobs.resume.loading import learning_rate_of, load, recipe_of
+from wheelleg_exp.jobs.resume.others import require_as_many, tell_others
 from wheelleg_exp.jobs.resume.point import ResumePoint, find_point, lasting_damage
 from wheelleg_exp.jobs.resume.recomputed import Proof
 from wheelleg_exp.jobs.threads import thread_notes
 from wheelleg_exp.jobs.train import training
-from wheelleg_exp.jobs.train.training import Recipe, Training
+from wheelleg_exp.jobs.train.training import Training
 from wheelleg_exp.packages import join_recorded, left_out, read_project
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.rl import digests
+from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.run.begin import complete, refuse_secrets
 from wheelleg_exp.run.directory import NEEDED, RunDirectory
@@ -41,6 +43,7 @@ def prepare(
     command: Sequence[str],
     display: Display,
     config_dirs: Sequence[Path] = (),
+    ranks: Ranks = ALONE,
 ) -> Training:
     """Bring a run back to its last whole checkpoint, ready for ``training.run``.
 
@@ -52,6 +55,7 @@ def prepare(
         command: the command line, for the manifest.
         display: receives progress.
         config_dirs: the user's config folders; those that the run was made with where none are given.
+        ranks: the processes that go on with it; the others do what ``follow`` says.
 
     Raises:
         WheellegError: the run is being written, is damaged or finished, or an override is wrong. Nothing of the run
@@ -61,7 +65,7 @@ def prepare(
     lock = RunLock(run)
     lock.acquire()
     try:
-        return _prepare(run, overrides, command, display, config_dirs, lock)
+        return _prepare(run, overrides, command, display, config_dirs, lock, ranks)
     except BaseException:
         lock.release()
         raise
@@ -74,34 +78,35 @@ def _prepare(
     display: Display,
     config_dirs: Sequence[Path],
     lock: RunLock,
+    ranks: Ranks,
 ) -> Training:
-    manifest = run.manifest()
-    _require_ended(manifest, display)
-    manifest.settle()
-    _require_snapshot(run, manifest)
-    recorded = manifest.data.get("config_dirs") or _named(manifest)
-    folders = join_recorded(config_dirs, recorded)
-    others = left_out(recorded, folders)
-    kept = kept_tree(run, manifest.data.get("config_variables") or {})
-    with _telling_what_is_left_out(others):
-        tree, changes = changed(kept, overrides)
-    refuse_secrets((), {}, tree, kept)
-    point = find_point(run)
-    _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
-    texts = changed_texts(run, tree, changes, overrides)
-    recipe = Recipe(
-        config=tree,
-        hydra_files={"config.yaml": texts.get(CONFIG) or read_text(run.path / CONFIG)},
-        source_roots=(),
-        asset=kept_robot(run),
-        config_dirs=folders,
-    )
-    with _telling_what_is_left_out(others):
-        trainer, threads = training.build(recipe)
+    with ranks.agreed():
+        manifest = run.manifest()
+        _require_ended(manifest, display)
+        manifest.settle()
+        _require_snapshot(run, manifest)
+        require_as_many(manifest, ranks)
+        recorded = manifest.data.get("config_dirs") or _named(manifest)
+        folders = join_recorded(config_dirs, recorded)
+        others = left_out(recorded, folders)
+        kept = kept_tree(run, manifest.data.get("config_variables") or {})
+        with _telling_what_is_left_out(others):
+            tree, changes = changed(kept, overrides)
+        refuse_secrets((), {}, tree, kept)
+        point = find_point(run)
+        _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
+        texts = changed_texts(run, tree, changes, overrides)
+        recipe = recipe_of(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
+    if ranks.together:
+        tell_others(ranks, run, tree, recorded, point, learning_rate_of(changes))
+    with _telling_what_is_left_out(others), ranks.agreed():
+        trainer, threads = training.build(recipe, ranks)
     if not manifest.data["source"]:  # killed before the first step, while its source was being kept
         roots = [configs_dir().parent, *folders]
         complete(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))
-    why = _loaded(run, trainer, point, changes)
+    with ranks.agreed():
+        why = _loaded(run, trainer, point, changes)
+    why += [reason for reasons in ranks.tell_all([])[1:] for reason in reasons]
     why += lasting_damage(run, manifest, point)
     differences = differences_now(run, threads, folders)
     why += [d.note or f"{d.section} {d.name} was {brief(d.a)} and is {brief(d.b)}" for d in differences]
@@ -219,20 +224,8 @@ def _loaded(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Se
     why = [f"{change['key']} was {brief(change['was'])} and is {brief(change['now'])}" for change in deciding]
     if point.state is None:
         return why
-    trainer.load_state_dict(point.state)
-    _set_learning_rate(trainer, changes)
-    wanted, found = digests.of_state(point.state), digests.of_state(trainer.state_dict())
-    lost = [name for name in wanted if wanted[name] != found.get(name)]
-    if lost and not deciding:
-        why.append(f"the {', '.join(lost)} after loading are not what was saved")
-    return why
-
-
-def _set_learning_rate(trainer: Trainer, changes: Sequence[Change]) -> None:
-    """Let a changed learning rate act: loading has brought back the checkpoint's."""
-    for change in changes:
-        if change.keys == ("agent", "algorithm", "learning_rate"):
-            trainer.set_learning_rate(float(change.b))
+    lost = load(trainer, point.state, learning_rate_of(changes))
+    return why if deciding else [*why, *lost]
 
 
 # --- telling ---

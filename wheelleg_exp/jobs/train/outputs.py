@@ -22,6 +22,7 @@ from wheelleg_exp.jobs.train.training_recording import TrainingRecording
 from wheelleg_exp.jobs.train.wandb_log import WandbLog
 from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl.rank_states import digests_of_all, whole
 from wheelleg_exp.rl.trainer import Iteration, Trainer
 from wheelleg_exp.run.directory import FAILURE, RunDirectory
 from wheelleg_exp.run.manifest import Manifest
@@ -40,6 +41,9 @@ class Outputs:
         documents: texts that go into the recording, by name.
         events: whether TensorBoard's event files are written.
         wandb: what sends the scalars elsewhere as well, or None.
+
+    Attributes:
+        parted: the first iteration after which processes that train together had not the same networks, or None.
     """
 
     def __init__(
@@ -63,6 +67,7 @@ class Outputs:
         self._films: Films | None = None
         self._state: dict[str, Any] = {}
         self._last: int | None = None
+        self.parted: int | None = None
 
     def __enter__(self) -> Outputs:
         with ExitStack() as opened:
@@ -138,7 +143,9 @@ class Outputs:
                 self._tensorboard.add_scalar(key, value, iteration.index)
             self._tensorboard.flush()
         self._state, self._last = self._trainer.state_dict(), iteration.index
-        found = digests.of_state(self._state)
+        found, equal = digests_of_all(self._trainer.ranks, self._state)
+        if not equal and self.parted is None:
+            self.parted = iteration.index
         line = {
             "iteration": iteration.index,
             "digest_format": digests.FORMAT,
@@ -164,7 +171,7 @@ class Outputs:
         for path in (self._directory.iterations, self._directory.recording, *event_files(self._directory.path)):
             sync(path)
         name = f"model_{iteration}.pt"
-        write_bytes(self._directory.path / name, checkpoint.serialize(self._state))
+        write_bytes(self._directory.path / name, checkpoint.serialize(whole(self._trainer.ranks, self._state)))
         return name
 
     def last_checkpoint(self) -> str | None:

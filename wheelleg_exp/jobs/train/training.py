@@ -34,6 +34,7 @@ from wheelleg_exp.recording.options import RecordingOptions
 from wheelleg_exp.rl import export
 from wheelleg_exp.rl.episode_log import logged
 from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.trainer import Iteration, Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.begin import begin, refuse_secrets
@@ -90,37 +91,50 @@ class Training:
     proof: Proof = field(default_factory=Proof)
 
 
-def prepare(composed: Composed, command: Sequence[str], display: Display) -> Training:
+def prepare(composed: Composed, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:
     """Convert the robot, build environment and networks, and write the run directory's snapshot.
 
     Raises:
         WheellegError: the input is wrong; no run directory has been made.
     """
     with composed.placing():
-        require_recorded(composed.config)
-        with initial_file(composed.config, display.note) as (initial, begun_with):
-            networks = find_teacher(composed.config) | initial
-            asset = prepare_asset(composed.config, composed.asset_roots, networks)
-        recipe = Recipe(
-            config=composed.config,
-            hydra_files=composed.hydra_files(),
-            source_roots=source_roots(composed),
-            asset=asset,
-            config_dirs=composed.config_dirs,
-            begun_with=begun_with,
-        )
-        trust([*recipe.config_dirs, *recipe.source_roots])
-        return start(recipe, command, display)
+        with ranks.agreed():
+            recipe = recipe_of(composed, display)
+        return start(recipe, command, display, ranks)
 
 
-def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
+def recipe_of(composed: Composed, display: Display) -> Recipe:
+    """Find and convert what a composed config names.
+
+    Raises:
+        WheellegError: the input is wrong.
+    """
+    require_recorded(composed.config)
+    with initial_file(composed.config, display.note) as (initial, begun_with):
+        networks = find_teacher(composed.config) | initial
+        asset = prepare_asset(composed.config, composed.asset_roots, networks)
+    recipe = Recipe(
+        config=composed.config,
+        hydra_files=composed.hydra_files(),
+        source_roots=source_roots(composed),
+        asset=asset,
+        config_dirs=composed.config_dirs,
+        begun_with=begun_with,
+    )
+    trust([*recipe.config_dirs, *recipe.source_roots])
+    return recipe
+
+
+def start(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:
     """Build what a recipe says, and write the run directory's snapshot.
 
     Raises:
         WheellegError: the input is wrong; no run directory has been made.
     """
     config, agent = recipe.config, recipe.config["agent"]
-    trainer, threads = build(recipe)
+    with ranks.agreed():
+        trainer, threads = build(recipe, ranks)
+    together = ranks.facts(config)
     env = trainer.env.env
     run = config["run"]
     refuse_secrets(command, recipe.hydra_files, config)
@@ -140,6 +154,8 @@ def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
             max_patch_mb=run.get("max_patch_mb"),
         )
         manifest.record(config_dirs=[str(folder) for folder in recipe.config_dirs])
+        if together is not None:
+            manifest.record(ranks=together)
         if (initial := kept_initial(config, recipe.asset)) is not None:
             manifest.record(init_from={**recipe.begun_with, **initial.facts})
         sync_folder(directory.path)
@@ -152,18 +168,20 @@ def start(recipe: Recipe, command: Sequence[str], display: Display) -> Training:
     return Training(recipe, trainer, directory, manifest, RunLock(directory))
 
 
-def build(recipe: Recipe) -> tuple[Trainer, dict[str, Any]]:
+def build(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, Any]]:
     """Build environment and networks; return the trainer, and what the manifest says of threads."""
-    config, agent = recipe.config, recipe.config["agent"]
+    config = ranks.config(recipe.config)
+    agent = config["agent"]
     require_wandb(agent.get("logger"))
     with no_global_draws():
-        env = ManagerBasedRLEnv(config["env"], recipe.asset.output, config["seed"])
+        env = ManagerBasedRLEnv(config["env"], recipe.asset.output, ranks.seed(config["seed"]))
     require_graphics(env, RecordingOptions(**config["recording"]))
     samples = env.num_envs * int(agent["num_steps_per_env"])
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
     teacher = kept_teacher(recipe.asset) if "teacher" in agent else None
     initial = kept_initial(config, recipe.asset)
-    return Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"], teacher, initial), threads
+    adapted = RslRlVecEnv(env, agent.get("clip_actions"))
+    return Trainer(adapted, agent, config["seed"], teacher, initial, ranks), threads
 
 
 @while_running()
@@ -186,20 +204,21 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
             display.note(f"warning: {outputs.note}")
         if outputs.sent_to:
             display.note(f"scalars and config go to {outputs.sent_to}")
-        stop.check()
+        stop.check(trainer.ranks.any(stop.requested))
         for iteration in _learned(training, outputs, results):
             training.proof.check(iteration.index, outputs.write(iteration))
             display.iteration(iteration, total)
             for line in stuck.take(iteration.index, iteration.scalars):
                 display.note(line)
-            last = stop.requested or iteration.index + 1 == total
+            stopped = trainer.ranks.any(stop.requested)
+            last = stopped or iteration.index + 1 == total
             if last or iteration.index % agent["save_interval"] == 0:
                 results["checkpoint"] = outputs.checkpoint(iteration.index)
             if last:
                 seconds = _seconds(training.earlier) + time.perf_counter() - started
                 results |= {"iterations": iteration.index + 1, "seconds": seconds, **summary(iteration.scalars)}
                 results |= {"stuck_curricula": stuck.now} if stuck.now else {}
-            stop.check()
+            stop.check(stopped)
         export_policy(directory, trainer, agent)
     return results
 
@@ -250,6 +269,8 @@ def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
 
 def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
     training.manifest.record(last_ended_by=dict(training.trainer.env.env.termination_manager.last_endings()))
+    if outputs.parted is not None:
+        display.note(f"warning: from iteration {outputs.parted} on the processes' networks are not equal to the bit")
     if outputs.unfilmed:
         display.note(f"warning: {outputs.unfilmed}")
     unfinished = outputs.unfinished

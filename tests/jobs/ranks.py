@@ -1,0 +1,67 @@
+"""Processes that train together, started as torchrun starts them, without its own process and its table of failures."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from patience import PATIENCE_S
+
+SIZE = 2
+# Each line of the answer is one command's exit status.
+_SCRIPT = """
+import json, os, sys
+from wheelleg_exp.cli.main import main
+
+for words, port in zip(json.loads(sys.argv[1]), json.loads(sys.argv[2]), strict=True):
+    os.environ["MASTER_PORT"] = str(port)
+    print("status", main(words), flush=True)
+"""
+
+
+def start(commands: Sequence[Sequence[str]], folder: Path, script: str = _SCRIPT) -> list[subprocess.Popen[str]]:
+    """Start the processes; each carries out the commands in turn, in ``folder``."""
+    ports = json.dumps(_free_ports(len(commands)))
+    shared = {"WORLD_SIZE": str(SIZE), "LOCAL_WORLD_SIZE": str(SIZE), "MASTER_ADDR": "127.0.0.1"}
+    words = json.dumps([[str(word) for word in command] for command in commands])
+    return [
+        subprocess.Popen(
+            [sys.executable, "-c", script, words, ports],
+            env={**os.environ, **shared, "RANK": str(rank), "LOCAL_RANK": str(rank)},
+            cwd=folder,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        for rank in range(SIZE)
+    ]
+
+
+def end(processes: Sequence[subprocess.Popen[str]]) -> list[tuple[list[int], str, str]]:
+    """Wait for the processes; return the exit statuses, what stood on the output besides, and the errors of each."""
+    found = []
+    try:
+        for process in processes:
+            out, err = process.communicate(timeout=PATIENCE_S)
+            lines = out.splitlines()
+            statuses = [int(line.split()[1]) for line in lines if line.startswith("status ")]
+            found.append((statuses, "\n".join(line for line in lines if not line.startswith("status ")), err))
+    finally:
+        for process in processes:
+            process.kill()
+    return found
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.socket() for _ in range(count)]
+    for each in sockets:
+        each.bind(("127.0.0.1", 0))
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports

@@ -1,0 +1,203 @@
+"""Several processes train one policy: what they learn, what one run directory holds of all, and how they end."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+import torch
+from patience import wait_until
+
+from jobs.ranks import SIZE, end, start
+from jobs.small import TINY, cache_of, wheelleg
+from wheelleg_exp.asset import convert_cached
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.paths import find_asset
+from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl.ranks import Ranks
+from wheelleg_exp.rl.trainer import Trainer
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+pytestmark = pytest.mark.train
+
+FEW = [*TINY, "env.num_envs=4", "agent.save_interval=1", "recording.enabled=false"]
+# One step of gradient descent: weights differ by a multiple of the gradient, and by nothing else.
+DESCENT = [
+    *FEW,
+    "agent.algorithm.optimizer=sgd",
+    "agent.algorithm.schedule=fixed",
+    "agent.algorithm.learning_rate=0.1",
+    "agent.algorithm.num_learning_epochs=1",
+    "agent.algorithm.num_mini_batches=1",
+    "agent.algorithm.max_grad_norm=1e9",
+    "agent.max_iterations=1",
+]
+NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
+TRAIN = ["train", *FEW, *NORMALISED]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Four commands of two processes: three iterations, two, one gradient step, and a third after the two."""
+    folder = tmp_path_factory.mktemp("ranks")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
+        commands = [
+            [*TRAIN, "agent.max_iterations=3", "run.root=straight"],
+            [*TRAIN, "agent.max_iterations=2", "run.root=parts"],
+            ["train", *DESCENT, "run.root=descent"],
+            ["resume", "latest", "agent.max_iterations=3", "--root", "parts", "--json"],
+        ]
+        found = end(start(commands, folder))
+    assert [statuses for statuses, _, _ in found] == [[0] * len(commands)] * SIZE, found
+    (folder / "said.json").write_text(json.dumps(found))
+    return folder
+
+
+def only(root: Path) -> Path:
+    (path,) = (root / "stand").iterdir()
+    return path
+
+
+def manifest(run: Path) -> dict:
+    return json.loads((run / "manifest.json").read_text())
+
+
+def lines(run: Path) -> list[dict]:
+    return [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
+
+
+def alone(rank: int, mjcf: Path) -> Trainer:
+    """Return what one of two processes trains, in this one and by itself."""
+    config, ranks = compose(DESCENT).config, Ranks(rank)
+    env = ManagerBasedRLEnv(config["env"], mjcf, ranks.seed(config["seed"]))
+    return Trainer(RslRlVecEnv(env), config["agent"], config["seed"], ranks=ranks)
+
+
+def weights(trainer: Trainer) -> dict[str, torch.Tensor]:
+    return {
+        f"{role}.{name}": value.detach().clone()
+        for role in ("actor", "critic")
+        for name, value in getattr(trainer.algorithm, role).named_parameters()
+    }
+
+
+def _of(role: str, found: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name.removeprefix(f"{role}."): value for name, value in found.items() if name.startswith(f"{role}.")}
+
+
+def test_the_gradient_is_the_mean_of_what_each_finds_alone(folder, tmp_path_factory):
+    source = find_asset("wheelleg/wheelleg.usda")
+    mjcf = convert_cached(source, cache_dir=cache_of(tmp_path_factory) / "assets").output
+    found: list[dict[str, torch.Tensor]] = []
+    begun: dict[str, torch.Tensor] = {}
+    for rank in range(SIZE):
+        trainer = alone(rank, mjcf)
+        begun = begun or weights(trainer)
+        for role in ("actor", "critic"):  # both begin with the first one's weights
+            network = getattr(trainer.algorithm, role)
+            network.load_state_dict({**network.state_dict(), **_of(role, begun)})
+        list(trainer.learn(until=1))
+        after = weights(trainer)
+        found.append({name: after[name] - begun[name] for name in begun})
+    saved = checkpoint.load(only(folder / "descent") / "model_0.pt")
+    for name, before in begun.items():
+        role, _, key = name.partition(".")
+        moved = saved[f"{role}_state_dict"][key] - before
+        mean = (found[0][name] + found[1][name]) / 2
+        assert not torch.allclose(found[0][name], found[1][name], rtol=0.1)
+        torch.testing.assert_close(moved, mean, rtol=1e-3, atol=2e-7)
+
+
+def test_a_resumed_run_is_the_straight_one_to_the_bit(folder):
+    straight, parts = only(folder / "straight"), only(folder / "parts")
+    for index in range(3):
+        assert (straight / f"model_{index}.pt").read_bytes() == (parts / f"model_{index}.pt").read_bytes()
+    assert [line["digests"] for line in lines(straight)] == [line["digests"] for line in lines(parts)]
+    without_times = [{k: v for k, v in line["scalars"].items() if "Perf/" not in k} for line in lines(straight)]
+    assert without_times == [{k: v for k, v in line["scalars"].items() if "Perf/" not in k} for line in lines(parts)]
+    assert manifest(parts)["resumes"][0]["exact"] is True
+
+
+def test_a_checkpoint_holds_the_environments_and_streams_of_each(folder):
+    run = only(folder / "straight")
+    state = checkpoint.load(run / "model_2.pt")
+    (other,) = state["ranks"]
+    assert set(other) == {"unsaved", "env", "log", "rng"}
+    assert digests.of_state({"env": other["env"]}) != digests.of_state({"env": state["env"]})
+    assert digests.of_state(state) == lines(run)[2]["digests"]
+    tampered = {**state, "ranks": [{**other, "log": {**other["log"], "return": other["log"]["return"] + 1}}]}
+    assert digests.of_state(tampered)["log"] != lines(run)[2]["digests"]["log"]
+
+
+def test_the_manifest_says_who_trained(folder):
+    run = only(folder / "straight")
+    facts = manifest(run)["ranks"]
+    assert (facts["world_size"], facts["backend"], facts["devices"]) == (SIZE, "gloo", ["cpu", "cpu"])
+    assert facts["seeds"][0] == manifest(run)["seeds"][0] == 0
+    assert len(set(facts["seeds"])) == SIZE
+
+
+def test_what_one_process_says_and_writes_is_all(folder):
+    first, other = json.loads((folder / "said.json").read_text())
+    assert json.loads(first[1][first[1].index("\n{") :])["results"]["iterations"] == 3
+    assert other[1:] == ["", ""]
+    names = {path.name for path in only(folder / "descent").iterdir()}
+    assert not [name for name in names if "rank" in name]
+    said = wheelleg("verify", only(folder / "straight"))
+    assert said.status == 0, said.out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("resume",), "was trained by 2 processes and cannot go on with one process"),
+        (("replay",), "was trained by 2 processes, and a replay trains with one"),
+    ],
+)
+def test_what_one_process_cannot_do_is_refused(folder, words, told):
+    run = only(folder / "straight")
+    before = manifest(run)
+    said = wheelleg(*words, run)
+    assert said.status == 2
+    assert told in said.err
+    assert "torchrun" in said.err
+    assert manifest(run) == before
+
+
+@pytest.mark.parametrize("words", [["-m", "seed=1,2"], ["pipeline=default"]])
+def test_what_makes_several_runs_is_refused_under_torchrun(monkeypatch, words):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    said = wheelleg("train", *words)
+    assert said.status == 2
+    assert "torchrun has started 2 processes" in said.err
+
+
+def test_ctrl_c_stops_all_after_one_iteration_and_a_death_ends_the_others(tmp_path):
+    """The second command goes on with what the first one left; in it the second process is killed."""
+    words = ["agent.max_iterations=1000000", "agent.save_interval=1000000"]
+    first, other = start([["train", *FEW, *words], ["resume", "latest", *words]], tmp_path)
+
+    def rows() -> int:
+        return sum(path.read_text().count("\n") for path in tmp_path.glob("runs/stand/*/iterations.jsonl"))
+
+    assert wait_until(lambda: rows() > 1 or first.poll() is not None)
+    first.send_signal(signal.SIGINT)  # the other process is not told
+    run = only(tmp_path / "runs")
+    assert wait_until(lambda: manifest(run)["status"] == "interrupted" or first.poll() is not None)
+    stopped = rows()
+    assert wait_until(lambda: rows() > stopped or first.poll() is not None)
+    other.kill()
+    (statuses, _, err), _ = end([first, other])
+    assert statuses == [130, 3], err
+    assert "another process of the training has ended" in err.splitlines()[-1]
+    facts = manifest(run)
+    assert (run / f"model_{stopped - 1}.pt").is_file()
+    assert (facts["status"], facts["resumes"][0]["iteration"], facts["resumes"][0]["exact"]) == (
+        "failed",
+        stopped,
+        True,
+    )

@@ -1,0 +1,143 @@
+"""What processes that train together tell each other."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+from jobs.ranks import SIZE, end, start
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.streams import stream_seed
+from wheelleg_exp.rl import rank_states
+from wheelleg_exp.rl.ranks import ALONE, Ranks, joined
+
+# Each process says what it has heard; the last word of the first is an error of the second.
+_TALK = """
+import json, os, sys
+os.environ["MASTER_PORT"] = str(json.loads(sys.argv[2])[0])
+import torch
+from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError
+from wheelleg_exp.rl.rank_errors import Left
+from wheelleg_exp.rl.ranks import joined
+
+with joined() as ranks:
+    said = [ranks.any(ranks.rank == 1), ranks.any(False)]
+    said += [ranks.tell_all({"n": ranks.rank}), ranks.said_by_first(str(ranks.rank))]
+    tree = {"x": torch.full((ranks.rank + 1,), float(ranks.rank)), "name": "r" * ranks.rank}
+    said.append([[t["x"].tolist(), t["name"]] for t in ranks.gather(tree)])
+    scalars = {"a": 1.0 + ranks.rank, "Perf/total_fps": 10.0, "Perf/learning_time": 2.0 - ranks.rank,
+               "Diagnostics/non_finite/env.x": 1.0, **({"b": 5.0} if ranks.rank else {})}
+    said.append(ranks.merged(scalars, ["Perf/learning_time"]))
+    for kind, evidence in ((ConfigError, {}), (SimulationFailure, {"qpos": torch.ones(2)})):
+        try:
+            with ranks.agreed():
+                if ranks.rank == 1:
+                    raise kind("is wrong", key="env.x", **({"evidence": evidence} if evidence else {}))
+        except WheellegError as error:
+            kept = getattr(error, "evidence", None)
+            said.append([type(error).__name__, error.message, error.key, getattr(error, "keeps", None), bool(kept)])
+    try:
+        ranks.require_equal({"the config": "a" * (1 + ranks.rank)})
+    except WheellegError as error:
+        said.append([type(error).__name__, str(error)])
+    print(json.dumps(said), flush=True)
+    if ranks.rank == 1:
+        os._exit(7)
+    try:
+        ranks.any(True)
+    except Left as error:
+        print(json.dumps(error.message), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory) -> list[list]:
+    found = end(start([[]], tmp_path_factory.mktemp("ranks"), _TALK))
+    assert all(out for _, out, _ in found), found
+    return [[json.loads(line) for line in out.splitlines()] for _, out, _ in found]
+
+
+def test_they_hear_each_other(said):
+    for (words, *_), rank in zip(said, range(SIZE), strict=True):
+        assert words[:4] == [True, False, [{"n": 0}, {"n": 1}], "0"]
+        assert words[4] == ([[[0.0], ""], [[1.0, 1.0], "r"]] if rank == 0 else [])
+
+
+def test_scalars_are_means_times_the_longest_and_counts_sums(said):
+    assert said[0][0][5] == {
+        "a": 1.5,
+        "Perf/total_fps": 20.0,
+        "Perf/learning_time": 2.0,
+        "Diagnostics/non_finite/env.x": 2.0,
+        "b": 5.0,
+    }
+
+
+def test_the_first_tells_of_anothers_error_and_the_others_are_silent(said):
+    assert said[0][0][6:8] == [
+        ["ConfigError", "is wrong [in process 1]", "env.x", None, False],
+        ["SimulationFailure", "is wrong [in process 1]", "env.x", None, True],
+    ]
+    assert [words[0] for words in said[1][0][6:]] == ["ToldByFirst"] * 3
+    assert [words[3] for words in said[1][0][6:8]] == [False, True]
+
+
+def test_another_config_is_refused(said):
+    kind, message = said[0][0][8]
+    assert kind == "ConfigError"
+    assert message.startswith("the config: process 1 has another than the first")
+
+
+def test_a_process_that_dies_is_noticed(said):
+    assert said[0][1] == "another process of the training has ended"
+
+
+def test_alone_nothing_is_told_and_nothing_changes():
+    assert (ALONE.any(True), ALONE.any(False), ALONE.tell_all([1]), ALONE.said_by_first(2)) == (True, False, [[1]], 2)
+    state = {"x": torch.ones(2)}
+    assert rank_states.whole(ALONE, state) == state
+    assert ALONE.for_rsl_rl() is None
+    assert ALONE.seed(5) == 5
+    with pytest.raises(ConfigError), ALONE.agreed():
+        raise ConfigError("is wrong")
+
+
+def test_the_others_have_streams_of_their_own():
+    assert Ranks(0, 4).seed(5) == 5
+    assert [Ranks(rank, 4).seed(5) for rank in (1, 2)] == [stream_seed(5, "rank/1"), stream_seed(5, "rank/2")]
+
+
+def test_each_process_has_its_own_gpu_and_its_share_of_the_cores(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr("wheelleg_exp.rl.ranks.usable_cores", lambda: 8)
+    config = {"agent": {"device": "cuda"}, "env": {"sim": {"device": "cpu", "nthread": 0}, "num_envs": 3}}
+    own = Ranks(3, 4, 1, 2).config(config)
+    assert own == {"agent": {"device": "cuda:1"}, "env": {"sim": {"device": "cpu", "nthread": 4}, "num_envs": 3}}
+    assert config["agent"] == {"device": "cuda"}
+    assert ALONE.config(config) == config
+    with pytest.raises(ConfigError, match=r"agent\.device: there are 3 processes on this machine and 2 GPUs"):
+        Ranks(2, 3, 2, 3).config(config)
+    one = {**config, "agent": {"device": "cuda:0"}}
+    with pytest.raises(ConfigError, match=r"'cuda:0' is one GPU for 4 processes; expected cuda"):
+        Ranks(3, 4, 1, 2).config(one)
+
+
+def test_variables_that_are_not_torchruns_are_refused(monkeypatch):
+    for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(ConfigError, match="2 processes, and RANK is not set"), joined():
+        pass
+    monkeypatch.setenv("WORLD_SIZE", "many")
+    with pytest.raises(ConfigError, match="WORLD_SIZE: is 'many'"), joined():
+        pass
+
+
+def test_the_parts_of_a_state_are_those_of_each():
+    first = {"actor_state_dict": {"w": torch.ones(1)}, **{key: {"of": 0} for key in rank_states.OWN}}
+    state = {**first, "ranks": [{key: {"of": rank} for key in rank_states.OWN} for rank in (1, 2)]}
+    assert rank_states.of_rank(state, 0) == first
+    assert rank_states.of_rank(state, 2)["env"] == {"of": 2}
+    assert rank_states.of_rank(state, 2)["actor_state_dict"] is first["actor_state_dict"]

@@ -1,0 +1,253 @@
+"""The processes that train one policy together, as torchrun starts them: each simulates environments of its own.
+
+What they tell each other goes over gloo, as JSON or as a checkpoint's bytes, and nothing of it is unpickled. The
+gradients of networks on GPUs go over NCCL.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any
+
+import torch
+import torch.distributed as dist
+
+from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.managers.streams import stream_seed
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.episode_log import SCALAR
+from wheelleg_exp.rl.rank_errors import Left, ToldByFirst, communicating, plain, rebuilt
+from wheelleg_exp.threads import usable_cores
+from wheelleg_exp.torchrun import number, world_size
+
+_PATIENCE = timedelta(minutes=30)  # for a process that converts a robot or compiles kernels while the others wait
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """One process among those that train together; alone, everything here is as if there were no such thing.
+
+    Attributes:
+        rank: its number, from 0; the first writes the run directory.
+        size: how many there are.
+        local: its number among those of this machine.
+        locals: how many of them are on this machine.
+    """
+
+    rank: int = 0
+    size: int = 1
+    local: int = 0
+    locals: int = 1
+
+    @property
+    def first(self) -> bool:
+        """Whether this is the process that writes."""
+        return self.rank == 0
+
+    @property
+    def together(self) -> bool:
+        """Whether there are others."""
+        return self.size > 1
+
+    def seed(self, seed: int) -> int:
+        """Return the seed of this process's streams: the run's own in the first, the stream ``rank/<n>`` in others."""
+        return seed if self.first else stream_seed(seed, f"rank/{self.rank}")
+
+    def config(self, config: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the config that this process builds from: its own GPU in place of ``cuda``, its share of the cores.
+
+        Raises:
+            ConfigError: the config names one GPU for all, or another than this machine has.
+        """
+        if not self.together:
+            return dict(config)
+        agent, env = dict(config["agent"]), dict(config["env"])
+        sim = dict(env["sim"])
+        agent["device"] = self._device("agent.device", str(agent["device"]))
+        sim["device"] = self._device("env.sim.device", str(sim["device"]))
+        if not sim["nthread"]:  # which never changes a number
+            sim["nthread"] = max(1, usable_cores() // self.locals)
+        return {**config, "agent": agent, "env": {**env, "sim": sim}}
+
+    def _device(self, key: str, name: str) -> str:
+        kind, _, number = name.partition(":")
+        if kind != "cuda":
+            return name
+        if number:
+            raise ConfigError(f"'{name}' is one GPU for {self.size} processes", key=key, expected="cuda: one for each")
+        if self.local >= torch.cuda.device_count():
+            raise ConfigError(
+                f"there are {self.locals} processes on this machine and {torch.cuda.device_count()} GPUs",
+                key=key,
+                expected="as many GPUs as torchrun's --nproc-per-node",
+            )
+        return f"cuda:{self.local}"
+
+    def for_rsl_rl(self) -> dict[str, int] | None:
+        """Return what rsl_rl's algorithms read as ``multi_gpu``; None alone."""
+        return {"global_rank": self.rank, "local_rank": self.local, "world_size": self.size} if self.together else None
+
+    def facts(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return what the manifest says of the processes: number, backend, and seed, device and host of each.
+
+        Args:
+            config: the composed tree; of it each process's own devices are told.
+        """
+        if not self.together:
+            return None
+        own = self.config(config)
+        device = str(own["agent"]["device"])
+        mine = {"seed": self.seed(int(config["seed"])), "device": device, "host": socket.gethostname()}
+        each = self.tell_all(mine)
+        backend = "nccl" if device.startswith("cuda") else "gloo"
+        return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
+
+    # --- what they tell each other ---
+
+    def tell_all(self, value: Any) -> list[Any]:
+        """Return the plain values of all processes, in their order."""
+        return [json.loads(content) for content in self._gathered(json.dumps(value).encode(), everywhere=True) or ()]
+
+    def any(self, flag: bool) -> bool:
+        """Return whether the flag of one of them is set."""
+        if not self.together:
+            return flag
+        number = torch.tensor([int(flag)])
+        with communicating():
+            dist.all_reduce(number, op=dist.ReduceOp.MAX)
+        return bool(number.item())
+
+    def said_by_first(self, value: Any) -> Any:
+        """Return the first process's plain value."""
+        return self.tell_all(value if self.first else None)[0]
+
+    def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return the trees of tensors, numbers and text of all processes in the first, nothing in the others."""
+        if not self.together:
+            return [dict(tree)]
+        found = self._gathered(checkpoint.serialize(tree), everywhere=False)
+        return [torch.load(io.BytesIO(content), map_location="cpu", weights_only=True) for content in found]
+
+    def _gathered(self, content: bytes, *, everywhere: bool) -> list[bytes]:
+        if not self.together:
+            return [content]
+        with communicating():
+            sizes = [torch.zeros(1, dtype=torch.long) for _ in range(self.size)]
+            dist.all_gather(sizes, torch.tensor([len(content)]))
+            longest = int(max(sizes))
+            mine = torch.zeros(longest, dtype=torch.uint8)
+            mine[: len(content)] = torch.frombuffer(bytearray(content), dtype=torch.uint8)
+            room = [torch.zeros(longest, dtype=torch.uint8) for _ in sizes] if everywhere or self.first else None
+            if everywhere:
+                dist.all_gather(room, mine)
+            else:
+                dist.gather(mine, room)
+        return [part[: int(size)].numpy().tobytes() for part, size in zip(room or (), sizes, strict=False)]
+
+    @contextmanager
+    def agreed(self) -> Iterator[None]:
+        """Let an error for people in the body of one process end the body of all.
+
+        Raises:
+            WheellegError: in the first, its own or that of the one that has it, with what it failed with.
+            ToldByFirst: in the others.
+        """
+        if not self.together:
+            yield
+            return
+        mine: WheellegError | None = None
+        try:
+            yield
+        except (Left, ToldByFirst):
+            raise
+        except WheellegError as error:
+            mine = error
+        if self.any(mine is not None):
+            self._fail(mine)
+
+    def _fail(self, mine: WheellegError | None) -> None:
+        told = self.gather({"error": plain(mine), "evidence": dict(getattr(mine, "evidence", {}))})
+        rank, found = next(((rank, found) for rank, found in enumerate(told) if found["error"]), (0, {}))
+        keeps = self.said_by_first(bool(found.get("evidence")))
+        if not self.first:
+            raise ToldByFirst(keeps) from mine
+        raise mine or rebuilt(rank, found["error"], found["evidence"])
+
+    def require_equal(self, values: Mapping[str, str]) -> None:
+        """Refuse values that are not the same in all processes.
+
+        Args:
+            values: digests by what they are of.
+        """
+        if not self.together:
+            return
+        told = self.tell_all(dict(values))
+        with self.agreed():
+            for rank, other in enumerate(told):
+                for name in (name for name in values if other[name] != told[0][name]):
+                    raise ConfigError(
+                        f"process {rank} has another than the first", key=name, expected="the same files everywhere"
+                    )
+
+    def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
+        """Return the scalars of all in the first process: means over those that have one, and sums of counts.
+
+        Args:
+            scalars: this process's; the others get them back as they are.
+            times: keys of which the longest counts.
+        """
+        if not self.together:
+            return dict(scalars)
+        told = self.tell_all(dict(scalars)) if self.together else []
+        if not self.first:
+            return dict(scalars)
+        keys = dict.fromkeys(key for one in told for key in one)
+        return {key: _put_together(key, times)([one[key] for one in told if key in one]) for key in keys}
+
+
+ALONE = Ranks()
+
+
+@contextmanager
+def joined() -> Iterator[Ranks]:
+    """Join the processes that torchrun has started, as ``WORLD_SIZE`` and ``RANK`` say; alone where it has not.
+
+    Raises:
+        ConfigError: the variables are not torchrun's.
+    """
+    size = world_size()
+    if size <= 1:
+        yield ALONE
+        return
+    missing = [name for name in ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT") if name not in os.environ]
+    if missing:
+        raise ConfigError(
+            f"there are to be {size} processes, and {missing[0]} is not set",
+            key="WORLD_SIZE",
+            expected="the variables that torchrun sets; or unset it to train with one process",
+        )
+    ranks = Ranks(number("RANK", 0), size, number("LOCAL_RANK", 0), number("LOCAL_WORLD_SIZE", size))
+    gpus = torch.cuda.is_available() and dist.is_nccl_available()
+    with communicating():
+        dist.init_process_group(
+            "cpu:gloo,cuda:nccl" if gpus else "gloo", rank=ranks.rank, world_size=size, timeout=_PATIENCE
+        )
+    if gpus and ranks.local < torch.cuda.device_count():
+        torch.cuda.set_device(ranks.local)
+    yield ranks
+    dist.destroy_process_group()  # after an error the others may be gone, and it would wait for them
+
+
+def _put_together(key: str, times: Sequence[str]) -> Callable[[list[float]], float]:
+    if key in times:
+        return max
+    if key.startswith(SCALAR) or key == "Perf/total_fps":
+        return sum
+    return lambda values: sum(values) / len(values)
