@@ -120,7 +120,9 @@ def test_each_process_has_its_own_gpu_and_its_share_of_the_cores(monkeypatch):
     with pytest.raises(ConfigError, match=r"agent\.device: there are 3 processes on this machine and 2 GPUs"):
         Ranks(2, 3, 2, 3).config(config)
     one = {**config, "agent": {"device": "cuda:0"}}
-    with pytest.raises(ConfigError, match=r"'cuda:0' is one GPU for 4 processes; expected cuda"):
+    assert Ranks(3, 4, 1, 2).config(one) == own
+    one = {**config, "agent": {"device": "cuda:1"}}
+    with pytest.raises(ConfigError, match=r"'cuda:1' is one GPU for 4 processes; expected cuda"):
         Ranks(3, 4, 1, 2).config(one)
 
 

@@ -61,7 +61,7 @@ class Ranks:
         return seed if self.first else stream_seed(seed, f"rank/{self.rank}")
 
     def config(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the config that this process builds from: its own GPU in place of ``cuda``, its share of the cores.
+        """Return the config that this process builds from: its own GPU in place of ``cuda`` or ``cuda:0``, its share of the cores.
 
         Raises:
             ConfigError: the config names one GPU for all, or another than this machine has.
@@ -80,7 +80,7 @@ class Ranks:
         kind, _, number = name.partition(":")
         if kind != "cuda":
             return name
-        if number:
+        if number not in ("", "0"):  # the first GPU of what a process sees as its own
             raise ConfigError(f"'{name}' is one GPU for {self.size} processes", key=key, expected="cuda: one for each")
         if self.local >= torch.cuda.device_count():
             raise ConfigError(
