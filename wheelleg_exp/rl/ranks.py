@@ -61,7 +61,7 @@ class Ranks:
         return seed if self.first else stream_seed(seed, f"rank/{self.rank}")
 
     def config(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the config that this process builds from: its own GPU in place of ``cuda`` or ``cuda:0``, its share of the cores.
+        """Return the config that this process builds from: its own GPU for ``cuda`` or ``cuda:0``, its share of cores.
 
         Raises:
             ConfigError: the config names one GPU for all, or another than this machine has.
