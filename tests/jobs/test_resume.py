@@ -372,6 +372,19 @@ def test_overrides_act_from_there_on_are_recorded_and_end_exactness(run, straigh
     assert "weight: 2.5" in (run / "params" / "env.yaml").read_text()
 
 
+@pytest.mark.parametrize("kind", ["float32", "bfloat16"])
+def test_a_resume_multiplies_as_the_run_did_whatever_the_cpu_has(run, monkeypatch, kind):
+    from wheelleg_exp.rl import trainer
+
+    change_manifest(run, threads={**manifest(run)["threads"], "matmul": kind})
+    monkeypatch.setattr("wheelleg_exp.rl.matmul.has_units", lambda: kind == "float32")
+    used = []
+    monkeypatch.setattr(trainer, "chosen_matmul", lambda agent: used.append(agent["matmul"]) or agent["matmul"])
+    assert resume(run, "agent.max_iterations=6").status == 0
+    assert used == [kind]
+    assert manifest(run)["threads"]["matmul"] == kind
+
+
 def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatch):
     from wheelleg_exp.run.manifest import Manifest
 

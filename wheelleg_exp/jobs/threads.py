@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rl.matmul import chosen_matmul
 from wheelleg_exp.rl.one_thread import SPLIT_ABOVE
 from wheelleg_exp.threads import prepare_threads
 
@@ -49,11 +50,12 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 
     Returns:
         ``torch``, ``interop`` and ``physics`` threads; ``cpu_capability`` and ``device`` of torch; whether the
-        variables of ``prepare_threads`` stood before torch was imported; ``mkl`` as it is in force; ``numerics``; and
-        whether the results are ``independent`` of torch's threads, else ``dependent_because``.
+        variables of ``prepare_threads`` stood before torch was imported; ``mkl`` as it is in force; ``matmul``, what
+        ``agent.matmul`` comes to; ``numerics``; and whether the results are ``independent`` of torch's threads, else
+        ``dependent_because``.
 
     Raises:
-        ConfigError: the number is not a whole number of at least 1.
+        ConfigError: the number is not a whole number of at least 1, or products cannot be what they shall be.
     """
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
@@ -70,6 +72,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
         "device": device,
         "variables_in_time": all(_in_time),
         "mkl": mkl,
+        "matmul": chosen_matmul(agent),
         "numerics": numerics(),
         "independent": not reasons,
         "dependent_because": reasons,

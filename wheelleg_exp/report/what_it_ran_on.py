@@ -18,6 +18,7 @@ _THREADS = {
     "interop": "Threads between torch's operations",
     "cpu_capability": "Instructions that torch uses",
     "device": "Networks on",
+    "matmul": "Products of the update",
 }
 _NUMERICS = {
     "mkldnn": "oneDNN in use",

@@ -46,6 +46,8 @@ class Learning:
     Attributes:
         max_non_finite: episodes that may end in one iteration because a number was not finite, as a share of the
             environments; one always may. It changes no number of a training, only whether it has failed.
+        matmul: in what the networks' products are taken in the update: `float32`, `bfloat16` (weights and sums stay
+            float32), or `auto`: bfloat16 where the CPU has units for it. Acting is float32 in any case.
     """
 
     algorithm: Section
@@ -59,6 +61,7 @@ class Learning:
     logger: Literal["tensorboard", "wandb"] | None = "tensorboard"
     torch_compile_mode: str | None = None
     max_non_finite: NonNegative = 0.1
+    matmul: Literal["auto", "float32", "bfloat16"] = "float32"
 
 
 @dataclass(frozen=True, kw_only=True)

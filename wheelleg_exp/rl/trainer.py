@@ -9,7 +9,7 @@ import math
 import re
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul
 from wheelleg_exp.rl.one_thread import one_thread
 from wheelleg_exp.rl.options import require_agent
 from wheelleg_exp.rl.rank_errors import communicating, is_communication, left
@@ -39,6 +40,7 @@ from wheelleg_exp.user_code import ending_as, in_words, place
 OWN_KEYS = (
     "device",
     "torch_threads",
+    "matmul",
     "max_iterations",
     "save_interval",
     "clip_actions",
@@ -120,6 +122,7 @@ class Trainer:
             _load_initial(self.algorithm, initial)
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
+        self._matmul = chosen_matmul(agent)
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.
@@ -139,7 +142,7 @@ class Trainer:
             with self.ranks.agreed(), self._told(), no_global_draws("numpy", "python"):
                 self._collect()
             collected = time.perf_counter()
-            with self._told():
+            with self._told(), self._products():
                 losses = self.algorithm.update()
             with self.ranks.agreed():
                 self._require_sane(losses)
@@ -185,6 +188,12 @@ class Trainer:
         with communicating():
             for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
                 torch.distributed.broadcast(buffer, src=0)
+
+    def _products(self) -> AbstractContextManager[None]:
+        """Return in what an update multiplies."""
+        if self._matmul == "float32":
+            return nullcontext()
+        return bfloat16_products(getattr(self.algorithm, role) for role in checkpoint.roles_of(self.algorithm))
 
     @contextmanager
     def _told(self) -> Iterator[None]:

@@ -41,6 +41,7 @@ _ALLOWING: dict[str, dict[str, str]] = {
         "cpu_capability": "other vector instructions",
         "device": "another device",
         "mkl": "other kernels of the matrix library",
+        "matmul": "other products in the update (agent.matmul)",
     },
     "environment_variables": {
         name: "other kernels of the matrix libraries"

@@ -76,6 +76,7 @@ KEYS: dict[str, str] = {
     "agent.logger": "tensorboard; wandb also sends scalars and config to Weights & Biases; null for no event files",
     "agent.device": "device of the networks",
     "agent.torch_threads": "threads of torch; recorded in the run",
+    "agent.matmul": "in what the update multiplies: float32 or bfloat16; auto takes bfloat16 where the CPU has units",
     "agent.clip_actions": "bound of the raw actions, null for none",
     "agent.max_non_finite": "episodes that may end in one iteration because a number was not finite, per environment",
     "agent.symmetry": "how the robot is mirrored left to right, null where it is not",

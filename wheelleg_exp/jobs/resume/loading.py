@@ -24,8 +24,14 @@ def recipe_of(run: RunDirectory, tree: dict[str, Any], text: str, folders: Seque
         text: the same as it is kept.
         folders: the user's config folders.
     """
-    hydra_files = {"config.yaml": text}
-    return Recipe(config=tree, hydra_files=hydra_files, source_roots=(), asset=kept_robot(run), config_dirs=folders)
+    return Recipe(
+        config=tree,
+        hydra_files={"config.yaml": text},
+        source_roots=(),
+        asset=kept_robot(run),
+        config_dirs=folders,
+        matmul=(run.manifest().data.get("threads") or {}).get("matmul"),
+    )
 
 
 def load(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:

@@ -58,6 +58,7 @@ class Recipe:
         asset: the converted robot.
         config_dirs: the user's config folders.
         begun_with: whose networks it begins with, as far as it is known.
+        matmul: what ``agent.matmul: auto`` has come to in the run that goes on; None to decide by this CPU.
     """
 
     config: dict[str, Any]
@@ -66,6 +67,7 @@ class Recipe:
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
     begun_with: Mapping[str, Any] = field(default_factory=dict)
+    matmul: str | None = None
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,8 @@ def build(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, Any]
     """Build environment and networks; return the trainer, and what the manifest says of threads."""
     config = ranks.config(recipe.config)
     agent = config["agent"]
+    if recipe.matmul is not None and agent.get("matmul") == "auto":
+        agent = {**agent, "matmul": recipe.matmul}
     require_wandb(agent.get("logger"))
     with no_global_draws():
         env = ManagerBasedRLEnv(config["env"], recipe.asset.output, ranks.seed(config["seed"]))

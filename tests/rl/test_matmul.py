@@ -1,0 +1,209 @@
+"""Products of the update in bfloat16: how exact they are, when they are taken, and that they repeat to the bit."""
+
+from __future__ import annotations
+
+import copy
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+from patience import PATIENCE_S
+from rsl_rl.modules import MLP
+from torch import nn
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.threads import set_threads
+from wheelleg_exp.rl import matmul
+from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, has_units, linear
+
+HALF_STEP = 2.0**-8  # the largest relative error of rounding to bfloat16's 8 bits
+AGENT = {"device": "cpu", "torch_threads": 1, "algorithm": {}, "matmul": "auto"}
+
+
+def drawn(rows=96, inputs=135, outputs=64):
+    generator = torch.Generator().manual_seed(3)
+    x, weight = torch.randn(rows, inputs, generator=generator), torch.randn(outputs, inputs, generator=generator)
+    bias, grad = torch.randn(outputs, generator=generator), torch.randn(rows, outputs, generator=generator)
+    return x, weight / inputs**0.5, bias, grad
+
+
+def rounded(x):
+    """Return float64 numbers that bfloat16 has, by its definition: half a unit of the eighth bit, ties to even."""
+    mantissa, exponent = torch.frexp(x.double())
+    return torch.ldexp((mantissa * 256).round(), exponent - 8)
+
+
+@pytest.fixture
+def units(monkeypatch):
+    """Let the CPU have bf16 units, or not."""
+    monkeypatch.delenv("ONEDNN_MAX_CPU_ISA", raising=False)
+    monkeypatch.delenv("DNNL_MAX_CPU_ISA", raising=False)
+
+    def set_to(there):
+        monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: there)
+
+    return set_to
+
+
+# --- how exact ---
+
+
+def test_a_product_of_rounded_factors_is_rounded_once():
+    x, weight, bias, _ = drawn()
+    exact = rounded(x) @ rounded(weight).t()
+    added_up = rounded(x).abs() @ rounded(weight).abs().t()  # what errors of float32's sums are in proportion to
+    found = linear(x, weight, bias)
+    assert found.dtype == torch.float32
+    error = (found.double() - (exact + bias.double())).abs()
+    assert (error <= HALF_STEP * exact.abs() + 1e-6 * (added_up + bias.abs())).all()
+    assert error.max() > 1e-4, "that was no bfloat16"
+
+
+@pytest.mark.parametrize("elu", [False, True])
+def test_gradients_are_those_of_float64_within_a_few_roundings(elu):
+    x, weight, bias, grad = drawn()
+    leaves = [t.clone().requires_grad_() for t in (x, weight, bias)]
+    linear(*leaves, elu=elu).backward(grad.bfloat16() if elu else grad)
+    exact = [t.double().requires_grad_() for t in (x, weight, bias)]
+    y = exact[0] @ exact[1].t() + exact[2]
+    torch.where(y > 0, y, torch.expm1(y) if elu else y).backward(grad.double())
+    for leaf, other in zip(leaves, exact, strict=True):
+        assert leaf.grad.dtype == torch.float32
+        # Roundings of two factors, the result and the derivative are independent: they add up as their squares do.
+        assert (leaf.grad - other.grad).norm() <= 2 * HALF_STEP * other.grad.norm()
+
+
+def test_elu_is_rounded_from_the_exact_one():
+    x, weight, bias, _ = drawn()
+    y = linear(x, weight, bias).double()
+    exact = torch.where(y > 0, y, torch.expm1(y))
+    found = linear(x, weight, bias, elu=True)
+    assert found.dtype == torch.bfloat16
+    assert ((found.double() - exact).abs() <= HALF_STEP * exact.abs() + 3e-7).all()
+
+
+@pytest.mark.parametrize("activation", ["elu", "tanh", "sigmoid"])
+def test_a_perceptron_has_float32_outputs_and_gradients_and_is_itself_again_afterwards(activation):
+    torch.manual_seed(0)
+    plain = MLP(135, 6, [64, 64], activation)
+    x, low = torch.randn(50, 135), copy.deepcopy(plain)
+    with bfloat16_products([low]):
+        found = low(x)
+    assert found.dtype == torch.float32
+    exact = plain(x)
+    assert not torch.equal(found, exact)
+    assert (found - exact).norm() < 0.01 * exact.norm()
+    for net, y in ((plain, exact), (low, found)):
+        y.square().sum().backward()
+        assert {p.grad.dtype for p in net.parameters()} == {torch.float32}
+    for p, q in zip(low.parameters(), plain.parameters(), strict=True):
+        assert (p.grad - q.grad).norm() < 0.02 * q.grad.norm()
+    assert torch.equal(low(x), exact)
+
+
+def test_small_layers_and_users_own_perceptrons_are_left_alone():
+    class Own(MLP):
+        def forward(self, x):
+            return super().forward(2 * x)
+
+    for net in (MLP(8, 2, [16], "elu"), Own(135, 2, [64], "elu"), nn.Sequential(nn.Linear(135, 64))):
+        x = torch.randn(7, net[0].in_features)
+        exact = net(x)
+        with bfloat16_products([net]):
+            assert torch.equal(net(x), exact)
+
+
+# --- when ---
+
+
+@pytest.mark.parametrize(("there", "found"), [(True, "bfloat16"), (False, "float32")])
+def test_auto_takes_bfloat16_where_the_cpu_has_units(units, there, found):
+    units(there)
+    assert has_units() == there
+    assert chosen_matmul(AGENT) == found
+    assert set_threads(AGENT, 1)["matmul"] == found
+
+
+@pytest.mark.parametrize(("most", "found"), [("AVX2", False), ("AVX512_CORE_VNNI", False), ("avx512_core_amx", True)])
+def test_units_that_onednn_may_not_use_do_not_count(units, monkeypatch, most, found):
+    units(True)
+    monkeypatch.setenv("ONEDNN_MAX_CPU_ISA", most)
+    assert has_units() == found
+
+
+def test_without_onednn_there_are_no_units(units, monkeypatch):
+    units(True)
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
+    assert chosen_matmul(AGENT) == "float32"
+
+
+@pytest.mark.parametrize("other", [{"device": "cuda"}, {"torch_compile_mode": "default"}])
+def test_other_devices_and_compiled_networks_keep_float32(units, other):
+    units(True)
+    assert chosen_matmul({**AGENT, **other}) == "float32"
+    with pytest.raises(ConfigError, match=r"agent\.matmul"):
+        chosen_matmul({**AGENT, **other, "matmul": "bfloat16"})
+
+
+def test_a_run_of_before_the_key_had_float32(units):
+    units(True)
+    assert chosen_matmul({key: value for key, value in AGENT.items() if key != "matmul"}) == "float32"
+
+
+# --- in a training ---
+
+WIDE = ["agent.actor.hidden_dims=[64,64]", "agent.critic.hidden_dims=[64,64]", "env.num_envs=4"]
+
+
+def test_the_update_alone_is_in_bfloat16(make_trainer, monkeypatch):
+    multiplied = []
+    monkeypatch.setattr(matmul, "linear", lambda *args, **kwargs: multiplied.append(1) or linear(*args, **kwargs))
+    trainer = make_trainer(*WIDE, "agent.matmul=bfloat16")
+    update = trainer.algorithm.update
+    trainer.algorithm.update = lambda: (multiplied.append(0), update(), multiplied.append(0))[1]
+    list(trainer.learn(until=1))
+    assert multiplied[0] == multiplied[-1] == 0
+    assert 1 in multiplied
+
+
+def test_weights_and_optimiser_stay_float32_and_learn_nearly_the_same(make_trainer):
+    states = {}
+    for kind in ("float32", "bfloat16"):
+        trainer = make_trainer(*WIDE, f"agent.matmul={kind}")
+        list(trainer.learn(until=1))
+        states[kind] = trainer.state_dict()
+    one, other = (states[kind]["actor_state_dict"] for kind in states)
+    assert not torch.equal(one["mlp.0.weight"], other["mlp.0.weight"])
+    assert (one["mlp.0.weight"] - other["mlp.0.weight"]).norm() < 0.05 * one["mlp.0.weight"].norm()
+    moments = states["bfloat16"]["optimizer_state_dict"]["state"].values()
+    assert {t.dtype for m in moments for t in m.values()} | {t.dtype for t in other.values()} == {torch.float32}
+
+
+CODE = """
+import hashlib, sys, torch
+from rsl_rl.modules import MLP
+from wheelleg_exp.rl.matmul import bfloat16_products
+torch.set_num_threads(int(sys.argv[1]))
+torch.manual_seed(0)
+for rows in (96, 1001, 3072):
+    net, x = MLP(135, 6, [512, 256, 128], "elu"), torch.randn(rows, 135)
+    with bfloat16_products([net]):
+        y = net(x)
+        y.square().mean(0).sum().backward()
+    for t in (y, *(p.grad for p in net.parameters())):
+        print(hashlib.sha256(t.detach().numpy().tobytes()).hexdigest())
+"""
+
+
+def test_processes_and_thread_counts_give_the_same_bits():
+    environ = os.environ | {"MKL_CBWR": "AVX2,STRICT", "OMP_WAIT_POLICY": "PASSIVE"}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", CODE, threads], env=environ, capture_output=True, timeout=PATIENCE_S, check=True
+        ).stdout
+        for threads in ("1", "1", "2", "3")
+    ]
+    assert len(said[0].split()) == 27
+    assert len(set(said)) == 1

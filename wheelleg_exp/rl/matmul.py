@@ -1,0 +1,145 @@
+"""Matrix products of the update in bfloat16, on CPUs that have units for them.
+
+Weights, biases, activations' derivatives, losses, gradients' sums and the optimiser stay float32: only the factors of a
+product, and what one layer hands to the next, have bfloat16's 8 bits (mixed precision, Micikevicius et al. 2018, with
+the format of Kalamkar et al. 2019, whose range needs no scaling of the loss). oneDNN adds the products up in float32.
+Acting, evaluation and export know nothing of it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from rsl_rl.modules import MLP
+from torch import nn
+from torch.autograd.function import once_differentiable
+
+from wheelleg_exp.errors import ConfigError
+
+KEY = "agent.matmul"
+# A layer with fewer weights is as fast in float32: what its product saves, the conversions cost.
+FEWEST_WEIGHTS = 4096
+# Values of oneDNN's variable with which it uses bf16 instructions where the CPU has them.
+_WITH_UNITS = ("", "ALL", "DEFAULT", "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
+
+
+def chosen_matmul(agent: Mapping[str, Any]) -> str:
+    """Return what ``agent.matmul`` comes to here: ``float32`` or ``bfloat16``.
+
+    A run of before there was such a key had float32. ``auto`` decides by the CPU and by what is trained, never by a
+    measurement, so that it comes to the same at each start.
+
+    Raises:
+        ConfigError: bfloat16 is asked for where this does not make it.
+    """
+    wanted = str(agent.get("matmul", "float32"))
+    why_not = _why_not(agent)
+    if wanted == "bfloat16" and why_not:
+        raise ConfigError(f"bfloat16 is for CPUs, and {why_not}", key=KEY, expected="auto or float32")
+    if wanted == "auto":
+        return "bfloat16" if not why_not and has_units() else "float32"
+    return wanted
+
+
+def has_units() -> bool:
+    """Return whether this CPU multiplies bfloat16 in hardware, and oneDNN is there and may use it."""
+    most = os.environ.get("ONEDNN_MAX_CPU_ISA", os.environ.get("DNNL_MAX_CPU_ISA", "")).upper()
+    allowed = most in _WITH_UNITS or most.startswith(("AVX512_CORE_AMX", "AVX10"))
+    return allowed and torch.backends.mkldnn.is_available() and bool(torch.cpu._is_avx512_bf16_supported())
+
+
+def _why_not(agent: Mapping[str, Any]) -> str:
+    device = str(agent["device"])
+    if torch.device(device).type != "cpu":
+        return f"agent.device is {device}"
+    if agent.get("torch_compile_mode") is not None:
+        return "agent.torch_compile_mode compiles the networks"
+    return ""
+
+
+@contextmanager
+def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
+    """Let the multi-layer perceptrons in these networks multiply in bfloat16 in the body, forward and backward."""
+    found = [part for net in networks for part in net.modules() if isinstance(part, MLP)]
+    perceptrons = [part for part in found if type(part).forward is MLP.forward]
+    for perceptron in perceptrons:
+        perceptron.forward = _forward_of(list(perceptron))
+    try:
+        yield
+    finally:
+        for perceptron in perceptrons:
+            del perceptron.forward
+
+
+def _forward_of(layers: list[nn.Module]) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return what such layers compute in turn, with products in bfloat16 where that is faster."""
+
+    def forward(x: torch.Tensor) -> torch.Tensor:
+        rest = iter(range(len(layers)))
+        for index in rest:
+            layer = layers[index]
+            if isinstance(layer, nn.Linear) and _is_large(layer):
+                elu = index + 1 < len(layers) and _is_elu(layers[index + 1])
+                x = linear(x, layer.weight, layer.bias, elu=elu)
+                if elu:
+                    next(rest)
+            else:
+                x = layer(x.float())
+        return x.float()
+
+    return forward
+
+
+def _is_large(layer: nn.Linear) -> bool:
+    return type(layer) is nn.Linear and layer.bias is not None and layer.weight.numel() >= FEWEST_WEIGHTS
+
+
+def _is_elu(layer: nn.Module) -> bool:
+    return type(layer) is nn.ELU and layer.alpha == 1.0
+
+
+def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
+    """Return a linear layer whose products, here and of its gradients, have factors in bfloat16.
+
+    Args:
+        x: (..., I) float32 or bfloat16.
+        weight: (O, I) float32.
+        bias: (O,) float32, added in float32.
+        elu: whether ELU with alpha 1 follows: exp(y) - 1 where y is negative.
+
+    Returns:
+        (..., O): float32; bfloat16 after ELU, for the next product.
+    """
+    y = _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu)
+    return y.reshape(*x.shape[:-1], -1)
+
+
+class _Linear(torch.autograd.Function):
+    """A linear layer, and ELU behind it, forward and backward."""
+
+    @staticmethod
+    def forward(ctx: Any, x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, elu: bool) -> torch.Tensor:
+        """See ``linear``."""
+        low, factors = x.bfloat16(), weight.bfloat16()
+        y = torch.mm(low, factors.t()) + bias  # of a bfloat16 and a float32: float32
+        if elu:
+            # Not torch's own: its bits depend on where its threads meet in a tensor, those of exp do not.
+            y = torch.maximum(y, y.clamp(max=0).exp_().sub_(1)).bfloat16()
+        ctx.save_for_backward(low, factors, *([y] if elu else []))
+        ctx.dtype = x.dtype
+        return y
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        """Return the gradients of input, weight and bias, in their own types."""
+        low, factors, *outputs = ctx.saved_tensors
+        grad = grad.bfloat16()
+        for y in outputs:
+            grad = torch.ops.aten.elu_backward(grad, 1.0, 1.0, 1.0, True, y)
+        of_x = torch.mm(grad, factors).to(ctx.dtype) if ctx.needs_input_grad[0] else None
+        return of_x, torch.mm(grad.t(), low).float(), grad.sum(0, dtype=torch.float32), None
