@@ -11,6 +11,7 @@ from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.options import Terrain
 from wheelleg_exp.evaluation.over_time import Trajectories
 from wheelleg_exp.evaluation.rollout import Rollout
+from wheelleg_exp.sim.terrain.generator import ORIGIN_WINDOW
 
 _BORDER = 2.0  # m of level ground around all tiles, so that no edge is near
 
@@ -26,9 +27,12 @@ def tiles(options: Terrain, seed: int) -> dict[str, Any]:
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
         node["proportion"] = 1.0
+    # The window in which robots begin stays as wide in m: the floor of a pit does not grow with its tile.
+    wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
     return {
         **terrain,
         "size": list(options.size),
+        "origin_window": min(1.0, terrain.get("origin_window", ORIGIN_WINDOW) / wider),
         "num_rows": options.levels,
         "num_cols": len(kinds),
         "curriculum": True,

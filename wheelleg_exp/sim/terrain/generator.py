@@ -32,6 +32,7 @@ from wheelleg_exp.sim.terrain.height_map import HeightMap
 from wheelleg_exp.sim.terrain.relief import Layout
 from wheelleg_exp.sim.terrain.sub_terrain import SubTerrain
 
+ORIGIN_WINDOW = 0.25  # share of a tile's edge
 _BYTES = 40  # a cell, in numpy, torch and MuJoCo
 
 
@@ -83,7 +84,7 @@ class TerrainGenerator(TerrainBase):
         restitution: Share,
         seed: Seed | None = None,
         max_init_terrain_level: Natural | None = None,
-        origin_window: Share = 0.25,
+        origin_window: Share = ORIGIN_WINDOW,
     ) -> None:
         super().__init__(static_friction, dynamic_friction, restitution)
         self.size = (float(size[0]), float(size[1]))

@@ -1,0 +1,32 @@
+"""The ground of the terrain protocol: larger tiles than those of training, of the same kinds."""
+
+from __future__ import annotations
+
+import pytest
+
+from evaluation.conftest import protocol
+from wheelleg_exp.evaluation.measuring.on_terrain import tiles
+from wheelleg_exp.evaluation.options import Terrain
+from wheelleg_exp.sim.terrain import PyramidSlope
+from wheelleg_exp.sim.terrain.relief import Layout, make_relief
+
+
+def test_robots_begin_on_the_floor_of_a_pit_however_wide_the_tile():
+    made = tiles(Terrain(**protocol("terrain")["terrain"]), seed=3)
+    pit = {key: value for key, value in made["sub_terrains"]["slope_inverted"].items() if key != "_target_"}
+    layout = Layout(
+        size=tuple(made["size"]),
+        num_rows=2,
+        num_cols=1,
+        horizontal_scale=made["horizontal_scale"],
+        vertical_scale=made["vertical_scale"],
+        curriculum=True,
+        difficulty_range=tuple(made["difficulty_range"]),
+        origin_window=made["origin_window"],
+        sub_terrains={"pit": PyramidSlope(**pit)},
+        seed=3,
+    )
+    relief = make_relief(layout)
+    floors = [float(tile.heights.min()) for tile in relief.tiles]
+    assert min(floors) < -0.2  # deep pits
+    assert relief.origins[:, 0, 2] == pytest.approx(floors, abs=2e-3)
