@@ -162,10 +162,9 @@ def profile(env: ManagerBasedRLEnv) -> dict[str, Any]:
             env.step(todo[0])
         torch.cuda.set_sync_debug_mode("default")
         waits = [f"{Path(w.filename).name}:{w.lineno}" for w in told]
-    launches = sum(
-        e.count for e in seen.key_averages() if e.key in ("cudaLaunchKernel", "cuLaunchKernel", "cudaLaunchKernelExC")
-    )
-    graphs = sum(e.count for e in seen.key_averages() if "GraphLaunch" in e.key)
+    calls = {e.key: e.count for e in seen.key_averages()}
+    launches = sum(count for name, count in calls.items() if "LaunchKernel" in name)
+    graphs = sum(count for name, count in calls.items() if "GraphLaunch" in name)
     return {
         "kernels": len(on_device) / count,
         "copies": len(copies) / count,
@@ -257,7 +256,7 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    found = {"machine": machine(torch.device(args.device)), "sizes": []}
+    found: dict[str, Any] = {"machine": machine(torch.device(args.device)), "sizes": []}
     print(found["machine"])
     for num_envs in args.num_envs:
         found["sizes"].append(measure(num_envs, args))
