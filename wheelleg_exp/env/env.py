@@ -28,7 +28,7 @@ from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
-from wheelleg_exp.state import cloned
+from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.sections import Dataset, Env, read_section, read_value
 
 _LEAST_PER_ENV = 10_000  # bytes: state, outputs and observations of one small robot
@@ -269,6 +269,7 @@ class ManagerBasedRLEnv(EnvFaces):
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned, in an environment built from the same config."""
+        saved = {name: part if name == "streams" else on_device(part, self.device) for name, part in saved.items()}
         self.seed = saved["seed"]
         self.common_step_counter = saved["common_step_counter"]
         self.episode_length_buf.copy_(saved["episode_length_buf"])

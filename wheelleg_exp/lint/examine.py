@@ -134,6 +134,7 @@ def examine(composed: Composed) -> PhysicsReport:
 def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
     """Return a config's robot, compiled as for training, and its facts."""
     env = composed.config["env"]
+    env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}  # a model is looked at, not stepped
     mjcf = converted(env, composed.asset_roots)
     scene = SceneManager(env, mjcf, num_envs=1).scene
     return compiled_robot(scene.spec.compile(), scene.robot, _report(mjcf))

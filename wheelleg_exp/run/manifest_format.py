@@ -57,6 +57,7 @@ _MANIFEST = {
     "working_directory": Maybe(str),
     "seeds": Maybe(list),
     "source": Maybe(dict),
+    "engine": Maybe(dict),
     "config_dirs": Maybe([str]),
     "config_variables": Maybe({str: str}),
     "recording_unfinished": Maybe(str),

@@ -34,6 +34,7 @@ class BatchEngine(Engine):
         nthread: physics threads (0: one for each core that the process may use); no result depends on it.
     """
 
+    name = "mujoco"
     exact = True
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:

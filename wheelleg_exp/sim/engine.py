@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import torch
@@ -22,6 +22,7 @@ class Engine(Kept, ABC):
     last solve, which is the convention of PhysX and Isaac Lab.
 
     Attributes:
+        name: what ``env.sim.engine`` calls it.
         exact: whether the same steps from the same state give the same bits.
         model: the compiled model in the host's memory: names, ids, digests, defaults.
         num_envs: number of simulations, N.
@@ -34,6 +35,7 @@ class Engine(Kept, ABC):
             ``WRENCHES``.
     """
 
+    name: ClassVar[str]
     exact: bool
     model: mujoco.MjModel
     num_envs: int
@@ -48,6 +50,10 @@ class Engine(Kept, ABC):
         """Return a copy of a field of the compiled model, as MuJoCo has it; numbers with a point in ``dtype``."""
         field = torch.from_numpy(getattr(self.model, name).copy())
         return field.to(self.device, self.dtype if field.is_floating_point() else None)
+
+    def promise(self) -> dict[str, Any]:
+        """Return what a run records of its engine: its name, where it ran, and whether it repeats to the bit."""
+        return {"name": self.name, "device": str(self.device), "exact": self.exact}
 
     @abstractmethod
     def view(self, name: str) -> torch.Tensor:
@@ -65,6 +71,10 @@ class Engine(Kept, ABC):
     @abstractmethod
     def derived(self, name: str) -> torch.Tensor:
         """Return a live view (N, ...) of an output that depends on positions and velocities; it is kept current."""
+
+    def may_differ(self, name: str) -> bool:
+        """Return whether a model field can have one value a simulation."""
+        return hasattr(self.model, name)
 
     @abstractmethod
     def expand(self, name: str) -> torch.Tensor:

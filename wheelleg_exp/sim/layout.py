@@ -49,6 +49,7 @@ class RobotLayout(Kept):
         self.joint_ids = self._ids(int(model.joint(j).id) for j in self.joint_names)
         self.body_ids = self._ids(int(model.body(b).id) for b in self.body_names)
         self.actuated_ids = self._ids(())
+        self.all_limited = all(model.jnt_limited[model.joint(j).id] for j in self.joint_names)
         self._read_limits(model)
         self.velocity_limits = torch.full((len(self.joint_names),), torch.inf, device=self._device)
         self.effort_limits = torch.full_like(self.velocity_limits, torch.inf)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from importlib.util import find_spec
+from typing import Annotated, Any, Literal
 
 from wheelleg_exp.constraints import (
     Above,
     AtMost,
+    Broken,
     Count,
     Length,
     Natural,
@@ -16,9 +19,34 @@ from wheelleg_exp.constraints import (
     NonNegative,
     NotAllZero,
     Positive,
+    relation,
 )
 
+GPU_EXTRA = "pip install 'wheelleg_exp[gpu]'"
+_GPU_PACKAGES = ("warp", "mujoco_warp")
 
+
+def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
+    """Hold the engine against its device and its solver, and against what is installed."""
+    device = given["device"]
+    if given["engine"] == "mujoco":
+        if device != "cpu":
+            yield Broken(
+                "device", f"the engine 'mujoco' runs on the CPU, and not on {device!r}", "cpu, or engine: warp"
+            )
+        return
+    if not re.fullmatch(r"cpu|cuda:\d+", str(device)):
+        yield Broken("device", f"{device!r} is no device of the engine 'warp'", "cpu, or cuda:0 and so on")
+    if given["solver"] == "pgs":
+        yield Broken("solver", "the engine 'warp' has no solver 'pgs'", "newton or cg")
+    for name in _GPU_PACKAGES:
+        if find_spec(name) is None:
+            told = f"the engine 'warp' needs the package {name}, which is not installed"
+            yield Broken("engine", told, f"mujoco, or: {GPU_EXTRA}")
+            return
+
+
+@relation(engine_fits)
 @dataclass(frozen=True)
 class SimOptions:
     """The solver (``env.sim``), in MuJoCo's terms.

@@ -99,7 +99,8 @@ class RobotParameters(RobotFaces):
         written = now[:, joints].to(sim.dtype)
         # MuJoCo has one switch for both ends: the open end of a joint that is limited at the other lies far away.
         far = 2.0 * math.pi * 1e6
-        sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)
+        if sim.may_differ("jnt_limited") or not self.layout.all_limited:
+            sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)
         sim.expand("jnt_range")[rows, places] = written.clamp(-far, far)
 
     def write_encoder_bias(self, bias: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:

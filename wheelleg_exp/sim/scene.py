@@ -24,7 +24,6 @@ from wheelleg_exp.sim.sensors import ContactSensor, SensorBase
 from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, is_ground
 from wheelleg_exp.state import Kept
 
-_ENGINES = ("mujoco", "warp")
 _ROBOT_PRIORITY = 1
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
 
@@ -261,17 +260,12 @@ def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> En
     """Return the engine that ``env.sim.engine`` names, with N simulations of the model.
 
     Raises:
-        ConfigError: there is no such engine, it is not on that device, or it does not simulate the model.
+        ConfigError: a package or a device of the engine's is not there, or it does not simulate the model.
     """
     if options.engine == "warp":
         from wheelleg_exp.sim.warp.engine import WarpEngine  # its packages are heavy, and need not be there
 
         return WarpEngine(model, num_envs, options)
-    if options.engine != "mujoco":
-        expected = "one of " + ", ".join(_ENGINES)
-        raise ConfigError(f"there is no engine '{options.engine}'", key="env.sim.engine", expected=expected)
-    if options.device != "cpu":
-        raise ConfigError("the engine 'mujoco' runs on the CPU", key="env.sim.device", expected="cpu, or engine=warp")
     return BatchEngine(model, num_envs, options.nthread)
 
 

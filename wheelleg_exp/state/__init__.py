@@ -16,7 +16,7 @@ from wheelleg_exp.state.outside import Outside
 from wheelleg_exp.state.rows import merged
 from wheelleg_exp.state.saved_or_refused import Stateful, adopt, made, restore, save, stateful
 from wheelleg_exp.state.settings import Settings
-from wheelleg_exp.state.values import Kept, NamedStream, cloned, same
+from wheelleg_exp.state.values import Kept, NamedStream, cloned, on_device, same
 
 __all__ = [
     "Kept",
@@ -29,6 +29,7 @@ __all__ = [
     "cloned",
     "made",
     "merged",
+    "on_device",
     "restore",
     "same",
     "save",

@@ -63,7 +63,7 @@ def made_again(item: Any, present: Any = None) -> Any:
     if tag == "array":
         return _array_again(data, present)
     if tag == "scalar":
-        return data.numpy()[()]
+        return data.cpu().numpy()[()]
     if tag == "stateful":
         present.load_state_dict(made_again(data))
         return present
@@ -83,7 +83,7 @@ def _tensor_again(item: torch.Tensor, present: Any) -> torch.Tensor:
 
 
 def _array_again(item: torch.Tensor, present: Any) -> np.ndarray:
-    array = item.numpy()
+    array = item.cpu().numpy()
     fits = isinstance(present, np.ndarray) and (present.shape, present.dtype) == (array.shape, array.dtype)
     if not fits or not present.flags.writeable:
         return array.copy()

@@ -50,7 +50,7 @@ _CONSTANTS = (
 )
 Generator = tuple[type, Callable[[Any], Any], Callable[[Any, Any], None]]
 GENERATORS: dict[str, Generator] = {
-    "generator": (torch.Generator, lambda g: g.get_state(), lambda g, state: g.set_state(state)),
+    "generator": (torch.Generator, lambda g: g.get_state(), lambda g, state: g.set_state(state.cpu())),
     "python random": (random.Random, lambda g: g.getstate(), lambda g, state: g.setstate(state)),
     "numpy random": (
         np.random.Generator,
@@ -204,6 +204,17 @@ def bytes_of(value: torch.Tensor) -> torch.Tensor:
     if flat.stride(0) != 1:  # one element of a row: contiguous by name, and not by its stride
         flat = flat.clone(memory_format=torch.contiguous_format)
     return flat.view(torch.uint8)
+
+
+def on_device(tree: Any, device: torch.device) -> Any:
+    """Return mappings, lists and tuples with their tensors on a device; a file's are in the host's memory."""
+    if isinstance(tree, torch.Tensor):
+        return tree.to(device)
+    if isinstance(tree, Mapping):
+        return {key: on_device(value, device) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return type(tree)(on_device(value, device) for value in tree)
+    return tree
 
 
 def cloned(tree: Any) -> Any:

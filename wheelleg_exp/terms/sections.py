@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from wheelleg_exp.constraints import Count, Natural, Positive
+from wheelleg_exp.constraints import Count, Natural, Positive, rules_of
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.terms.keys import below
 from wheelleg_exp.terms.values import describe, options_in, value_errors
@@ -106,7 +106,14 @@ def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[Co
     for absent in keys.values():
         if absent.required and absent.name not in node:
             errors.append(MissingValue(key=below(path, absent.name), expected=describe(absent.annotation)))
-    return errors
+    return errors or _broken_rules(path, node, options)
+
+
+def _broken_rules(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+    """Hold the values of a section, each right by itself, against the rules between them."""
+    given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)
+    broken = (found for rule in rules_of(options) for found in rule(given))
+    return [ConfigError(found.message, key=below(path, found.key), expected=found.expected) for found in broken]
 
 
 def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:

@@ -271,3 +271,13 @@ def test_a_model_that_mujoco_warp_does_not_simulate_is_refused_by_what_it_has(de
 def test_nothing_of_it_is_imported_before_it_is_chosen():
     code = "import sys, wheelleg_exp.build, wheelleg_exp.sim.scene; sys.exit('warp' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_limits_of_joints_are_written_where_all_are_limited(make_env, device):
+    """MuJoCo's switch for limits is one for all simulations here; a joint without a limit has one far away."""
+    arm = make_env("arm", sim={"engine": "warp", "device": device})
+    limits = torch.tensor([[[-0.3, 0.3]], [[-math.inf, math.inf]]], device=arm.device)
+    arm.scene.robot.write_joint_position_limit_to_sim(limits, [0], [0, 1])
+    joint = arm.scene.robot.layout.joint_ids[0]
+    assert arm.scene.sim.expanded["jnt_range"][0, joint].tolist() == pytest.approx([-0.3, 0.3])
+    assert arm.scene.sim.expanded["jnt_range"][1, joint, 1] > 1e6

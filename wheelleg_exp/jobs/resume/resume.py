@@ -110,6 +110,8 @@ def _prepare(
     why += lasting_damage(run, manifest, point)
     differences = differences_now(run, threads, folders)
     why += [d.note or f"{d.section} {d.name} was {brief(d.a)} and is {brief(d.b)}" for d in differences]
+    if not (engine := trainer.env.env.scene.sim.promise())["exact"]:
+        why.append(f"the engine {engine['name']} on {engine['device']} does not repeat to the bit: {engine['because']}")
     exact = not why
     notes = [f"{path.name} cannot be used: {reason}" for path, reason in point.damaged.items()]
     manifest.restart(

@@ -155,6 +155,7 @@ def start(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks
             threads=threads,
             max_patch_mb=run.get("max_patch_mb"),
         )
+        manifest.record(engine=env.scene.sim.promise())
         manifest.record(config_dirs=[str(folder) for folder in recipe.config_dirs])
         if together is not None:
             manifest.record(ranks=together)

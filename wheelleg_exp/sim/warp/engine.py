@@ -35,6 +35,8 @@ class WarpEngine(Engine):
         ConfigError: a package or a device is not there, or the model has what mujoco-warp does not simulate.
     """
 
+    name = "warp"
+
     def __init__(self, model: mujoco.MjModel, num_envs: int, options: SimOptions) -> None:
         self.model = model
         self.num_envs = num_envs
@@ -94,6 +96,15 @@ class WarpEngine(Engine):
             self._graphs.forget()
             self.forward()
         return view
+
+    def may_differ(self, name: str) -> bool:
+        """Return whether a model field can have one value a simulation."""
+        return self._fields.may_differ(name)
+
+    def promise(self) -> dict[str, Any]:
+        """Return what a run records of its engine, and what there was room for."""
+        found = {**super().promise(), "nconmax": self.room.contacts, "njmax": self.room.rows}
+        return {**found, "because": None if self.exact else "the order of contacts and sums differs from run to run"}
 
     def expand(self, name: str) -> torch.Tensor:
         """Give a model field one value a simulation; return the live tensor (N, ...).

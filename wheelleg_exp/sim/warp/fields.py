@@ -111,10 +111,9 @@ class ModelFields:
             ConfigError: mujoco-warp holds one value of it for all.
         """
         if name not in self.own:
-            holder, _, last = name.rpartition(".")
-            owner = getattr(self._on_device, holder) if holder else self._on_device
+            owner, last = self._place(name)
             array, like = getattr(owner, last, None), self._like(name)
-            if like is None or not self._may_differ(array, like):
+            if not self.may_differ(name):
                 raise ConfigError(
                     f"mujoco-warp holds one '{name}' for all simulations",
                     key=ENGINE,
@@ -145,13 +144,17 @@ class ModelFields:
             found = getattr(found, part, None)
         return found
 
-    def _may_differ(self, array: Any, like: Any) -> bool:
+    def may_differ(self, name: str) -> bool:
         """Return whether a field is kept with a leading dimension for simulations."""
-        if not isinstance(array, self._wp.array) or array.shape[0] not in (1, self._num_envs):
+        owner, last = self._place(name)
+        array, like = getattr(owner, last, None), self._like(name)
+        if like is None or not isinstance(array, self._wp.array) or array.shape[0] not in (1, self._num_envs):
             return False
-        return self._wp.to_torch(array)[0].numel() == np.size(like) and array.shape[0] * np.size(like) == (
-            self._wp.to_torch(array).numel()
-        )
+        return self._wp.to_torch(array).numel() == array.shape[0] * np.size(like)
+
+    def _place(self, name: str) -> tuple[Any, str]:
+        holder, _, last = name.rpartition(".")
+        return (getattr(self._on_device, holder) if holder else self._on_device), last
 
     def _give_each(self, owner: Any, name: str, array: Any) -> None:
         wp = self._wp
