@@ -35,7 +35,7 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
                 "device", f"the engine 'mujoco' runs on the CPU, and not on {device!r}", "cpu, or engine: warp"
             )
         return
-    if not re.fullmatch(r"cpu|cuda:\d+", str(device)):
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", str(device)):
         yield Broken("device", f"{device!r} is no device of the engine 'warp'", "cpu, or cuda:0 and so on")
     if given["solver"] == "pgs":
         yield Broken("solver", "the engine 'warp' has no solver 'pgs'", "newton or cg")

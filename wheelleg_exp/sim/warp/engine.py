@@ -41,6 +41,8 @@ class WarpEngine(Engine):
         self.model = model
         self.num_envs = num_envs
         self.device = torch.device(options.device)
+        if self.device.type == "cuda":
+            self.device = torch.device("cuda", self.device.index or 0)
         self.dtype = torch.float32
         self.nthread = 1
         self.exact = self.device.type == "cpu"

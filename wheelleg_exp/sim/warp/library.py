@@ -67,7 +67,7 @@ def _require_device(device: torch.device) -> None:
         return
     count = torch.cuda.device_count()
     known = ["cpu", *(f"cuda:{index}" for index in range(count))]
-    if device.type != "cuda" or device.index is None or device.index >= count:
+    if device.type != "cuda" or (device.index or 0) >= count:
         raise ConfigError(f"there is no device '{device}' here", key=DEVICE, expected="one of " + ", ".join(known))
 
 
