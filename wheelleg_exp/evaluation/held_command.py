@@ -34,8 +34,8 @@ class HeldCommand:
 
     @property
     def command(self) -> torch.Tensor:
-        """What the term asks for now, v_x, v_y in m/s and w_z in rad/s, (N, 3)."""
-        return self._term.command
+        """What is asked for now, v_x, v_y in m/s and w_z in rad/s, (N, 3), however slowly the term gets there."""
+        return self._term.asked
 
     def hold(self, command: torch.Tensor) -> None:
         """Ask for velocities (N, 3) from now on, through resets too."""
@@ -43,5 +43,5 @@ class HeldCommand:
         self._draw(torch.arange(len(command), device=command.device))
 
     def _draw(self, env_ids: torch.Tensor) -> None:
-        self._term.command[env_ids] = self._held[env_ids]
+        self._term.asked[env_ids] = self._held[env_ids]
         self._term.is_standing_env[env_ids] = (self._held[env_ids] == 0.0).all(dim=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -19,6 +20,10 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
     sum of its error can hold its place, as an integral controller does. The sum is of what a robot can measure:
     its wheels' rates, which are its speed where they roll, and the yaw rate of its gyroscope. Not in Isaac Lab.
 
+    A robot on two wheels must roll back before it can drive off, and one that is told to be fast at once falls. With
+    ``max_lin_acceleration`` and ``max_ang_acceleration`` the command goes towards what was drawn, from zero at a reset,
+    by no more than that; ``asked`` is where it goes.
+
     Args:
         env: the environment.
         ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
@@ -28,6 +33,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         wheel_radius: of the wheels, m.
         max_travel_error: up to which travel is summed up, m: what is lost beyond it is not made good.
         max_heading_error: the same for the heading, rad.
+        max_lin_acceleration: by which the commanded speed changes at most, m/s²; null lets it jump.
+        max_ang_acceleration: the same for the yaw rate, rad/s².
         rel_standing_envs: share of draws that stand still.
         rel_heading_envs: share of draws that follow a heading.
         heading_command: whether headings are drawn at all.
@@ -45,6 +52,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         wheel_radius: Positive,
         max_travel_error: Positive,
         max_heading_error: Positive,
+        max_lin_acceleration: Positive | None = None,
+        max_ang_acceleration: Positive | None = None,
         rel_standing_envs: Share = 0.0,
         rel_heading_envs: Share = 1.0,
         heading_command: bool = False,
@@ -65,7 +74,10 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._wheels = member(env.scene, wheel_cfg.name, "wheel_cfg.name")
         self._wheel_ids, self._radius = wheel_cfg.joint_ids, wheel_radius
         self.travel_error = torch.zeros(env.num_envs, 2, device=env.device)  # m and rad; positive is too far
-        # A tuple: tensors among the attributes are state.
+        self._asked = torch.zeros(env.num_envs, 3, device=env.device)
+        lin, ang = (math.inf if most is None else most for most in (max_lin_acceleration, max_ang_acceleration))
+        # Tuples: tensors among the attributes are state.
+        self._fastest = (torch.tensor([lin, lin, ang], device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 
     def compute(self, dt: float) -> torch.Tensor:
@@ -77,10 +89,24 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self.travel_error.add_(missed * dt).clamp_(-most, most)
         return super().compute(dt)
 
+    @property
+    def asked(self) -> torch.Tensor:
+        """Where the command goes (N, 3)."""
+        return self._asked
+
+    def post_process(self) -> None:
+        """Steer and stop as ever, and go towards it."""
+        super().post_process()
+        (most,) = self._fastest
+        self._command.add_((self._asked - self._command).clamp_(-most, most))
+
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Begin the sum anew as well."""
+        """Begin the sum anew as well, and the command at rest."""
         self.travel_error[env_ids] = 0.0
-        return super().finish_episode(env_ids)
+        log = super().finish_episode(env_ids)
+        (most,) = self._fastest
+        self._command[env_ids] = self._asked[env_ids].clamp(-most, most)
+        return log
 
 
 def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:

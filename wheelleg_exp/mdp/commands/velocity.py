@@ -77,6 +77,11 @@ class UniformVelocityCommand(RangedCommand):
         """The same, under Isaac Lab's name."""
         return self._command
 
+    @property
+    def asked(self) -> torch.Tensor:
+        """What is asked for in the end (N, 3): the command itself, unless a class of this one lets it get there slowly."""
+        return self._command
+
     def errors(self) -> torch.Tensor:
         """Return |v_xy error| in m/s and |w_z error| in rad/s, (2, N)."""
         data = self.robot.data
@@ -89,7 +94,7 @@ class UniformVelocityCommand(RangedCommand):
         u = torch.rand(len(env_ids), 6, generator=self._generator, device=self._command.device)
         low, high = self.bounds()
         drawn = low + (high - low) * u[:, :4]
-        self._command[env_ids] = drawn[:, :3]
+        self.asked[env_ids] = drawn[:, :3]
         if self._has_heading:
             self.heading_target[env_ids] = drawn[:, 3]
             self.is_heading_env[env_ids] = u[:, 4] <= self._rel_heading
@@ -101,8 +106,8 @@ class UniformVelocityCommand(RangedCommand):
             error = wrap_to_pi(self.heading_target - self.robot.data.heading_w)
             low, high = self.bounds()
             steered = torch.clamp(self._stiffness * error, low[2], high[2])
-            self._command[:, 2] = torch.where(self.is_heading_env, steered, self._command[:, 2])
-        self._command.masked_fill_(self.is_standing_env.unsqueeze(1), 0.0)
+            self.asked[:, 2] = torch.where(self.is_heading_env, steered, self.asked[:, 2])
+        self.asked.masked_fill_(self.is_standing_env.unsqueeze(1), 0.0)
 
 
 _Moment = Literal["mean_vel", "std_vel", "zero_prob"]
