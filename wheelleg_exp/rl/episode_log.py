@@ -96,8 +96,8 @@ class EpisodeLog:
 
     def _take_pending(self) -> None:
         for log in self._pending:
-            for key, value in log.items():
-                self._values[key].append(float(value))
+            for key, value in _numbers(log).items():
+                self._values[key].append(value)
         self._pending.clear()
         for done, returns, lengths in self._ended:
             self._returns.extend(returns[done].tolist())
@@ -138,3 +138,15 @@ class EpisodeLog:
         self._pending.clear()
         self._ended.clear()
         self._non_finite = Counter(saved["non_finite"])
+
+
+def _numbers(log: Mapping[str, Any]) -> dict[str, float]:
+    """Return what a log holds as numbers; those of one kind come from a GPU together."""
+    kinds: defaultdict[tuple[torch.dtype, torch.device], list[str]] = defaultdict(list)
+    for key, value in log.items():
+        if isinstance(value, torch.Tensor):
+            kinds[value.dtype, value.device].append(key)
+    found: dict[str, Any] = dict(log)
+    for keys in kinds.values():
+        found.update(zip(keys, torch.stack([log[key].reshape(()) for key in keys]).tolist(), strict=True))
+    return {key: float(value) for key, value in found.items()}

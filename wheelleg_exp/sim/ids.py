@@ -21,8 +21,44 @@ def ids_where(mask: torch.Tensor) -> torch.Tensor:
 
 
 def is_finite(total: torch.Tensor) -> bool:
-    """Return whether a number (a tensor of one) is finite."""
-    return math.isfinite(float(total))
+    """Return whether a number (a tensor of one) is finite.
+
+    A GPU is not waited for: there a number that is none is noticed some checks later, and from then on every check
+    waits, until ``_PATIENCE`` of them have found none.
+    """
+    if not total.is_cuda:
+        return math.isfinite(float(total))
+    if total.device not in _watches:
+        _watches[total.device] = _Watch(total.device)
+    return _watches[total.device].is_finite(total)
+
+
+class _Watch:
+    """Takes note of numbers on a GPU that are none, and looks at the note when it has come."""
+
+    def __init__(self, device: torch.device) -> None:
+        with torch.inference_mode(False):
+            self._found = torch.zeros((), dtype=torch.bool, device=device)
+        self._told = torch.zeros((), dtype=torch.bool, device="cpu", pin_memory=True)
+        self._checks, self._waits = 0, 0
+
+    def is_finite(self, total: torch.Tensor) -> bool:
+        if self._waits == 0 and self._told:
+            self._waits = _PATIENCE
+            self._found.zero_()
+            self._told.zero_()
+        if self._waits > 0:
+            self._waits -= 1
+            return math.isfinite(float(total))
+        self._found |= ~total.isfinite()
+        self._checks += 1
+        if self._checks % _EVERY == 0:
+            self._told.copy_(self._found, non_blocking=True)
+        return True
+
+
+_EVERY, _PATIENCE = 16, 256  # checks
+_watches: dict[torch.device, _Watch] = {}
 
 
 def chosen(ids: Columns, everything: torch.Tensor) -> torch.Tensor:

@@ -184,10 +184,11 @@ class Camera(LazySensor):
         if not len(turn):
             return
         try:
-            seen = self._pictures.draw(self._sim.view("qpos")[ids])
+            drawn = self._pictures.draw(self._sim.view("qpos")[ids])
         except NoGraphics as error:
             error.key = self.key
             raise
+        seen = {name: picture.to(self._sim.device) for name, picture in drawn.items()}
         for kind in self._data_types:
             data.output[kind][ids] = self._picture(kind, seen)
 
