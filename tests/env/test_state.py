@@ -64,6 +64,11 @@ DERIVED = frozenset(
         ".form",
         ".robot.data._cache",  # quantities derived from the state, computed when they are asked for
         ".sensors['contact']._norms",
+        ".sensors['contact']._largest_norm",
+        ".sensors['contact']._counts",
+        ".sensors['contact']._products",  # of the last measurement, written anew by the next
+        ".sensors['contact'].data._history",  # of the forces, once asked for
+        ".robot.data._shows_outputs",  # about the cache
         ".robot.data.motion_at_start",  # read within a control step alone
         ".command_manager.step_errors",  # of the step alone
         ".reward_manager._factors",  # taken anew where a curriculum has changed a weight

@@ -47,7 +47,16 @@ SIZE = [
     "env.scene.sensors.contact_forces.track_air_time=true",
 ]
 # Of every sensor, whatever its name, what it takes from the last solve.
-DERIVED = KNOWN | {"._readings", "._pressures", "._normals", "._norms"}
+DERIVED = KNOWN | {
+    "._readings",
+    "._pressures",
+    "._normals",
+    "._norms",
+    "._largest_norm",
+    "._counts",
+    "._products",
+    ".data._history",
+}
 DERIVED |= {
     f".sensors['{name}'].{what}"
     for name in ("height_scanner", "lidar", "camera")

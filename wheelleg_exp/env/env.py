@@ -169,7 +169,7 @@ class ManagerBasedRLEnv(EnvFaces):
             self.recorder_manager.record_post_reset(ended)
         self.command_manager.compute(self.step_dt)
         self.event_manager.apply_interval(self.step_dt)
-        self.scene.refresh()
+        self.scene.show_written()
         observations = self.observation_manager.compute()
         if self.autoreset == "same_step":  # else those that have failed still show it
             require_finite_observations(self)
@@ -229,7 +229,7 @@ class ManagerBasedRLEnv(EnvFaces):
             log.update(manager.reset(env_ids))
         self.extras["log"] = log
         self.extras["log_is_fresh"] = True
-        self.episode_length_buf[env_ids] = 0
+        self.episode_length_buf.index_fill_(0, env_ids, 0)
 
     def apply_event(self, mode: str, env_ids: torch.Tensor | None = None) -> None:
         """Run the events of a mode of the caller's own, and make derived quantities fresh."""

@@ -147,8 +147,8 @@ class ActionManager(ManagerBase):
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Zero the actions of ``env_ids``."""
-        self.action[env_ids] = 0.0
-        self.prev_action[env_ids] = 0.0
+        self.action.index_fill_(0, env_ids, 0.0)
+        self.prev_action.index_fill_(0, env_ids, 0.0)
         self._reset_terms(env_ids)
         for delay in self._delays.values():
             delay.reset(env_ids)

@@ -90,13 +90,13 @@ class CommandTerm(TermBase):
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the metrics' means over ``env_ids``, zero them, and draw anew."""
-        steps = self.steps[env_ids].clamp(min=1)
-        means = self.metrics[:, env_ids].mean(dim=1)
-        per_step = (self.error_sums[:, env_ids] / steps).mean(dim=1)
-        self.metrics[:, env_ids] = 0.0
-        self.error_sums[:, env_ids] = 0.0
-        self.steps[env_ids] = 0.0
-        self.command_counter[env_ids] = 0
+        steps = self.steps.index_select(0, env_ids).clamp(min=1)
+        means = self.metrics.index_select(1, env_ids).mean(dim=1)
+        per_step = (self.error_sums.index_select(1, env_ids) / steps).mean(dim=1)
+        self.metrics.index_fill_(1, env_ids, 0.0)
+        self.error_sums.index_fill_(1, env_ids, 0.0)
+        self.steps.index_fill_(0, env_ids, 0.0)
+        self.command_counter.index_fill_(0, env_ids, 0)
         self._resample(env_ids)
         log = dict(zip(self.metric_names, means.unbind(), strict=True))
         return log | {f"{n}_per_step": v for n, v in zip(self.metric_names, per_step.unbind(), strict=True)}
@@ -104,7 +104,7 @@ class CommandTerm(TermBase):
     def _resample(self, env_ids: torch.Tensor) -> None:
         low, high = self._time_range
         draw = torch.rand(len(env_ids), generator=self._generator, device=self.time_left.device)
-        self.time_left[env_ids] = low + (high - low) * draw
+        self.time_left.index_copy_(0, env_ids, low + (high - low) * draw)
         self.draw(env_ids)
         self.command_counter[env_ids] += 1
 
@@ -134,8 +134,8 @@ class CommandManager(ManagerBase):
         term = self._terms[name]
         with term.blamed():
             command = found.command
-        assert term.form is not None
-        require_form(term.form, command, f"the command of '{term.target}'", term.path, term.func)
+        if term.form is not None and not term.form.fits(command):
+            require_form(term.form, command, f"the command of '{term.target}'", term.path, term.func)
         return command
 
     def get_term(self, name: str) -> CommandTerm:

@@ -67,7 +67,8 @@ class SceneEntityCfg:
                 _listed(self.body_names), key=f"{path}.body_names", preserve_order=self.preserve_order
             )
             self.body_ids, self.body_names = torch.tensor(found[0], device=scene.device), found[1]
-        self.joint_ids, self.body_ids = (_indices(ids, scene.device) for ids in (self.joint_ids, self.body_ids))
+        self.joint_ids = _indices(self.joint_ids, len(getattr(entity, "joint_names", ())), scene.device)
+        self.body_ids = _indices(self.body_ids, len(getattr(entity, "body_names", ())), scene.device)
         for name in ("fixed_tendon_names", "object_collection_names"):
             if getattr(self, name) is not None:
                 raise ConfigError(f"'{self.name}' has none of these here", key=f"{path}.{name}", expected="null")
@@ -90,8 +91,11 @@ def member(scene: Scene, name: str, key: str) -> Any:
     return scene[name]
 
 
-def _indices(ids: Ids, device: torch.device) -> torch.Tensor | slice:
-    return ids if isinstance(ids, (torch.Tensor, slice)) else torch.tensor(list(ids), device=device)
+def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice:
+    """Return indices among ``count`` as a tensor or a slice; those that count from the end, from the beginning."""
+    if isinstance(ids, (torch.Tensor, slice)):
+        return ids
+    return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)
 
 
 def _listed(names: str | Sequence[str]) -> list[str]:

@@ -114,14 +114,16 @@ class EventManager(ManagerBase):
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
         """Run a term; what it writes must be numbers."""
         term(self._env, ids)
+        self._env.scene.robot.data.invalidate()  # whatever it has written, and however
         self._note_asked(name)
         require_finite_writes(self._env, term.path, self._asked[name], ids)
 
     def _note_asked(self, name: str) -> None:
         """Note what a term has asked for to write: it may have kept it."""
         asked = self._env.scene.sim.asked
-        self._asked[name] |= asked
-        asked.clear()
+        if asked:
+            self._asked[name] |= asked
+            asked.clear()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Redraw the per-environment timers of ``env_ids``, and reset the terms but those of ``prestartup``."""

@@ -94,7 +94,7 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
         SimulationFailure: with the event's key, and what it wrote.
     """
     rows = slice(None) if ids is None else ids
-    written = env.scene.written(asked)
+    written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(values[rows].sum() for values in written.values())]):
         _tell_writes(env, path, {**env.scene.motion(), **written}, ids)
 

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.term import Term, bind_terms
+from wheelleg_exp.managers.term import Term, TermBase, bind_terms
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.state import Kept
 
@@ -92,9 +92,10 @@ class ManagerBase(Kept):
 
     def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:
         for name, term in self._terms.items():
-            if term.stateful is not None and name not in but:
+            remembers = term.stateful
+            if remembers is not None and name not in but and type(remembers).reset is not TermBase.reset:
                 with term.blamed():
-                    term.stateful.reset(env_ids)
+                    remembers.reset(env_ids)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

@@ -148,7 +148,7 @@ class ObservationManager(Kept):
         for terms in self._groups.values():
             for term in terms.values():
                 term.reset(env_ids)
-        self._is_first[env_ids] = True
+        self._is_first.index_fill_(0, env_ids, True)
         self._any_first = True
         return {}
 

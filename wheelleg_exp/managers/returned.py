@@ -19,6 +19,9 @@ from wheelleg_exp.errors import ConfigError
 class Form(Protocol):
     """What a term has to return."""
 
+    def fits(self, value: Any) -> bool:
+        """Return whether ``value`` is seen at a glance to be what is needed; else ``check`` looks closer."""
+
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError, without a key, unless ``value`` is what is needed; ``source`` names who returned it."""
 
@@ -49,9 +52,13 @@ class TensorForm:
         """Whether such a tensor has been seen."""
         return self._shape is not None
 
+    def fits(self, value: Any) -> bool:
+        """Return whether a value has the shape that has been seen."""
+        return self._shape is not None and getattr(value, "shape", None) == self._shape
+
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError, without a key, unless ``value`` is such a tensor."""
-        if self._shape is not None and getattr(value, "shape", None) == self._shape:
+        if self.fits(value):
             return
         found, fix = self._mistake(value)
         if found:
@@ -102,6 +109,10 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
 class NoForm:
     """Nothing: what is returned would be lost."""
 
+    def fits(self, value: Any) -> bool:
+        """Return whether a value is None."""
+        return value is None
+
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError, without a key, unless ``value`` is None."""
         if value is not None:
@@ -111,6 +122,10 @@ class NoForm:
 @dataclass
 class FiguresForm:
     """A number, numbers by name, or nothing: what a curriculum logs."""
+
+    def fits(self, value: Any) -> bool:
+        """Return whether a value is a plain number, or None."""
+        return value is None or type(value) is float
 
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError, without a key, unless ``value`` can be logged."""

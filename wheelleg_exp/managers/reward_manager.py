@@ -10,6 +10,7 @@ import torch
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
 from wheelleg_exp.managers.returned import TensorForm
+from wheelleg_exp.sim.ids import not_finite
 
 
 class RewardManager(ManagerBase):
@@ -26,6 +27,7 @@ class RewardManager(ManagerBase):
         self.failed = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
         self.non_finite: dict[int, list[str]] = {}
         self._raw_values = self.step_reward
+        self._nothing = torch.zeros(self._num_envs, device=env.device)
         self._take_weights(self._present_weights())
 
     @property
@@ -55,15 +57,15 @@ class RewardManager(ManagerBase):
         weights = self._present_weights()
         if weights != self._weights:  # a curriculum may have changed one
             self._take_weights(weights)
-        if self._called:
-            values = torch.stack([term(self._env).to(self._factors.dtype) for term in self._called])
-            self.step_reward.index_copy_(0, self._rows, values.mul_(self._factors))
+        if self._terms:
+            values = torch.stack([self._nothing if term is None else term(self._env) for term in self._called])
+            torch.mul(values.to(self._factors.dtype), self._factors, out=self.step_reward)
         if but is not None:
             self.step_reward.masked_fill_(but, 0.0)
         reward = self.step_reward.sum(dim=0).mul_(dt)
         self.non_finite.clear()
-        torch.logical_not(reward.isfinite(), out=self.failed)
-        self._sums.add_(self.step_reward.masked_fill(self.failed, 0.0), alpha=dt)
+        self.failed.copy_(not_finite(reward))
+        self._sums.add_(torch.where(self.failed, self._nothing, self.step_reward), alpha=dt)
         return reward.masked_fill_(self.failed, 0.0)
 
     def _present_weights(self) -> list[float]:
@@ -72,12 +74,9 @@ class RewardManager(ManagerBase):
     def _take_weights(self, weights: list[float]) -> None:
         """Make what a step needs for these weights."""
         self._weights = weights
-        rows = [row for row, weight in enumerate(weights) if weight != 0.0]
-        terms = list(self._terms.values())
-        self._called = [terms[row] for row in rows]
-        self._rows = torch.tensor(rows, device=self._env.device)
-        self._factors = self.step_reward.new_tensor([weights[row] for row in rows]).unsqueeze(1)
-        self.step_reward.zero_()
+        terms = zip(self._terms.values(), weights, strict=True)
+        self._called = [term if weight != 0.0 else None for term, weight in terms]
+        self._factors = self.step_reward.new_tensor(weights).unsqueeze(1)
 
     def exclude(self, env_ids: torch.Tensor) -> None:
         """Name in ``non_finite`` the terms whose values failed in ``env_ids``, and take these out of the step."""
@@ -94,8 +93,8 @@ class RewardManager(ManagerBase):
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Episode_Reward/<term>``: mean of the episode sums over the longest episode's seconds."""
-        means = self._sums[:, env_ids].mean(dim=1) / self._env.max_episode_length_s
-        self._sums[:, env_ids] = 0.0
+        means = self._sums.index_select(1, env_ids).mean(dim=1) / self._env.max_episode_length_s
+        self._sums.index_fill_(1, env_ids, 0.0)
         self._reset_terms(env_ids)
         return {f"Episode_Reward/{n}": v for n, v in zip(self._terms, means.unbind(), strict=True)}
 

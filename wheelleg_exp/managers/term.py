@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -141,23 +141,24 @@ class Term(Kept):
                 value = self.func(*args, **self.params)
         except BaseException as error:
             raise self.failure(error) from error
-        if self.form is not None:
+        if self.form is not None and not self.form.fits(value):
             require_form(self.form, value, f"'{self.target}'", self.path, self.func)
-        self._has_worked = True
+        if not self._has_worked:
+            self._has_worked = True
         return value
 
     def failure(self, error: BaseException) -> BaseException:
         """Return an error of the term's code with its key and its place in the code."""
         return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
 
-    @contextmanager
-    def blamed(self) -> Iterator[None]:
+    def blamed(self) -> AbstractContextManager[None]:
         """Tell an error of a part of the term that is not called by ``__call__``."""
-        try:
-            with lent(self.generator if self.lends else None):
-                yield
-        except BaseException as error:
-            raise self.failure(error) from error
+        return self._lending() if self.lends else _Blamed(self)
+
+    @contextmanager
+    def _lending(self) -> Iterator[None]:
+        with _Blamed(self), lent(self.generator):
+            yield
 
     def lend(self, generator: torch.Generator) -> None:
         """Let the term's code draw from a stream by torch's global generator, as code written for Isaac Lab does."""
@@ -208,6 +209,23 @@ class Term(Kept):
         if not keeps_params:
             self.params = {}
         self.bound()
+
+
+class _Blamed:
+    """Tells what goes wrong within it as an error of a term; a step enters dozens, so it is no generator."""
+
+    __slots__ = ("_term",)
+
+    def __init__(self, term: Term) -> None:
+        self._term = term
+
+    def __enter__(self) -> None:
+        """Begin."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Tell the error."""
+        if error is not None and (told := self._term.failure(error)) is not error:
+            raise told from error
 
 
 def bind_terms(

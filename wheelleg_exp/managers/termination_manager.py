@@ -12,7 +12,7 @@ from wheelleg_exp.definitions.definition import NOT_FINITE, ending
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
 from wheelleg_exp.managers.returned import TensorForm
-from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.ids import narrowed
 
 
 class TerminationManager(ManagerBase):
@@ -23,8 +23,9 @@ class TerminationManager(ManagerBase):
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
         flags = [bool(term.fields.get("time_out", False)) for term in self._terms.values()]
-        is_time_out = torch.tensor(flags, dtype=torch.bool, device=env.device)
-        self._time_out_rows, self._failure_rows = ids_where(is_time_out), ids_where(~is_time_out)
+        self._time_out_rows, self._failure_rows = (
+            narrowed([row for row, flag in enumerate(flags) if flag is wanted], env.device) for wanted in (True, False)
+        )
         self._fired = torch.zeros(len(self._terms), self._num_envs, dtype=torch.bool, device=env.device)
         for term in self._terms.values():
             term.form = TensorForm(self._num_envs, env.device, torch.bool, what="true or false")
@@ -71,7 +72,7 @@ class TerminationManager(ManagerBase):
         if but is not None:
             self._fired &= ~but
         for rows, outcome in ((self._time_out_rows, self.time_outs), (self._failure_rows, self.terminated)):
-            torch.any(self._fired.index_select(0, rows), dim=0, out=outcome)
+            torch.any(self._fired[rows], dim=0, out=outcome)
         done = self.dones
         torch.where(done, self._fired, self._last_episode, out=self._last_episode)
         return done
@@ -84,7 +85,7 @@ class TerminationManager(ManagerBase):
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Return ``Episode_Termination/<term>``: share of all environments whose last episode it ended."""
-        shares = self._last_episode.float().mean(dim=1)
+        shares = self._last_episode.mean(dim=1, dtype=torch.get_default_dtype())
         self._reset_terms(env_ids)
         return {f"Episode_Termination/{n}": v for n, v in zip(self._terms, shares.unbind(), strict=True)}
 

@@ -10,6 +10,7 @@ import torch
 from wheelleg_exp.constraints import Above, AtMost, Bounds, Count, NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.ground import height_over_ground
+from wheelleg_exp.sim.ids import picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
@@ -121,39 +122,39 @@ class stuck(TermBase):
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Some joint is outside its soft limits."""
     data = env.scene[asset_cfg.name].data
-    q = data.joint_pos[:, asset_cfg.joint_ids]
-    low, high = data.soft_joint_pos_limits[:, asset_cfg.joint_ids].unbind(dim=2)
+    q = picked(data.joint_pos, asset_cfg.joint_ids)
+    low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
     return ((q < low) | (q > high)).any(dim=1)
 
 
 def joint_pos_out_of_manual_limit(env: Env, bounds: Bounds, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Some joint is outside ``bounds``, rad."""
-    q = env.scene[asset_cfg.name].data.joint_pos[:, asset_cfg.joint_ids]
+    q = picked(env.scene[asset_cfg.name].data.joint_pos, asset_cfg.joint_ids)
     return ((q < bounds[0]) | (q > bounds[1])).any(dim=1)
 
 
 def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Some joint is faster than its actuator's velocity limit."""
     data = env.scene[asset_cfg.name].data
-    speed = data.joint_vel[:, asset_cfg.joint_ids].abs()
-    return (speed > data.soft_joint_vel_limits[:, asset_cfg.joint_ids]).any(dim=1)
+    speed = picked(data.joint_vel, asset_cfg.joint_ids).abs()
+    return (speed > picked(data.soft_joint_vel_limits, asset_cfg.joint_ids)).any(dim=1)
 
 
 def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Some joint is faster than ``max_velocity``, rad/s."""
-    return (env.scene[asset_cfg.name].data.joint_vel[:, asset_cfg.joint_ids].abs() > max_velocity).any(dim=1)
+    return (picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs() > max_velocity).any(dim=1)
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Some joint's torque was clipped by its effort limit."""
     data = env.scene[asset_cfg.name].data
-    computed = data.computed_torque[:, asset_cfg.joint_ids].abs()
-    return (computed > data.joint_effort_limits[:, asset_cfg.joint_ids]).any(dim=1)
+    computed = picked(data.computed_torque, asset_cfg.joint_ids).abs()
+    return (computed > picked(data.joint_effort_limits, asset_cfg.joint_ids)).any(dim=1)
 
 
 def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Some listed body's contact force exceeded ``threshold`` (N) within the sensor's history."""
-    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).any(dim=1)
 
 

@@ -13,6 +13,7 @@ from mujoco.batch import Batch, SimulationError
 
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.ids import not_finite
 from wheelleg_exp.sim.still_geoms import StillGeoms
 from wheelleg_exp.state import cloned
 from wheelleg_exp.threads import usable_cores
@@ -53,7 +54,8 @@ class BatchEngine(Engine):
         self._at_set_const: dict[str, torch.Tensor] | None = None
         self.state = torch.from_numpy(self.batch.state)
         self._current: set[str] = set()
-        self._warnings = torch.from_numpy(self.batch.warning)[:, min(_UNSTABLE) : max(_UNSTABLE) + 1, 1]
+        self._all_warnings = torch.from_numpy(self.batch.warning)
+        self._warnings = self._all_warnings[:, min(_UNSTABLE) : max(_UNSTABLE) + 1, 1]
         self._initial = self.state[0:1].clone()
         start = self._column("qpos")  # velocities follow positions
         self._is_motion = torch.zeros(self.state.shape[1], dtype=torch.bool)
@@ -116,9 +118,10 @@ class BatchEngine(Engine):
 
     def reset(self, ids: torch.Tensor) -> None:
         """Zero all of ``ids`` but finite positions and velocities; a simulation is its state row."""
-        rows = self.state[ids]
-        self.state[ids] = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
-        self.batch.warning[ids.numpy()] = 0
+        rows = self.state.index_select(0, ids)
+        rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
+        self.state.index_copy_(0, ids, rows)
+        self._all_warnings.index_fill_(0, ids, 0)
 
     def unstable(self) -> torch.Tensor:
         """Return which simulations (N,) bool have gone to NaN or huge values since their reset.
@@ -126,11 +129,11 @@ class BatchEngine(Engine):
         MuJoCo notices it at the next step, sets the simulation to the model's defaults in silence and raises a
         counter; what the last step left behind is looked at here as well.
         """
-        return self._warnings.any(dim=1) | ~self._motion.sum(dim=1).isfinite()
+        return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
         """Return one sum over the state rows of some simulations (see ``Engine.total``)."""
-        return self.state[rows].sum()
+        return (self.state.index_select(0, rows) if isinstance(rows, torch.Tensor) else self.state[rows]).sum()
 
     def ray(
         self,

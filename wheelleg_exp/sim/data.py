@@ -9,6 +9,7 @@ import torch
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.derived import derived
 from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.ids import narrowed, picked
 from wheelleg_exp.sim.layout import JointTargets, RobotLayout
 from wheelleg_exp.state import Kept
 
@@ -55,6 +56,7 @@ class RobotData(Kept):
         self._compute_torque = computed_torque
         self._layout = layout
         self._cache: dict[str, torch.Tensor] = {}
+        self._shows_outputs = False
         self._constants: dict[str, torch.Tensor] = {}
         self._root_id = int(layout.body_ids[0])
         self._floating = layout.floating
@@ -65,7 +67,8 @@ class RobotData(Kept):
         self._qpos_before, self._qvel_before = self._motion_before.split(self._qpos.shape[1:] + self._qvel.shape[1:], 1)
         self._body_ids = layout.body_ids
         self._actuated = layout.actuated_ids
-        self._of_actuator = torch.argsort(self._actuated) if len(self._actuated) == joints else None
+        every = len(self._actuated) == joints
+        self._of_actuator = narrowed(torch.argsort(self._actuated).tolist(), device) if every else None
         self._dt = float(sim.model.opt.timestep)
         self.com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
         self.default_joint_pos = layout.default_joint_pos.expand(n, joints).clone()
@@ -86,6 +89,17 @@ class RobotData(Kept):
     def invalidate(self) -> None:
         """Forget derived quantities; called whenever the state has changed."""
         self._cache.clear()
+        self._shows_outputs = False
+
+    def outputs_refreshed(self) -> None:
+        """Forget what was derived from outputs of the engine, which now show what was written before."""
+        if self._shows_outputs:
+            self.invalidate()
+
+    def _output(self, name: str) -> torch.Tensor:
+        """Return an output of the engine; that of written state is there from the scene's refresh on."""
+        self._shows_outputs = True
+        return self._sim.derived(name)
 
     def before_step(self) -> None:
         """Keep the motion state that the coming physics step starts from."""
@@ -102,17 +116,17 @@ class RobotData(Kept):
             self._all_valid = True
         torque = self._sim.view("actuator_force")
         if self._of_actuator is not None:
-            self._applied_torque = torque.index_select(1, self._of_actuator).float()
+            self._applied_torque = picked(torque, self._of_actuator).float()
         else:
             self._applied_torque[:, self._actuated] = torque.float()
-        self._cache.clear()
+        self.invalidate()
 
     def reset(self, ids: torch.Tensor) -> None:
         """Report zero torque and acceleration for ``ids`` until their next physics step."""
         self._torque_valid.index_fill_(0, ids, 0.0)
         self._all_valid = False
         self._applied_torque = self._applied_torque.index_fill(0, ids, 0.0)
-        self._cache.clear()
+        self.invalidate()
 
     def settings(self) -> dict[str, torch.Tensor]:
         """Return the tensors that come from the config and the model, and that an event may change."""
@@ -149,7 +163,7 @@ class RobotData(Kept):
         self._torque_valid.copy_(saved["torque_valid"])
         self._all_valid = bool(self._torque_valid.all())
         self._applied_torque = saved["applied_torque"].clone()
-        self._cache.clear()
+        self.invalidate()
 
     @property
     def joint_pos_target(self) -> torch.Tensor:
@@ -172,14 +186,19 @@ class RobotData(Kept):
         return self.soft_joint_vel_limits
 
     @derived
+    def _motion(self) -> torch.Tensor:
+        """Return positions and velocities in MuJoCo's order, float32, (N, nq + nv)."""
+        return self._sim.motion.float()
+
+    @derived
     def _positions(self) -> torch.Tensor:
         """Return positions in MuJoCo's order, float32, (N, nq)."""
-        return self._qpos.float()
+        return self._motion[:, : self._qpos.shape[1]]
 
     @derived
     def _velocities(self) -> torch.Tensor:
         """Return velocities in MuJoCo's order, float32, (N, nv)."""
-        return self._qvel.float()
+        return self._motion[:, self._qpos.shape[1] :]
 
     @derived
     def root_pos_w(self) -> torch.Tensor:
@@ -234,12 +253,13 @@ class RobotData(Kept):
     @derived
     def projected_gravity_b(self) -> torch.Tensor:
         """Unit gravity direction in link axes, (N, 3); upright is (0, 0, -1)."""
-        return torch.matmul(self._gravity_dir, self.root_rot_w)
+        return rotation.rotate_inverse(self.root_rot_w, self._gravity_dir.unsqueeze(0))
 
     @derived
     def heading_w(self) -> torch.Tensor:
         """Yaw of the root link's x axis, rad, (N,)."""
-        return torch.atan2(self.root_rot_w[:, 1, 0], self.root_rot_w[:, 0, 0])
+        cosine, sine = self.root_rot_w[:, :2, 0].contiguous().unbind(dim=1)
+        return torch.atan2(sine, cosine)
 
     @derived
     def joint_pos(self) -> torch.Tensor:
@@ -284,22 +304,22 @@ class RobotData(Kept):
     @derived
     def body_pos_w(self) -> torch.Tensor:
         """Positions of the link frames, m, (N, B, 3)."""
-        return self._sim.derived("xpos")[:, self._body_ids].float()
+        return self._output("xpos")[:, self._body_ids].float()
 
     @derived
     def body_quat_w(self) -> torch.Tensor:
         """Orientations of the link frames (w, x, y, z), (N, B, 4)."""
-        return self._sim.derived("xquat")[:, self._body_ids].float()
+        return self._output("xquat")[:, self._body_ids].float()
 
     @derived
     def body_rot_w(self) -> torch.Tensor:
         """Rotation matrices of the links, (N, B, 3, 3)."""
-        return self._sim.derived("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
+        return self._output("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
 
     @derived
     def body_ang_vel_w(self) -> torch.Tensor:
         """Angular velocities of the links, rad/s, (N, B, 3)."""
-        return self._sim.derived("cvel")[:, self._body_ids, 0:3].float()
+        return self._output("cvel")[:, self._body_ids, 0:3].float()
 
     @derived
     def body_lin_vel_w(self) -> torch.Tensor:
@@ -307,7 +327,7 @@ class RobotData(Kept):
 
         MuJoCo's ``cvel`` is referenced to the centre of mass of the kinematic tree; it is shifted here.
         """
-        velocity = self._sim.derived("cvel")[:, self._body_ids]
-        tree_com = self._sim.derived("subtree_com")[:, self._root_id].unsqueeze(1)
-        offset = self._sim.derived("xipos")[:, self._body_ids] - tree_com
+        velocity = self._output("cvel")[:, self._body_ids]
+        tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
+        offset = self._output("xipos")[:, self._body_ids] - tree_com
         return (velocity[..., 3:6] + torch.linalg.cross(velocity[..., 0:3], offset)).float()

@@ -61,7 +61,7 @@ class BodyData(RobotData):
     @derived
     def body_com_pos_w(self) -> torch.Tensor:
         """Positions of the bodies' centres of mass, m, (N, B, 3)."""
-        return self._sim.derived("xipos")[:, self._body_ids].float()
+        return self._output("xipos")[:, self._body_ids].float()
 
     @derived
     def body_com_quat_w(self) -> torch.Tensor:

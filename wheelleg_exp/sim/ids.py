@@ -75,6 +75,18 @@ def chosen(ids: Columns, everything: torch.Tensor) -> torch.Tensor:
     return everything[ids] if isinstance(ids, slice) else torch.tensor(list(ids), device=everything.device)
 
 
+def not_finite(values: torch.Tensor) -> torch.Tensor:
+    """Return where numbers are not finite: their difference from themselves is none then."""
+    return values - values != 0.0
+
+
+def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> torch.Tensor:
+    """Return some columns (N, k, ...) of values (N, K, ...): what ``values[:, ids]`` is, several times as fast."""
+    if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:  # no mask
+        return values.index_select(1, ids)
+    return values[:, ids]
+
+
 def columns(ids: Columns, device: torch.device) -> torch.Tensor | slice:
     """Return what indexes a dimension by itself: None is all."""
     if ids is None:

@@ -93,13 +93,16 @@ class Robot(RobotParameters):
         self._has_new_targets = True
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
-        # Force and torque as the two columns of a matrix, (N, 3, 2).
-        self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].unflatten(1, (2, 3)).mT
+        # Force and torque of the root, components first, (2, 3, N).
+        self._root_xfrc = self._xfrc[:, int(self.body_ids[0])].T.unflatten(0, (2, 3))
         self._stale: list[torch.Tensor] = []  # environments whose state was written; most often one and the same tensor
         self._all_ids = torch.arange(n, device=device)
+        self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = self._settings()
         self._wrench_bodies: list[int] = []
-        self._wrench = torch.zeros(n, len(self.body_names), 3, 2, device=device)
+        # Components first in memory, as the product with rotations of components first is fastest.
+        self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
+        self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
     def _computed_torque(self, data: RobotData) -> torch.Tensor:
         torque, targets = torch.zeros_like(self.targets.pos), self._targets_of_joints()
@@ -156,7 +159,8 @@ class Robot(RobotParameters):
     def _write_wrenches(self, bodies: list[int]) -> None:
         """Turn permanent wrenches from link axes, as the links stand now, to the world's."""
         if bodies == [0]:  # the root's rotation is in the state itself
-            self._root_xfrc.copy_(torch.bmm(self.data.root_rot_w, self._wrench[:, 0]))
+            turn = self.data.root_rot_w.permute(1, 2, 0)
+            self._root_xfrc.copy_((turn * self._root_wrench).sum(dim=2))
             return
         world = self.data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
         self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)
@@ -204,7 +208,7 @@ class Robot(RobotParameters):
             "settings": {n: v for n, v in self._settings().items() if not same(v, self._made[n])},
             "actuators": {name: actuator.state_dict() for name, actuator in self.actuators.items()},
             **self.data.state_dict(),
-            "wrench": self._wrench.clone(),
+            "wrench": self._wrench.clone(memory_format=torch.contiguous_format),
             "wrench_bodies": list(self._wrench_bodies),
             "stale": self._stale_rows(),
         }

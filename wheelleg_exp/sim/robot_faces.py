@@ -38,6 +38,7 @@ class RobotFaces(Kept):
     data: ArticulationData
     _sim: Engine
     _all_ids: torch.Tensor
+    all_body_ids: torch.Tensor
     _qpos: torch.Tensor
     _qvel: torch.Tensor
     _root_qpos: torch.Tensor
@@ -127,8 +128,9 @@ class RobotFaces(Kept):
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         pose = root_pose.to(dtype)
-        unit = torch.nn.functional.normalize(pose[:, 3:7], dim=-1)
-        self._root_qpos[ids] = torch.cat((pose[:, 0:3], unit), dim=1)
+        norm = torch.linalg.vector_norm(pose[:, 3:7], dim=1, keepdim=True).clamp_(min=1e-12)
+        unit = pose[:, 3:7] / norm
+        self._root_qpos.index_copy_(0, ids, torch.cat((pose[:, 0:3], unit), dim=1).expand(len(ids), -1))
         self.mark_written(ids)
 
     write_root_link_pose_to_sim = write_root_pose_to_sim
@@ -146,10 +148,10 @@ class RobotFaces(Kept):
         self._require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         velocity = root_velocity.to(dtype)
-        matrix = rotation.quat_to_matrix(self._root_qpos[ids, 3:7])
+        matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
         angular = rotation.rotate_inverse(matrix, velocity[:, 3:6])
         # v_link = v_com - omega x R c = v_com - R (omega_b x c)
-        lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b[ids].to(dtype)))
+        lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b.index_select(0, ids).to(dtype)))
         self._write_velocity(ids, velocity[:, 0:3] - lever, angular)
 
     write_root_com_velocity_to_sim = write_root_velocity_to_sim
@@ -163,7 +165,7 @@ class RobotFaces(Kept):
 
     def _write_velocity(self, ids: torch.Tensor, linear: torch.Tensor, angular: torch.Tensor) -> None:
         """Write a free joint's velocity: of the link's origin in world axes, and in link axes."""
-        self._root_qvel[ids] = torch.cat((linear, angular), dim=1)
+        self._root_qvel.index_copy_(0, ids, torch.cat((linear, angular), dim=1).expand(len(ids), -1))
         self.data.forget_accelerations(ids)
         self.mark_written(ids)
 
@@ -266,7 +268,7 @@ class RobotFaces(Kept):
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
             body_ids = env_ids = None
         ids = self._rows(env_ids)
-        bodies = chosen(body_ids, torch.arange(self.num_bodies, device=self.device))
+        bodies = chosen(body_ids, self.all_body_ids)
         rows = ids.unsqueeze(1)
         if is_global:
             turn = self.data.body_rot_w[rows, bodies].mT
@@ -281,7 +283,9 @@ class RobotFaces(Kept):
 
     def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
         """Set forces and torques (n, k, 6) at the CoM of the bodies, link axes, until the next reset of ``ids``."""
-        self._wrench[ids.unsqueeze(1), torch.tensor(body_ids, device=ids.device)] = wrench.view(len(ids), -1, 2, 3).mT
+        columns_of_bodies = wrench.view(len(ids), -1, 2, 3).mT.expand(-1, len(body_ids), -1, -1)
+        for body, values in zip(body_ids, columns_of_bodies.unbind(dim=1), strict=True):
+            self._wrench[:, body].index_copy_(0, ids, values)
         self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
         self._sim.asked.add(WRENCHES)
 

@@ -1,4 +1,8 @@
-"""Rotations on whole tensors. Quaternions are (w, x, y, z); angles are radians."""
+"""Rotations on whole tensors. Quaternions are (w, x, y, z); angles are radians.
+
+In memory the matrices (N, 3, 3) of ``quat_to_matrix`` are nine rows of N numbers, so that an operation runs over all N
+in one go; vectors (N, 3) and quaternions (N, 4) are rows of their components, as everywhere.
+"""
 
 from __future__ import annotations
 
@@ -57,18 +61,21 @@ def _half_angles_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor
 
 def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
-    products = (q.unsqueeze(2) * q.unsqueeze(1)).view(-1, 16)
-    return (products @ _matrix_table(q.dtype, q.device)).view(-1, 3, 3)
+    parts, table = q.T.contiguous(), _matrix_table(q.dtype, q.device)
+    products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, len(q))
+    if len(q) == 1:  # a single product of vectors adds up in another order
+        return (products.T @ table).view(1, 3, 3)
+    return (table.T @ products).view(3, 3, len(q)).permute(2, 0, 1)
 
 
 def rotate(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
     """Return R v for matrices (N, 3, 3) and vectors (N, 3)."""
-    return torch.bmm(matrix, vector.unsqueeze(2)).squeeze(2)
+    return (matrix.permute(1, 2, 0) * vector.T.unsqueeze(0)).sum(dim=1).T.contiguous()
 
 
 def rotate_inverse(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
     """Return R^T v for matrices (N, 3, 3) and vectors (N, 3)."""
-    return torch.bmm(vector.unsqueeze(1), matrix).squeeze(1)
+    return (matrix.permute(1, 2, 0) * vector.T.unsqueeze(1)).sum(dim=0).T.contiguous()
 
 
 def quat_mul(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

@@ -96,7 +96,9 @@ class Scene(Kept):
         self._place_at_defaults()
 
     def __getitem__(self, name: str) -> Any:
-        return {"robot": self.robot, "terrain": self.terrain, **self.sensors}[name]
+        if name == "robot":  # most terms ask for it, in every step
+            return self.robot
+        return self.terrain if name == "terrain" else self.sensors[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(("robot", "terrain", *self.sensors))
@@ -202,21 +204,25 @@ class Scene(Kept):
         would have clamped. ``<sensor>_...``: what each sensor says of itself.
         """
         data = self.robot.data
-        fast = (data.joint_vel[ids].abs() > data.soft_joint_vel_limits[ids]).any(dim=1)
-        log = {"Diagnostics/joint_over_speed": fast.float().mean()}
+        speed, limit = data.joint_vel.index_select(0, ids).abs(), data.soft_joint_vel_limits.index_select(0, ids)
+        log = {"Diagnostics/joint_over_speed": (speed > limit).any(dim=1).mean(dtype=torch.float32)}
         for name, sensor in self.sensors.items():
             log |= {f"Diagnostics/{name}_{word}": value for word, value in sensor.diagnostics(ids).items()}
         return log
 
     def refresh(self) -> None:
-        """Make derived quantities describe the new state of the environments whose state was written."""
+        """Make derived quantities describe the new state, however it was written."""
+        self.show_written()
+        self.robot.data.invalidate()
+
+    def show_written(self) -> None:
+        """Make derived quantities describe the new state of the environments whose state the robot has written."""
         if self.robot.is_stale:
             ids = self.robot.take_stale()
             self.sim.forward(ids)
-            self.robot.data.invalidate()
+            self.robot.data.outputs_refreshed()
             for sensor in self.sensors.values():
                 sensor.refresh(ids)
-        self.robot.data.invalidate()
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of physics, robot and sensors."""

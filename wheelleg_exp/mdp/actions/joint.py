@@ -49,7 +49,7 @@ class JointTerm(ActionTerm):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Zero the raw actions of ``env_ids``; processed actions are left, as in Isaac Lab."""
-        self.raw_actions[env_ids] = 0.0
+        self.raw_actions.index_fill_(0, env_ids, 0.0)
 
     def _clip(self) -> None:
         if self._low is not None:

@@ -94,11 +94,11 @@ class UniformVelocityCommand(RangedCommand):
         u = torch.rand(len(env_ids), 6, generator=self._generator, device=self._command.device)
         low, high = self.bounds()
         drawn = low + (high - low) * u[:, :4]
-        self.asked[env_ids] = drawn[:, :3]
+        self.asked.index_copy_(0, env_ids, drawn[:, :3])
         if self._has_heading:
-            self.heading_target[env_ids] = drawn[:, 3]
-            self.is_heading_env[env_ids] = u[:, 4] <= self._rel_heading
-        self.is_standing_env[env_ids] = u[:, 5] <= self._rel_standing
+            self.heading_target.index_copy_(0, env_ids, drawn[:, 3])
+            self.is_heading_env.index_copy_(0, env_ids, u[:, 4] <= self._rel_heading)
+        self.is_standing_env.index_copy_(0, env_ids, u[:, 5] <= self._rel_standing)
 
     def post_process(self) -> None:
         """Steer towards headings, then stop those that stand."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 
 from wheelleg_exp.constraints import Interval, NonNegativeInterval, PositiveInterval
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.ids import chosen
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -26,11 +29,19 @@ def set_permanent_body_wrench(
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
-    bodies = torch.arange(len(robot.body_names), device=env.device)[asset_cfg.body_ids].tolist()
-    pairs = [list(force_range)] * 3 + [list(torque_range)] * 3
-    limits = torch.tensor(pairs, dtype=torch.float32, device=env.device)
-    drawn = rotation.uniform(limits[:, 0], limits[:, 1], len(ids) * len(bodies), generator)
+    bodies = chosen(asset_cfg.body_ids, robot.all_body_ids).tolist()
+    low, high = _wrench_bounds(*force_range, *torque_range, env.device)
+    drawn = rotation.uniform(low, high, len(ids) * len(bodies), generator)
     robot.set_permanent_wrench(ids, bodies, drawn.view(len(ids), len(bodies), 6))
+
+
+@cache
+def _wrench_bounds(
+    least_force: float, largest_force: float, least_torque: float, largest_torque: float, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the bounds (6,) of forces and torques along each axis."""
+    low, high = [least_force] * 3 + [least_torque] * 3, [largest_force] * 3 + [largest_torque] * 3
+    return torch.tensor(low, device=device), torch.tensor(high, device=device)
 
 
 apply_external_force_torque = set_permanent_body_wrench

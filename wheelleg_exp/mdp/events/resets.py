@@ -12,6 +12,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.ids import picked
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -50,8 +51,8 @@ class reset_root_state_uniform(TermBase):
         ids = all_ids(env, env_ids)
         robot = self._robot
         u = rotation.uniform(self._low, self._high, len(ids), self._generator)
-        start = robot.data.default_root_state[ids]
-        position = start[:, 0:3] + env.scene.env_origins[ids] + u[:, 0:3]
+        start = robot.data.default_root_state.index_select(0, ids)
+        position = start[:, 0:3] + env.scene.env_origins.index_select(0, ids) + u[:, 0:3]
         pose = torch.cat((position, self.orientation(start[:, 3:7], u[:, 3:6])), dim=1)
         robot.write_root_pose_to_sim(pose, ids)
         robot.write_root_velocity_to_sim(start[:, 7:13] + u[:, 6:12], ids)
@@ -158,15 +159,15 @@ def _reset_joints(
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
     data, joints = robot.data, asset_cfg.joint_ids
-    pos, vel = data.default_joint_pos[ids][:, joints], data.default_joint_vel[ids][:, joints]
+    pos, vel = (picked(of.index_select(0, ids), joints) for of in (data.default_joint_pos, data.default_joint_vel))
     u = torch.rand(2, *pos.shape, generator=generator, device=pos.device)
     low, high = position_range
     drawn_pos = low + (high - low) * u[0]
     low, high = velocity_range
     drawn_vel = low + (high - low) * u[1]
     pos, vel = (pos * drawn_pos, vel * drawn_vel) if scale else (pos + drawn_pos, vel + drawn_vel)
-    lowest, highest = data.soft_joint_pos_limits[ids][:, joints].unbind(dim=2)
-    fastest = data.soft_joint_vel_limits[ids][:, joints]
+    lowest, highest = picked(data.soft_joint_pos_limits.index_select(0, ids), joints).unbind(dim=2)
+    fastest = picked(data.soft_joint_vel_limits.index_select(0, ids), joints)
     robot.write_joint_state_to_sim(pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints, ids)
 
 

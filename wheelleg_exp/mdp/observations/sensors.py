@@ -6,6 +6,7 @@ import torch
 
 from wheelleg_exp.constraints import NonNegative
 from wheelleg_exp.managers import Env, SceneEntityCfg
+from wheelleg_exp.sim.ids import picked
 
 _IMU = SceneEntityCfg("imu")
 _CAMERA = SceneEntityCfg("tiled_camera")
@@ -42,18 +43,18 @@ def imu_lin_acc(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
 
 def body_contacts(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
     """Which bodies have exceeded ``threshold`` (N) within the contact sensor's history, 1 or 0; not in Isaac Lab."""
-    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).float()
 
 
 def body_contact_forces(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Net normal contact forces, N, world axes, body by body, (N, 3 B); not in Isaac Lab."""
-    return env.scene[sensor_cfg.name].data.net_forces_w[:, sensor_cfg.body_ids].flatten(1)
+    return picked(env.scene[sensor_cfg.name].data.net_forces_w, sensor_cfg.body_ids).flatten(1)
 
 
 def body_air_time(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """How long each body has been in the air, s, 0 in contact; not in Isaac Lab."""
-    return env.scene[sensor_cfg.name].data.current_air_time[:, sensor_cfg.body_ids]
+    return picked(env.scene[sensor_cfg.name].data.current_air_time, sensor_cfg.body_ids)
 
 
 def image(

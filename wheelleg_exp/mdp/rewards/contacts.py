@@ -6,11 +6,12 @@ import torch
 
 from wheelleg_exp.constraints import NonNegative
 from wheelleg_exp.managers import Env, SceneEntityCfg
+from wheelleg_exp.sim.ids import picked
 
 
 def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Number of bodies whose contact force exceeded ``threshold`` (N) within the sensor's history."""
-    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force > threshold).sum(dim=1).float()
 
 
@@ -19,7 +20,7 @@ def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCf
 
     Not in Isaac Lab: the number of wheels in the air.
     """
-    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force <= threshold).sum(dim=1).float()
 
 
@@ -28,7 +29,7 @@ def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegat
 
     Isaac Lab calls it ``desired_contacts``, which names the opposite.
     """
-    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()
 
 
@@ -37,5 +38,5 @@ desired_contacts = no_desired_contact
 
 def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
     """Sum of the contact forces beyond ``threshold``, N."""
-    force = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force - threshold).clamp(min=0.0).sum(dim=1)

@@ -8,6 +8,7 @@ from wheelleg_exp.constraints import NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg
 from wheelleg_exp.mdp.ground import height_over_ground
 from wheelleg_exp.mdp.rewards.pairing import require_pairs
+from wheelleg_exp.sim.ids import picked
 
 _ROBOT = SceneEntityCfg("robot")
 _WALKING = 0.1  # m/s: below, no step is asked for
@@ -23,8 +24,8 @@ def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, thres
     0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor has to track air times.
     """
     sensor = env.scene.contact_sensor(sensor_cfg.name)
-    landed = sensor.compute_first_contact(env.step_dt)[:, sensor_cfg.body_ids]
-    longer = sensor.data.last_air_time[:, sensor_cfg.body_ids] - threshold
+    landed = picked(sensor.compute_first_contact(env.step_dt), sensor_cfg.body_ids)
+    longer = picked(sensor.data.last_air_time, sensor_cfg.body_ids) - threshold
     return (longer * landed).sum(dim=1) * _is_asked_to_walk(env, command_name)
 
 
@@ -36,9 +37,9 @@ def feet_air_time_positive_biped(
     0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor has to track air times.
     """
     data = env.scene.contact_sensor(sensor_cfg.name).data
-    contact = data.current_contact_time[:, sensor_cfg.body_ids]
+    contact = picked(data.current_contact_time, sensor_cfg.body_ids)
     stands = contact > 0.0
-    lasted = torch.where(stands, contact, data.current_air_time[:, sensor_cfg.body_ids]).amin(dim=1)
+    lasted = torch.where(stands, contact, picked(data.current_air_time, sensor_cfg.body_ids)).amin(dim=1)
     single = stands.sum(dim=1) == 1
     return lasted.clamp(max=threshold) * (single & _is_asked_to_walk(env, command_name))
 
@@ -54,7 +55,7 @@ def feet_slide(
         asset_cfg: the same bodies of the robot, in the same order.
         threshold: force above which a foot touches, N; Isaac Lab's 1 N is a fifth of a robot of 0.5 kg.
     """
-    touches = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids] > threshold
+    touches = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) > threshold
     velocity = env.scene[asset_cfg.name].data.body_lin_vel_w[:, asset_cfg.body_ids, :2]
     require_pairs(touches, velocity, "asset_cfg.body_names")
     return (torch.linalg.vector_norm(velocity, dim=-1) * touches).sum(dim=1)
@@ -65,7 +66,7 @@ def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) ->
 
     Not in Isaac Lab: it runs into something steep.
     """
-    force = env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w[:, sensor_cfg.body_ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
     return (sideways > ratio * force[..., 2].abs()).any(dim=1).float()
 
@@ -76,7 +77,7 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
     Not in Isaac Lab. h is the link's height above the ground straight below, m.
     """
     data, ids = env.scene[asset_cfg.name].data, asset_cfg.body_ids
-    error = height_over_ground(env, data.body_pos_w[:, ids]) - clearance
+    error = height_over_ground(env, picked(data.body_pos_w, ids)) - clearance
     speed = torch.linalg.vector_norm(data.body_lin_vel_w[:, ids, :2], dim=-1)
     return (error.square() * speed).sum(dim=1)
 
@@ -87,5 +88,5 @@ def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive =
     Not in Isaac Lab's library: an even gait. The contact sensor has to track air times.
     """
     data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
-    flights, stances = data.last_air_time[:, ids], data.last_contact_time[:, ids]
+    flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)
     return flights.clamp(max=max_time).var(dim=1) + stances.clamp(max=max_time).var(dim=1)

@@ -7,13 +7,14 @@ import torch
 from wheelleg_exp.constraints import NonNegative, Positive
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.sim.ids import picked
 
 _ROBOT = SceneEntityCfg("robot")
 
 
 def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of squared applied torques, (N·m)^2."""
-    return env.scene[asset_cfg.name].data.applied_torque[:, asset_cfg.joint_ids].square().sum(dim=1)
+    return picked(env.scene[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
@@ -22,23 +23,23 @@ def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: boo
     With ``positive_only`` braking joints cost nothing: the sum of what the drives put in.
     """
     data = env.scene[asset_cfg.name].data
-    power = data.applied_torque[:, asset_cfg.joint_ids] * data.joint_vel[:, asset_cfg.joint_ids]
+    power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
     return (power.clamp(min=0.0) if positive_only else power.abs()).sum(dim=1)
 
 
 def joint_vel_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of joint speeds, rad/s."""
-    return env.scene[asset_cfg.name].data.joint_vel[:, asset_cfg.joint_ids].abs().sum(dim=1)
+    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs().sum(dim=1)
 
 
 def joint_vel_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of squared joint velocities, (rad/s)^2."""
-    return env.scene[asset_cfg.name].data.joint_vel[:, asset_cfg.joint_ids].square().sum(dim=1)
+    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of squared joint accelerations over the last physics step, (rad/s^2)^2."""
-    return env.scene[asset_cfg.name].data.joint_acc[:, asset_cfg.joint_ids].square().sum(dim=1)
+    return picked(env.scene[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 class joint_vel_rate_l2(TermBase):
@@ -69,7 +70,7 @@ class joint_vel_rate_l2(TermBase):
         self._has_last[env_ids] = 0.0
 
     def _velocity(self, env: Env) -> torch.Tensor:
-        velocity: torch.Tensor = env.scene[self._joints.name].data.joint_vel[:, self._joints.joint_ids]
+        velocity: torch.Tensor = picked(env.scene[self._joints.name].data.joint_vel, self._joints.joint_ids)
         return velocity
 
 
@@ -77,7 +78,7 @@ def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Te
     """Sum of the distances of the joints from their defaults, rad."""
     data = env.scene[asset_cfg.name].data
     ids = asset_cfg.joint_ids
-    return (data.joint_pos[:, ids] - data.default_joint_pos[:, ids]).abs().sum(dim=1)
+    return (picked(data.joint_pos, ids) - picked(data.default_joint_pos, ids)).abs().sum(dim=1)
 
 
 def stand_still_joint_deviation_l1(
@@ -96,8 +97,8 @@ def joint_symmetry_l1(
     The pairs are the joints of the two entities in order; give both the same ``preserve_order``. ``mirrored`` joints
     turn in opposite senses on the two sides, so that a symmetric pose has |q_left + q_right| = 0.
     """
-    left = env.scene[left_cfg.name].data.joint_pos[:, left_cfg.joint_ids]
-    right = env.scene[right_cfg.name].data.joint_pos[:, right_cfg.joint_ids]
+    left = picked(env.scene[left_cfg.name].data.joint_pos, left_cfg.joint_ids)
+    right = picked(env.scene[right_cfg.name].data.joint_pos, right_cfg.joint_ids)
     if left.shape != right.shape:
         raise ConfigError(
             f"{left.shape[1]} left and {right.shape[1]} right joints", key="right_cfg.joint_names", expected="pairs"
@@ -108,20 +109,20 @@ def joint_symmetry_l1(
 def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the distances of the joints beyond their soft limits, rad."""
     data = env.scene[asset_cfg.name].data
-    q = data.joint_pos[:, asset_cfg.joint_ids]
-    low, high = data.soft_joint_pos_limits[:, asset_cfg.joint_ids].unbind(dim=2)
+    q = picked(data.joint_pos, asset_cfg.joint_ids)
+    low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
     return ((low - q).clamp(min=0.0) + (q - high).clamp(min=0.0)).sum(dim=1)
 
 
 def joint_vel_limits(env: Env, soft_ratio: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of clip(|qd| - limit * ratio, 0, 1), rad/s."""
     data = env.scene[asset_cfg.name].data
-    limit = data.soft_joint_vel_limits[:, asset_cfg.joint_ids] * soft_ratio
-    return (data.joint_vel[:, asset_cfg.joint_ids].abs() - limit).clamp(0.0, 1.0).sum(dim=1)
+    limit = picked(data.soft_joint_vel_limits, asset_cfg.joint_ids) * soft_ratio
+    return (picked(data.joint_vel, asset_cfg.joint_ids).abs() - limit).clamp(0.0, 1.0).sum(dim=1)
 
 
 def applied_torque_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of |applied - computed| torque: what the effort limit cut off, N·m."""
     data = env.scene[asset_cfg.name].data
     ids = asset_cfg.joint_ids
-    return (data.applied_torque[:, ids] - data.computed_torque[:, ids]).abs().sum(dim=1)
+    return (picked(data.applied_torque, ids) - picked(data.computed_torque, ids)).abs().sum(dim=1)

@@ -7,6 +7,7 @@ import torch
 from wheelleg_exp.constraints import Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg
 from wheelleg_exp.mdp.ground import height_over_ground
+from wheelleg_exp.sim.ids import picked
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -79,7 +80,7 @@ def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch
 
     Isaac Lab calls it ``body_lin_acc_l2``, which names a square.
     """
-    acceleration = env.scene[asset_cfg.name].data.body_lin_acc_w[:, asset_cfg.body_ids]
+    acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
 
 

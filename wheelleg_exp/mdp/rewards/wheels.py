@@ -7,6 +7,7 @@ import torch
 from wheelleg_exp.constraints import NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg
 from wheelleg_exp.mdp.rewards.pairing import require_pairs
+from wheelleg_exp.sim.ids import picked
 
 _SMALLEST = 1e-6  # N: what a force is divided by at least
 
@@ -27,8 +28,8 @@ def wheel_slip(
         threshold: force above which a wheel is on the ground, N.
     """
     data, ids = env.scene[asset_cfg.name].data, asset_cfg.body_ids
-    force = env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w[:, sensor_cfg.body_ids]
-    centre, spin = data.body_lin_vel_w[:, ids], data.body_ang_vel_w[:, ids]
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
+    centre, spin = picked(data.body_lin_vel_w, ids), picked(data.body_ang_vel_w, ids)
     require_pairs(force, centre, "asset_cfg.body_names")
     size = torch.linalg.vector_norm(force, dim=-1, keepdim=True)
     normal = force / size.clamp(min=_SMALLEST)
@@ -48,7 +49,7 @@ def wheel_spin_in_air_l1(
         asset_cfg: their joints, in the same order.
         threshold: force up to which a wheel touches nothing, N.
     """
-    flies = env.scene.contact_sensor(sensor_cfg.name).max_force_norm()[:, sensor_cfg.body_ids] <= threshold
-    speed = env.scene[asset_cfg.name].data.joint_vel[:, asset_cfg.joint_ids].abs()
+    flies = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) <= threshold
+    speed = picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs()
     require_pairs(flies, speed, "asset_cfg.joint_names")
     return (speed * flies).sum(dim=1)

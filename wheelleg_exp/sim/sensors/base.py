@@ -102,7 +102,8 @@ class SensorBase(Kept):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget what was measured of ``env_ids``; their new state is not there yet."""
-        self._elapsed[env_ids] = self.update_period
+        if self.update_period > 0.0:
+            self._elapsed.index_fill_(0, env_ids, self.update_period)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
         """Take up the new state of ``env_ids`` after resets, for what the first observation reads."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -45,6 +46,8 @@ class ContactSensor(SensorBase):
     """
 
     data: ContactSensorData
+    _norms: list[torch.Tensor | None]  # of each step kept, once asked for
+    _largest_norm: torch.Tensor | None
 
     def __init__(
         self,
@@ -98,7 +101,11 @@ class ContactSensor(SensorBase):
         start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
         width = bodies * self._slots * _WIDTH
         self._readings = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
-        self._pressures, self._normals = self._readings[..., 1].unsqueeze(2), self._readings[..., 4:7]
+        # Components, then contacts first, so that one operation runs over all bodies of all environments.
+        components = self._readings.permute(3, 2, 0, 1)
+        self._pressures, self._normals = components[1].unsqueeze(0), components[4:7]
+        self._products = torch.zeros(3, self._slots, n, bodies, dtype=sim.dtype, device=device)
+        self._counts = self._readings[:, :, 0, 0]
         pairs = bodies * len(self.filter_names)
         end = start + width + pairs * self._slots * _WIDTH
         self._pairs = sim.view("sensordata")[:, start + width : end].view(n, pairs, self._slots, _WIDTH)
@@ -107,14 +114,24 @@ class ContactSensor(SensorBase):
             self.data.add_filters(len(self.filter_names))
         if self._track_pose:
             self.data.add_pose(self._robot, self.body_names)
-        self._norms: torch.Tensor | None = None
+        self._forget_norms()
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
 
     def max_force_norm(self) -> torch.Tensor:
         """Largest norm over the history, N, (N, B)."""
-        if self._norms is None:
-            self._norms = torch.linalg.vector_norm(self.data.net_forces_w_history, dim=-1).amax(dim=1)
-        return self._norms
+        if self._largest_norm is None:
+            self._largest_norm = functools.reduce(torch.maximum, map(self._norm, range(self._history_length)))
+        return self._largest_norm
+
+    def _forget_norms(self) -> None:
+        self._norms = [None] * self._history_length
+        self._largest_norm = None
+
+    def _norm(self, age: int) -> torch.Tensor:
+        norm = self._norms[age]
+        if norm is None:
+            norm = self._norms[age] = torch.linalg.vector_norm(self.data.forces[age], dim=-1)
+        return norm
 
     def compute_first_contact(self, dt: float) -> torch.Tensor:
         """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
@@ -131,13 +148,14 @@ class ContactSensor(SensorBase):
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         """Sample the forces of the physics step that has just run."""
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
-        torch.maximum(self._found, self._readings[:, :, 0, 0], out=self._found)
-        force = torch.matmul(self._pressures, self._normals).transpose(1, 2).neg_().float()
-        history = torch.cat((force, self.data.net_forces_w_history[:, :-1]), dim=1)
-        if due is not None:
-            history = torch.where(due.view(-1, 1, 1, 1), history, self.data.net_forces_w_history)
-        self.data.net_forces_w_history = history
-        self._norms = None
+        torch.maximum(self._found, self._counts, out=self._found)
+        total = torch.mul(self._pressures, self._normals, out=self._products).sum(dim=1).neg_()
+        force = total.permute(1, 2, 0).to(torch.float32, memory_format=torch.contiguous_format)
+        self.data.take_forces(force, due)
+        if due is None:
+            self._norms, self._largest_norm = [None, *self._norms[:-1]], None
+        else:
+            self._forget_norms()
         if self.filter_names:
             self._measure_pairs(due)
         if self.track_air_time:
@@ -154,16 +172,17 @@ class ContactSensor(SensorBase):
         """Forget forces and times of ``ids``."""
         super().reset(ids)
         self.data.reset(ids)
-        self._found[ids] = 0.0
-        self._norms = None
+        self._found.index_fill_(0, ids, 0.0)
+        self._norms = [None if norm is None else norm.index_fill(0, ids, 0.0) for norm in self._norms]
+        self._largest_norm = None
 
     def overflowed(self, ids: torch.Tensor) -> torch.Tensor:
         """Return which of ``ids`` had more contacts on one body than ``max_contacts`` since their reset, (n,) bool."""
-        return (self._found[ids] > self._slots).any(dim=1)
+        return (self._found.index_select(0, ids) > self._slots).any(dim=1)
 
     def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""
-        return {"overflow": self.overflowed(env_ids).float().mean()}
+        return {"overflow": self.overflowed(env_ids).mean(dtype=torch.float32)}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the force history and the times."""
@@ -178,13 +197,13 @@ class ContactSensor(SensorBase):
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         super().load_state_dict(saved)
-        self.data.net_forces_w_history = saved["history"].clone()
+        self.data.set_forces(list(saved["history"].clone().unbind(dim=1)))
         self._found.copy_(saved["found"])
         for name, value in self.data.times.items():
             value.copy_(saved[name])
         if self.filter_names:
             self.data.filtered = saved["filtered"].clone()
-        self._norms = None
+        self._forget_norms()
 
     def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold

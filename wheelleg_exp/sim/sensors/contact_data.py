@@ -39,7 +39,7 @@ class ContactSensorData(Kept):
         device: where the tensors are.
 
     Attributes:
-        net_forces_w_history: net normal force, N, (N, T, B, 3), newest first.
+        forces: net normal force of each step kept, N, (N, B, 3), newest first.
         filtered: ``force_matrix_w_history``; None when forces are not told apart.
         times: the four times by name, s, (N, B); zeros when they are not tracked.
     """
@@ -48,7 +48,8 @@ class ContactSensorData(Kept):
         self, key: str, num_envs: int, bodies: int, history_length: int, track_air_time: bool, device: torch.device
     ) -> None:
         self._key = key
-        self.net_forces_w_history = torch.zeros(num_envs, history_length, bodies, 3, device=device)
+        self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
+        self._history: torch.Tensor | None = None  # of the same forces, once asked for
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
         self._robot: Robot | None = None
@@ -57,7 +58,27 @@ class ContactSensorData(Kept):
     @property
     def net_forces_w(self) -> torch.Tensor:
         """Net normal force of the last physics step, N, (N, B, 3)."""
-        return self.net_forces_w_history[:, 0]
+        return self.forces[0]
+
+    @property
+    def net_forces_w_history(self) -> torch.Tensor:
+        """Net normal force, N, (N, T, B, 3), newest first."""
+        if self._history is None:
+            self._history = torch.stack(self.forces, dim=1)
+            self.forces = list(self._history.unbind(dim=1))
+        return self._history
+
+    def set_forces(self, forces: list[torch.Tensor]) -> None:
+        """Let the forces of the steps kept be others, each (N, B, 3), newest first."""
+        self.forces, self._history = forces, None
+
+    def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
+        """Take up a sample (N, B, 3), of the environments ``due`` (N,) alone where not of all, and drop the oldest."""
+        kept = [newest, *self.forces[:-1]]
+        if due is not None:
+            rows = due.view(-1, 1, 1)
+            kept = [torch.where(rows, after, before) for after, before in zip(kept, self.forces, strict=True)]
+        self.set_forces(kept)
 
     current_air_time = _time("current_air_time", "Time since the body left the ground, s, 0 in contact, (N, B).")
     last_air_time = _time("last_air_time", "Duration of the last flight, s, (N, B).")
@@ -66,8 +87,8 @@ class ContactSensorData(Kept):
 
     def add_filters(self, count: int) -> None:
         """Tell the forces of ``count`` other bodies apart."""
-        n, history, bodies, _ = self.net_forces_w_history.shape
-        self.filtered = self.net_forces_w_history.new_zeros(n, history, bodies, count, 3)
+        n, bodies, _ = self.net_forces_w.shape
+        self.filtered = self.net_forces_w.new_zeros(n, len(self.forces), bodies, count, 3)
 
     def add_pose(self, robot: Robot, bodies: list[str]) -> None:
         """Show the poses of the sensed bodies."""
@@ -111,8 +132,9 @@ class ContactSensorData(Kept):
 
     def reset(self, ids: torch.Tensor) -> None:
         """Forget forces and times of ``ids``."""
-        self.net_forces_w_history = self.net_forces_w_history.index_fill(0, ids, 0.0)
+        self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
         if self.filtered is not None:
             self.filtered = self.filtered.index_fill(0, ids, 0.0)
-        for value in self.times.values():
-            value[ids] = 0.0
+        if self._track_air_time:  # else they are 0
+            for value in self.times.values():
+                value.index_fill_(0, ids, 0.0)
