@@ -7,7 +7,7 @@ import copy
 from sim.small_envs import ASSETS, env_config
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.run.params import present_form
+from wheelleg_exp.run.params import on_reference_engine, present_form
 
 
 def earlier():
@@ -34,3 +34,9 @@ def test_they_build_the_same_model():
 
 def test_present_ones_stay_as_they_are():
     assert present_form(env_config()) == env_config()
+
+
+def test_what_was_trained_on_a_gpu_is_played_on_the_cpu():
+    trained = env_config(sim={"engine": "warp", "device": "cuda:0"})
+    assert on_reference_engine(trained) == env_config()
+    assert on_reference_engine(env_config()) == env_config()

@@ -24,7 +24,7 @@ from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.params import load_params, present_form
+from wheelleg_exp.run.params import load_params, on_reference_engine, present_form
 
 Tree = dict[str, Any]
 
@@ -97,7 +97,7 @@ def prepare(
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
-    kept = {**_own_settings(), "env": present_form(env_params), "agent": agent}
+    kept = {**_own_settings(), "env": on_reference_engine(present_form(env_params)), "agent": agent}
     tree = amend(kept, overrides)
     refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree, kept)
     with placing(overrides):

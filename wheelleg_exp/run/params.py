@@ -81,6 +81,17 @@ def present_form(env: Mapping[str, Any]) -> dict[str, Any]:
     return {**env, "sim": sim, "scene": scene}
 
 
+def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an environment's parameters with MuJoCo's own engine.
+
+    What is evaluated, played and exported is simulated on it wherever a policy was trained, unless an override says
+    otherwise: then figures compare, and a machine without a GPU has them.
+    """
+    if not isinstance(env.get("sim"), Mapping):
+        return dict(env)  # who checks it tells
+    return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
+
+
 def load_config(directory: os.PathLike[str]) -> dict[str, Any]:
     """Return the config that a run was composed to, its interpolations as written (raises as ``load_params``)."""
     return _load(Path(directory) / ".hydra" / "config.yaml")

@@ -13,7 +13,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.params import load_params, present_form
+from wheelleg_exp.run.params import load_params, on_reference_engine, present_form
 
 
 def settings(run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def settings(run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[
     others = [text for text in overrides if not _is_of_protocol(text)]
     composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
     env, agent = load_params(run)
-    kept = {"env": present_form(env), "agent": agent}
+    kept = {"env": on_reference_engine(present_form(env)), "agent": agent}
     tree = {**amend(kept, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
     with composed.placing(), placing(others):
         if errors := check_tree(tree, schema.EvaluateRoot):

@@ -42,7 +42,7 @@ from wheelleg_exp.rl import export as formats
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.params import load_params, present_form
+from wheelleg_exp.run.params import load_params, on_reference_engine, present_form
 from wheelleg_exp.state.rebuilding import made_again
 
 BUNDLE = "bundle"
@@ -133,7 +133,7 @@ def _placed(work: Path, target: Path, *, numbered: bool) -> Path:
 def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
     """Write the bundle's files and return how far its runner is from the simulation, and what it lacks."""
     params, agent = load_params(run)
-    params, seed = present_form(params), int(run.manifest().data["seeds"][0])
+    params, seed = on_reference_engine(present_form(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)
     require_perceptron(agent[role], f"agent.{role}")
     mjcf, state = kept_mjcf(run), checkpoints.load(checkpoint)
