@@ -9,6 +9,8 @@ import torch
 from evaluation.conftest import balancer, noise, not_numbers, protocol, zeros
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation import Evaluation, evaluate
+from wheelleg_exp.evaluation.options import Protocol
+from wheelleg_exp.terms.sections import read_section
 
 STAND = ("protocol.stand.episodes=4", "protocol.stand.horizon_s=3.0", "protocol.stand.survival_s=[1.0,3.0]")
 WALK = (
@@ -144,3 +146,35 @@ def test_pictures_of_results_are_plain(of_zeros):
     assert content["about"]["wheels"] == ["l03", "r03"]
     assert content["about"]["profile"] == "article"
     assert torch.is_tensor(content) is False
+
+
+@pytest.mark.parametrize(
+    ("name", "word", "key", "message"),
+    [
+        ("stand", "protocol.stand=null", "protocol", "there is no test in it"),
+        ("stand", "protocol.settle_s=60", "protocol.stand.horizon_s", "60 s is over before anything counts"),
+        ("walk", "protocol.settle_s=15", "protocol.steps.drive_s", "15 s is over before"),
+        ("walk", "protocol.walk.ang_vel_z=[]", "protocol.walk.ang_vel_z", "is out of range"),
+        ("push", "protocol.push.pulses_s=[]", "protocol.push.pulses_s", "is out of range"),
+        ("terrain", "protocol.terrain.size=[4.0]", "protocol.terrain.size", "is out of range"),
+        ("robust", "protocol.robust.lin_vel_x=[]", "protocol.robust.lin_vel_x", "is out of range"),
+    ],
+)
+def test_a_protocol_that_would_tell_nothing_is_refused(name, word, key, message):
+    node = protocol(name, word)
+    with pytest.raises(ConfigError, match=message) as caught:
+        read_section(Protocol, node, "protocol")
+    assert caught.value.key == key
+
+
+def test_a_grid_of_steps_may_leave_out_one_axis_but_not_both():
+    read_section(Protocol, protocol("walk", "protocol.steps.ang_vel_z=[]"), "protocol")
+    none = protocol("walk", "protocol.steps.ang_vel_z=[]", "protocol.steps.lin_vel_x=[]")
+    with pytest.raises(ConfigError, match="no speed to step to") as caught:
+        read_section(Protocol, none, "protocol")
+    assert caught.value.key == "protocol.steps.lin_vel_x"
+
+
+def test_an_episode_lasts_at_least_one_control_step(task):
+    short = protocol("stand", "protocol.stand.horizon_s=0.001", "protocol.settle_s=0", "protocol.stand.episodes=2")
+    assert evaluate(*task, zeros, short).value("stand/time_to_failure") == pytest.approx(0.001, abs=0.02)

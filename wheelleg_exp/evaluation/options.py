@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from wheelleg_exp.constraints import Count, NonNegative, Positive, Seed, Share
+from wheelleg_exp.constraints import Broken, Count, Length, NonNegative, NotEmpty, Positive, Seed, Share, relation
 from wheelleg_exp.terms.sections import Section
 
 Ground = Literal["flat", "own"]
+Speeds = Annotated[list[float], NotEmpty()]
+
+
+def _some_step(steps: Mapping[str, Any]) -> Iterator[Broken]:
+    if not steps["lin_vel_x"] and not steps["ang_vel_z"]:
+        yield Broken("lin_vel_x", "there is no speed to step to", "a speed here or in ang_vel_z")
+
+
+def _lengths(protocol: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """Yield the key that says how long the episodes of each test are, and how long that is, s."""
+    for test in ("stand", "walk", "terrain", "robust"):
+        if protocol[test] is not None:
+            yield f"{test}.horizon_s", protocol[test]["horizon_s"]
+    if (steps := protocol["steps"]) is not None:
+        yield "steps.drive_s", steps["stand_s"] + 3 * steps["drive_s"]
+    if (push := protocol["push"]) is not None:
+        yield "push.after_s", push["at_s"] + push["after_s"]
+
+
+def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
+    lengths, settle = list(_lengths(protocol)), protocol["settle_s"]
+    if not lengths:
+        tests = "stand, walk, steps, push, terrain, robust"
+        yield Broken("", "there is no test in it", f"one of {tests} that is not null")
+    for key, seconds in lengths:
+        if seconds <= settle:
+            message = f"an episode of {seconds:g} s is over before anything counts"
+            yield Broken(key, message, f"episodes longer than protocol.settle_s, {settle:g} s")
 
 
 @dataclass(frozen=True)
@@ -18,7 +47,7 @@ class Stand:
     Attributes:
         episodes: number of episodes.
         horizon_s: how long each is, s.
-        survival_s: the moments at which survival is told, s.
+        survival_s: the moments at which survival is told, s; those after the horizon are left out.
     """
 
     episodes: Count
@@ -43,14 +72,15 @@ class Walk:
 
     episodes: Count
     horizon_s: Positive
-    lin_vel_x: list[float]
-    ang_vel_z: list[float]
+    lin_vel_x: Speeds
+    ang_vel_z: Speeds
     steady_s: NonNegative
     band: Share
     std_lin_vel_x: Positive
     std_ang_vel_z: Positive
 
 
+@relation(_some_step)
 @dataclass(frozen=True)
 class Steps:
     """``protocol.steps``: stand, drive, reverse, stop; on one axis at a time.
@@ -93,7 +123,7 @@ class Push:
 
     episodes: Count
     directions: Count
-    pulses_s: list[NonNegative]
+    pulses_s: Annotated[list[NonNegative], NotEmpty()]
     at_s: NonNegative
     after_s: Positive
     highest: Positive
@@ -125,7 +155,7 @@ class Terrain:
     lin_vel_x: float
     distance_share: Share
     pass_share: Share
-    size: list[Positive]
+    size: Annotated[list[Positive], Length(2)]
     levels: Count
     scene: Section
 
@@ -149,7 +179,7 @@ class Robust:
 
     episodes: Count
     horizon_s: Positive
-    lin_vel_x: list[float]
+    lin_vel_x: Speeds
     friction: list[Positive]
     mass: list[Positive]
     com: list[float]
@@ -159,6 +189,7 @@ class Robust:
     gains: list[Positive]
 
 
+@relation(_something_counts)
 @dataclass(frozen=True)
 class Protocol:
     """``protocol``: fixed scenarios and how they are judged.

@@ -56,7 +56,7 @@ class Rollout:
         self._meter = EffortMeter(env, saturation, env.physics_dt)
         self._commands = scenarios.commands().to(env.device)
         self._begins = [round(moment / env.step_dt) for moment in scenarios.times]
-        self.steps = round(scenarios.horizon_s / env.step_dt)
+        self.steps = max(1, round(scenarios.horizon_s / env.step_dt))
         self.endings = (*env.termination_manager.active_terms, FALLEN, NOT_FINITE, NOT_FINITE_ACTION)
 
     def start(self, seed: int) -> Observations:

@@ -92,7 +92,7 @@ def keys_of(options: type) -> dict[str, Key]:
 
 
 def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
-    """Hold the keys and values of one section against the fields of a dataclass."""
+    """Hold the keys and values of one section against the fields of a dataclass and, where each is right, its rules."""
     keys = keys_of(options)
     errors = []
     for name, value in node.items():
@@ -113,7 +113,10 @@ def _broken_rules(path: str, node: Mapping[str, Any], options: type) -> list[Con
     """Hold the values of a section, each right by itself, against the rules between them."""
     given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)
     broken = (found for rule in rules_of(options) for found in rule(given))
-    return [ConfigError(found.message, key=below(path, found.key), expected=found.expected) for found in broken]
+    return [
+        ConfigError(found.message, key=".".join(filter(None, (path, found.key))), expected=found.expected)
+        for found in broken
+    ]
 
 
 def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
