@@ -60,6 +60,23 @@ def test_a_class_term_gets_its_config_and_its_parameters(make):
     assert not env.reward_manager.step_reward[2].any()
 
 
+@pytest.mark.parametrize(
+    ("section", "name", "parameter", "expected"),
+    [
+        ("rewards", "high", "minimum", "a number"),
+        ("rewards", "smooth", "scale", "a number"),
+        ("events", "jolt", "spread", "a number"),
+    ],
+)
+def test_a_wrong_type_is_told_though_the_env_is_imported_for_type_checkers_alone(
+    make, section, name, parameter, expected
+):
+    nodes = {"rewards": REWARDS, "events": EVENTS}[section]
+    with pytest.raises(ConfigError, match="right type") as caught:
+        make(**{section: {name: {**nodes[name], parameter: "abc"}}})
+    assert (caught.value.key, caught.value.expected) == (f"env.{section}.{name}.{parameter}", expected)
+
+
 def test_an_action_of_its_own_config(make):
     env = make()
     env.reset()

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import inspect
+import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 from wheelleg_exp.constraints import rules_of
@@ -116,12 +118,13 @@ def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigErro
     """Hold parameters against the annotations of the target and, where each is right by itself, against its rules."""
     hints = type_hints(target)
     errors: list[ConfigError] = []
+    accepted = signature_parameters(target)
     for name, value in term.params.items():
-        if name in hints and not has_target(value):
+        is_default = value is None and name in accepted and accepted[name].default is None
+        if name in hints and not has_target(value) and not is_default:
             errors += value_errors(below(term.path, name), value, hints[name])
     if errors:
         return errors
-    accepted = signature_parameters(target)
     given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
     if any(value is inspect.Parameter.empty for value in given.values()):
         return []  # what is missing is told by its name
@@ -133,13 +136,24 @@ def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigErro
 
 
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
-    """Return the annotations of what a target takes, constraints included; nothing when they cannot be read."""
+    """Return the annotations of what a target takes, constraints included, but for those that cannot be read.
+
+    One that names what its module imports for type checkers alone, as terms of Isaac Lab name the environment's class,
+    hides none of the others.
+    """
     target = read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
     try:
         return typing.get_type_hints(function, include_extras=True)
     except (NameError, TypeError, AttributeError):
-        return {}
+        return dict(_readable_hints(inspect.unwrap(function)))
+
+
+def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    for name, annotation in getattr(function, "__annotations__", {}).items():
+        alone = types.SimpleNamespace(__annotations__={name: annotation})
+        with suppress(Exception):  # whatever evaluating a text may raise
+            yield name, typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)[name]
 
 
 def has_target(value: Any) -> bool:
