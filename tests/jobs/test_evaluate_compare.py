@@ -65,6 +65,39 @@ def test_several_runs_are_told_in_one_table(run, capsys, tmp_path):
     assert survival.split()[1:3] == ["0", "0"]
 
 
+@pytest.mark.parametrize("words", [["--against", "nosuch"], ["nosuch"], ["--checkpoint", "77"]])
+def test_a_run_or_checkpoint_that_is_not_there_is_told_before_any_is_evaluated(run, capsys, words):
+    assert main(["evaluate", str(run.path), *words, *SHORT]) == 2
+    assert words[-1] in capsys.readouterr().err
+    assert not run.evaluation.exists()
+
+
+def test_one_training_named_twice_is_no_two_seeds(run, capsys):
+    assert main(["evaluate", str(run.path), str(run.path), *SHORT]) == 2
+    assert "is named twice" in capsys.readouterr().err
+
+
+def test_what_is_kept_is_found_in_whatever_words_its_protocol_was_asked_for(run, capsys):
+    first = evaluated(capsys, run.path)
+    again = evaluated(capsys, run.path, "protocol=stand", "protocol.stand.episodes=4", "--kept")
+    assert again["folder"] == first["folder"]
+    other = evaluated(capsys, run.path, "seed=7", "--kept")
+    assert other["folder"] != first["folder"]
+    finer = evaluated(capsys, run.path, "env.sim.dt=0.004", "--kept")
+    assert finer["folder"] not in (first["folder"], other["folder"])
+
+
+def test_metrics_that_no_episode_tells_of_take_one_line(run, capsys):
+    """Three iterations fall at once, so their drift is no number."""
+    assert main(["evaluate", str(run.path), *SHORT]) == 0
+    alone = capsys.readouterr().out
+    assert main(["evaluate", str(run.path), "--against", "reference", "--kept", *SHORT]) == 0
+    beside = capsys.readouterr().out
+    assert "no episode tells of: drift, " in alone
+    assert "no episode tells of: stand/cost_of_transport_gross, " in beside  # the reference tells of the drift
+    assert not [line for line in alone.splitlines() if line.split()[:3:2] == ["drift", "-"]]
+
+
 def test_runs_of_other_scenarios_are_refused(run, capsys):
     evaluated(capsys, run.path)
     main(["evaluate", str(run.path), *SHORT, "protocol.stand.episodes=5"])

@@ -13,7 +13,7 @@ from wheelleg_exp.jobs.results.record import read_record, recipe
 
 pytestmark = pytest.mark.train
 
-SHORT = ("protocol.stand.episodes=3", "protocol.stand.horizon_s=0.5", "protocol.stand.survival_s=[0.5]")
+SHORT = ("protocol.stand.episodes=3", "protocol.stand.horizon_s=1.1", "protocol.stand.survival_s=[0.5]")
 
 
 @pytest.fixture
@@ -69,3 +69,10 @@ def test_a_run_that_was_not_trained_in_one_go_is_no_result(run):
     write_json(run.path / "manifest.json", {**data, "status": "interrupted"})
     with pytest.raises(RunDirectoryError, match="in one go"):
         recipe(run)
+
+
+@pytest.mark.parametrize("name", ["../outside", "a/b", "", ".."])
+def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
+    assert main(["results", name, str(run.path), *SHORT, "--into", str(tmp_path / "results")]) == 2
+    assert "is no name of a page" in capsys.readouterr().err
+    assert not list(tmp_path.rglob("*.md"))

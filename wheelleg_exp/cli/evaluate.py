@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, print_json
@@ -12,6 +13,7 @@ from wheelleg_exp.errors import EXIT_OK, WheellegError
 if TYPE_CHECKING:
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
+    from wheelleg_exp.run.directory import RunDirectory
 
 REFERENCE = "reference"
 
@@ -56,9 +58,10 @@ def run(args: argparse.Namespace) -> int:
     others = [name for name in args.against if name != REFERENCE]
     if REFERENCE in args.against and others:
         raise WheellegError("a comparison is with runs or with the reference", key="--against", expected="one of them")
+    chosen, opposite = found(args, names), found(args, others)
     with ConsoleDisplay(quiet=True) as display:
-        made = [evaluated(args, name, overrides, display) for name in names]
-        against = [evaluated(args, name, overrides, display) for name in others]
+        made = [evaluated(args, *one, overrides, display) for one in chosen]
+        against = [evaluated(args, *one, overrides, display) for one in opposite]
         reference = None
         if args.reference or REFERENCE in args.against:
             reference = reference_of(args, made[0], overrides, display)
@@ -99,28 +102,45 @@ def is_run(word: str) -> bool:
     return "=" not in word and not word.startswith("~")
 
 
-def evaluated(args: argparse.Namespace, name: str, overrides: Sequence[str], display: ConsoleDisplay) -> Evaluated:
-    """Evaluate one run as the words of a command say, or take what it has kept."""
+def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
+    """Return runs of one method, each with its checkpoint; to be asked of all before the first is evaluated.
+
+    Raises:
+        WheellegError: there is no such run or checkpoint, or a run is named twice.
+    """
     from wheelleg_exp.cli.play import chosen_checkpoint
-    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_run
     from wheelleg_exp.run.directory import RunDirectory
 
-    directory = RunDirectory.open(name, args.root)
-    asked = getattr(args, "checkpoint", None)
-    chosen = None if asked is None else chosen_checkpoint(directory, asked)
+    asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
+    for index, directory in enumerate(runs):
+        if directory in runs[:index]:
+            message = f"run '{directory.id}' is named twice, and would count as two trainings"
+            raise WheellegError(message, key="RUN", expected="each run once")
+    return [(run, run.latest_checkpoint() if asked is None else chosen_checkpoint(run, asked)) for run in runs]
+
+
+def evaluated(
+    args: argparse.Namespace,
+    directory: RunDirectory,
+    checkpoint: Path,
+    overrides: Sequence[str],
+    display: ConsoleDisplay,
+) -> Evaluated:
+    """Evaluate one run as the words of a command say, or take what it has kept."""
+    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_run
+
     if args.kept:
         from wheelleg_exp.files import sha256
         from wheelleg_exp.jobs.evaluate.kept import as_evaluated, find_kept
         from wheelleg_exp.jobs.evaluate.settings import settings
 
-        checkpoint = chosen or directory.latest_checkpoint()
         tree = settings(directory, overrides, args.config_dirs)
-        folder = find_kept(directory, sha256(checkpoint), tree["protocol"], overrides)
+        folder = find_kept(directory, sha256(checkpoint), tree, overrides)
         if folder is not None:
             return as_evaluated(directory, checkpoint, folder)
     from wheelleg_exp.inspection.plots.evaluation import draw
 
-    return evaluate_run(directory, chosen, overrides, args.command, display.test, args.config_dirs, draw)
+    return evaluate_run(directory, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
 
 
 def reference_of(

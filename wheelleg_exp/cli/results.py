@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import tempfile
 from pathlib import Path
 
@@ -35,13 +36,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate runs and write their table, or get a written one again."""
+    from wheelleg_exp.run.options import NAME, NAME_WORDS
+
+    if re.fullmatch(NAME, args.name) is None:
+        raise WheellegError(f"{args.name!r} is no name of a page", key="NAME", expected=NAME_WORDS)
     return _again(args) if args.again else _write(args)
 
 
 def _write(args: argparse.Namespace) -> int:
-    from wheelleg_exp.cli.evaluate import evaluated, is_run, reference_of
+    from wheelleg_exp.cli.evaluate import evaluated, found, is_run, reference_of
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.cli.printing.figures import shown, tool
     from wheelleg_exp.jobs.evaluate.compare import compare
     from wheelleg_exp.jobs.results.record import recipe, write_results
 
@@ -49,16 +54,22 @@ def _write(args: argparse.Namespace) -> int:
     words = [word for word in args.runs if not is_run(word)]
     if not names:
         raise WheellegError("names no run", key="RUN", expected="the runs that the table is of")
+    chosen = found(args, names)
+    for directory, _ in chosen:
+        recipe(directory)  # what cannot be made again is no result
     with ConsoleDisplay(quiet=True) as display:
-        made = [evaluated(args, name, words, display) for name in names]
-        for one in made:
-            recipe(one.run)  # what cannot be made again is no result
+        made = [evaluated(args, *one, words, display) for one in chosen]
         reference = reference_of(args, made[0], words, display) if args.reference else None
     against = [] if reference is None else [reference]
     compared = compare(made, against, reference, args.command)
     for path in write_results(args.name, args.into, compared, made, reference, words):
         print(shown(path.absolute()))
+    print(f"again: {tool('wheelleg')} results {args.name} --again" + _told_into(args.into))
     return EXIT_OK
+
+
+def _told_into(folder: Path) -> str:
+    return "" if folder == FOLDER else f" --into {folder}"
 
 
 def _again(args: argparse.Namespace) -> int:

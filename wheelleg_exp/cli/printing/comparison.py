@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from wheelleg_exp.cli.printing.evaluation import print_untold
 from wheelleg_exp.cli.printing.tables import hanging, print_table
 from wheelleg_exp.evaluation.comparison import Difference
 from wheelleg_exp.jobs.evaluate.compare import Compared, name_of
@@ -22,7 +23,7 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
     heads = [f"run {number}" for number in range(1, len(runs) + 1)]
     over = ["mean", "95 % interval", "noise floor"] if several else []
     columns = ["metric", "unit", *heads, *over, *(["reference"] if reference is not None else [])]
-    rows = []
+    rows, untold = [], []
     for row in made.seeds:
         factor, unit = _scale(row.unit)
         cells = [_number(value, factor) for value in row.values]
@@ -32,8 +33,12 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
         if reference is not None:
             figure = reference.evaluation.metrics.get(row.metric)
             cells.append("-" if figure is None else _number(figure.value, factor))
-        rows.append((row.metric, unit, *cells))
+        if set(cells) == {"-"}:
+            untold.append(row.metric)
+        else:
+            rows.append((row.metric, unit, *cells))
     print_table(columns, rows, heads=1)
+    print_untold(untold)
     if several:
         print(hanging("intervals are of a bootstrap over the runs and, within each, its episodes", 0))
 

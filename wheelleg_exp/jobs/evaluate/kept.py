@@ -14,6 +14,7 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
 from wheelleg_exp.files import for_people
 from wheelleg_exp.jobs.evaluate.evaluate import EPISODES, RESULT, Evaluated
+from wheelleg_exp.jobs.evaluate.settings import of_the_run
 from wheelleg_exp.reading import Unreadable, json_value
 from wheelleg_exp.run.directory import RunDirectory
 
@@ -61,20 +62,21 @@ def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
     return {name: _column([row[i] for row in rows[1:]]) for i, name in enumerate(rows[0])}
 
 
-def find_kept(run: RunDirectory, checkpoint: str, protocol: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
+def find_kept(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
     """Return the newest kept evaluation of a checkpoint under a protocol; None when there is none.
 
     Args:
         run: the run.
         checkpoint: the checkpoint's sha256.
-        protocol: the composed protocol, plain.
+        tree: what ``settings`` returns for the overrides: a protocol is the same in whatever words it was asked for.
         overrides: those of the run's own parameters and of the protocol.
     """
+    asked = (checkpoint, tree["seed"], tree["protocol"], of_the_run(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
     for folder in sorted(folders, reverse=True):
         content = read_content(folder)
-        asked = (content.get("checkpoint_sha256"), content.get("protocol"), content.get("overrides"))
-        if asked == (checkpoint, dict(protocol), list(overrides)):
+        made = tuple(content.get(key) for key in ("checkpoint_sha256", "seed", "protocol"))
+        if (*made, of_the_run(content.get("overrides") or [])) == asked:
             return folder
     return None
 

@@ -28,7 +28,7 @@ def settings(run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[
         WheellegError: an override, the run or the protocol is wrong.
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
-    others = [text for text in overrides if not _is_of_protocol(text)]
+    others = of_the_run(overrides)
     composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
     env, agent = load_params(run)
     kept = {"env": on_reference_engine(present_form(env)), "agent": agent}
@@ -44,6 +44,11 @@ def settings(run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[
                     expected="the run's own value; another robot needs a new run",
                 )
     return tree
+
+
+def of_the_run(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides that change the run's parameters, and not the protocol."""
+    return [text for text in overrides if not _is_of_protocol(text)]
 
 
 def _is_of_protocol(override: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
@@ -73,7 +74,7 @@ def _made(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> 
     for run in record["runs"]:
         yield from _commands(run["train"])
     reference = " --reference" if record["reference"] else ""
-    yield f"wheelleg results {record['name']} RUN ...{reference} {' '.join(record['words'])}".rstrip()
+    yield f"wheelleg results {record['name']} RUN ...{reference} {shlex.join(record['words'])}".rstrip()
     yield "```\n"
     yield "| run | seed | commit | networks |"
     yield "|---|---|---|---|"
@@ -91,7 +92,7 @@ def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
     if before is not None:
         yield from _commands(before)
     tail = " init_from=" + "the-run-above" if before is not None else ""
-    yield f"wheelleg train {' '.join(recipe['overrides'])}{tail}"
+    yield f"wheelleg train {shlex.join(recipe['overrides'])}{tail}"
 
 
 def _number(value: float | None, factor: float) -> str:
