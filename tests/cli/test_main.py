@@ -185,6 +185,18 @@ def test_a_reader_that_goes_away_changes_no_verdict(probe, monkeypatch, stream):
         assert main(["probe"]) == 1
 
 
+def test_signs_that_a_stream_cannot_show_become_question_marks(probe, monkeypatch, tmp_path):
+    def run(args):
+        sys.stdout.write("lean 1.2 °/s, torque 3 N·m\n")
+        return 0
+
+    probe(run)
+    with (tmp_path / "out").open("w", encoding="ascii") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        assert main(["probe"]) == 0
+    assert (tmp_path / "out").read_text() == "lean 1.2 ?/s, torque 3 N?m\n"
+
+
 def test_a_pipe_that_breaks_inside_is_a_failure(probe, capsys):
     def run(args):
         raise BrokenPipeError("the viewer is gone")

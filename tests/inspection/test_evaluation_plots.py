@@ -46,7 +46,12 @@ def test_a_map_of_commands_has_speed_upwards_and_a_number_a_cell():
     assert texts(survived) == ["100", "100", "0", "0"]
     assert [tick.get_text() for tick in survived.get_yticklabels()] == ["0", "0.3"]
     assert [tick.get_text() for tick in survived.get_xticklabels()] == ["-0.5", "0.5"]
-    assert texts(error) == ["3.5", "7.1", "3.5", "7.1"]  # √((3² + 4²) / 2) mm/s
+    assert texts(error) == ["3.5", "7.1"]  # √((3² + 4²) / 2) mm/s; of who fell no error is told, as in the tables
+
+
+def test_a_large_error_is_told_without_an_exponent():
+    rows = [{"test": "walk", "command_vx": 0.1, "command_wz": 0.0, "survived": 1.0, "error_vx": 0.756}]
+    assert texts(axes(rows, "walk", "Error of the speed")) == ["756"]
 
 
 def test_a_push_forwards_is_drawn_up_and_one_to_the_left_left():

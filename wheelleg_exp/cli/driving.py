@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,11 +68,24 @@ def _page(args: argparse.Namespace, run: RunDirectory) -> Any:
 
 
 def _print(made: Drive) -> None:
-    from wheelleg_exp.cli.printing.figures import print_recording, shown
+    from wheelleg_exp.cli.printing.figures import print_recording, shown, tool
     from wheelleg_exp.cli.printing.tables import print_table
     from wheelleg_exp.definitions.drive import rows
 
     print(f"drove {shown(made.checkpoint)} without exploration noise")
     print_table(("figure", "value"), rows(made.figures))
-    print(f"\nagain: wheelleg play ... --script {shown(made.folder / 'driven.yaml')}")
+    print(f"\nagain: {tool('wheelleg')} {shlex.join(_again(made))}")
     print_recording(made.recording)
+
+
+def _again(made: Drive) -> list[str]:
+    """Return the words that drive the same again."""
+    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.jobs.drive.ground import OWN
+
+    run, scene = made.folder.parent.parent, made.figures["scene"]
+    own = made.checkpoint.resolve().is_relative_to(run)
+    words = ["play", shown(run), *made.figures["overrides"]]
+    words += ["--checkpoint", made.checkpoint.name if own else shown(made.checkpoint)]
+    words += [] if scene == OWN else ["--scene", scene]
+    return [*words, "--script", shown(made.folder / "driven.yaml")]

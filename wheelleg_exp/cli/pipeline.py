@@ -94,5 +94,6 @@ def _tell(index: PipelineIndex, status: PipelineStatus, again: str) -> None:
             print(f"      {tool('wheelleg')} evaluate {shown(last)}")
         return
     failed = next(phase for phase in index.phases if phase["status"] == "failed")
-    more = 2 * int(index.data["config"]["phases"][failed["name"]]["max_iterations"])
+    most = int(index.data["config"]["phases"][failed["name"]]["max_iterations"])
+    more = 2 * max(most, int(failed["trained"]))
     print(f"next: {again} pipeline.phases.{failed['name']}.max_iterations={more}")

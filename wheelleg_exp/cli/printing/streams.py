@@ -33,10 +33,17 @@ class LastingStream:
     def write(self, text: str) -> int:
         """Write a text, and return its length."""
         try:
-            self._stream.write(text if self._styled else printable(text))
+            self._write(text if self._styled else printable(text))
         except self._losses:
             self._let_go()
         return len(text)
+
+    def _write(self, text: str) -> None:
+        """Write a text; what the stream's encoding cannot show, as ASCII cannot show °, becomes a question mark."""
+        try:
+            self._stream.write(text)
+        except UnicodeEncodeError as error:
+            self._stream.write(text.encode(error.encoding, "replace").decode(error.encoding))
 
     def flush(self) -> None:
         """Pass on what has been written."""

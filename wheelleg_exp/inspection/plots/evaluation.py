@@ -86,9 +86,13 @@ def _of_walking(rows: Episodes) -> list[Panel]:
     def over(name: str, factor: float = 1.0, of: Callable[..., Any] = np.nanmean) -> Panel | None:
         if not _some(rows, name):
             return None
+        # An error is of those that lived, as in the tables: one that falls has driven for a moment only.
+        counts = np.where(rows["survived"] == 1.0, factor, np.nan) if name.startswith("error") else factor
+        if not np.isfinite(rows[name] * counts).any():
+            return None
         return _map(
             titles[name],
-            *_grid(rows["command_wz"], rows["command_vx"], rows[name] * factor, of),
+            *_grid(rows["command_wz"], rows["command_vx"], rows[name] * counts, of),
             across="yaw rate (rad/s)",
             up="forward speed (m/s)",
             is_share=name in ("survived", "in_band"),
@@ -96,8 +100,8 @@ def _of_walking(rows: Episodes) -> list[Panel]:
 
     titles = {
         "survived": "Survived",
-        "error_vx": "Error of the speed, RMS (mm/s)",
-        "error_wz": "Error of the yaw rate, RMS (rad/s)",
+        "error_vx": "Error of the speed of survivors, RMS (mm/s)",
+        "error_wz": "Error of the yaw rate of survivors, RMS (rad/s)",
         "in_band": "Within the band",
     }
     found = [over("survived"), over("in_band"), over("error_vx", 1e3, _rms), over("error_wz", 1.0, _rms)]
@@ -182,6 +186,11 @@ _TESTS: Mapping[str, Callable[[Episodes], list[Panel]]] = {
 }
 
 
+def _two_digits(value: float) -> str:
+    """Return a number with two digits that count, and without an exponent when it is large."""
+    return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
+
+
 def _some(rows: Episodes, name: str) -> bool:
     return name in rows and bool(np.isfinite(rows[name]).any())
 
@@ -224,7 +233,7 @@ def _map(
             if np.isfinite(values[i, j]):
                 share = norm(values[i, j])
                 dark = share < _DARK if is_share else share > _DARK
-                text = f"{100 * values[i, j]:.0f}" if is_share else f"{values[i, j]:.2g}"
+                text = f"{100 * values[i, j]:.0f}" if is_share else _two_digits(float(values[i, j]))
                 axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else INK)
         axes.set_xticks(range(len(columns)), [f"{column:g}" for column in columns])
         axes.set_yticks(range(len(lines)), [line if isinstance(line, str) else f"{line:g}" for line in lines])

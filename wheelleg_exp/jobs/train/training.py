@@ -161,6 +161,8 @@ def start(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks
             manifest.record(ranks=together)
         if (initial := kept_initial(config, recipe.asset)) is not None:
             manifest.record(init_from={**recipe.begun_with, **initial.facts})
+            whose = recipe.begun_with.get("run") or initial.facts["named"]
+            display.note(f"begins with the {initial.facts['what']} of {whose}, {initial.facts['checkpoint']}")
         sync_folder(directory.path)
     except BaseException:
         if not (directory.path / MANIFEST_NAME).exists():  # nobody could tell what it is
