@@ -144,6 +144,12 @@ def test_no_source_of_the_environment_breaks_a_rule(rule):
     assert found == []
 
 
+def test_the_term_of_a_new_project_breaks_no_rule():
+    code = (PACKAGE / "project" / "templates" / "terms.py.txt").read_text(encoding="utf-8")
+    for find, _ in RULES.values():
+        assert list(find(ast.parse(code))) == []
+
+
 @pytest.mark.parametrize(
     ("rule", "code"),
     [

@@ -134,6 +134,9 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     assert (said.returncode, "it fell after" in said.stdout) == (1, True)
     said = alone(bundle, "simulate.py", "--command", "1", "2")
     assert (said.returncode, "{'base_velocity': 3}" in said.stderr) == (2, True)
+    for seconds in ("nan", "inf", "-1", "0"):
+        said = alone(bundle, "simulate.py", "--seconds", seconds)
+        assert (said.returncode, "a number of at least 0.01667" in said.stderr) == (2, True)
 
 
 def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle, runner):

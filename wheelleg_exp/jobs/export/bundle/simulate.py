@@ -139,6 +139,8 @@ def main() -> int:
     parser.add_argument("--onnx", action="store_true", help="let onnxruntime run the network")
     args = parser.parse_args()
     spec = json.loads((HERE / "policy.json").read_text(encoding="utf-8"))
+    if not spec["step_dt"] <= args.seconds < np.inf:
+        parser.error(f"--seconds is {args.seconds:g}, and has to be a number of at least {spec['step_dt']:.4g}")
     policy, robot = Policy(HERE, args.onnx), Robot(spec)
     widths = {name: spec["readings"][f"commands.{name}"]["width"] for name in spec["commands"]}
     if args.command is not None and list(widths.values()) != [len(args.command)]:
@@ -164,7 +166,8 @@ def main() -> int:
     x, y = robot.data.qpos[:2] - spec["root"]["pos"][:2]
     print(f"simulated {len(heights) * spec['step_dt']:.2f} s at {1 / spec['step_dt']:.4g} Hz")
     print(f"base height {np.mean(heights):.4f} m on average, {min(heights):.4f} to {max(heights):.4f} m")
-    print(f"it ended {np.hypot(x, y):.3f} m from where it began, tilted by {np.degrees(np.arccos(robot.upright)):.1f}°")
+    tilt = np.degrees(np.arccos(min(1.0, robot.upright)))
+    print(f"it ended {np.hypot(x, y):.3f} m from where it began, tilted by {tilt:.1f}°")
     print("it stood to the end" if fallen is None else f"it fell after {fallen:.2f} s")
     return int(fallen is not None)
 
