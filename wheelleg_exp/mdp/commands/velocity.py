@@ -79,7 +79,7 @@ class UniformVelocityCommand(RangedCommand):
 
     @property
     def asked(self) -> torch.Tensor:
-        """What is asked for in the end (N, 3): the command itself, unless a class of this one lets it get there slowly."""
+        """What is asked for in the end (N, 3): the command itself, unless a class of this lets it get there slowly."""
         return self._command
 
     def errors(self) -> torch.Tensor:
