@@ -223,13 +223,13 @@ def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
     """Return the columns that say which episode a row is, what it was told, and how it ended."""
     table = rollout.scenarios
     cell = table.cell_of()
-    told = table.commands()[:, min(1, len(table.times) - 1)].double().numpy()  # of steps, the one after standing
+    told = table.commands()[:, min(1, len(table.times) - 1)].double().cpu().numpy()  # of steps, the one after standing
     endings = np.array([*rollout.endings, ""])
     return {
         "test": np.full(table.size, table.test),
-        "cell": cell.double().numpy(),
-        "cell_name": np.array(table.names)[cell.numpy()],
-        "episode": torch.arange(table.size).remainder(table.episodes).double().numpy(),
+        "cell": cell.double().cpu().numpy(),
+        "cell_name": np.array(table.names)[cell.cpu().numpy()],
+        "episode": torch.arange(table.size).remainder(table.episodes).double().cpu().numpy(),
         "command_vx": told[:, 0],
         "command_wz": told[:, 2],
         "ended_by": endings[made.ended_by.cpu().numpy()],

@@ -111,9 +111,24 @@ def _share(a: Any, b: Any) -> bool:
         return a is b
     try:
         return np.shares_memory(_array(a), _array(b), max_work=_MOST_WORK)  # type: ignore[arg-type]  # numpy's stubs know two values
-    except (TypeError, RuntimeError):  # no numpy type, another device; too hard (an error of numpy's own)
+    except (TypeError, RuntimeError):  # no strides; too hard (an error of numpy's own)
         return True
 
 
 def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
-    return node if isinstance(node, np.ndarray) else node.detach().numpy()
+    """Return an array at the same addresses, only to ask where it lies: they may be a GPU's, and nothing is read."""
+    return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
+
+
+class _Addresses:
+    """A tensor's addresses, in numpy's terms."""
+
+    def __init__(self, node: torch.Tensor) -> None:
+        size = node.element_size()
+        self.__array_interface__ = {
+            "version": 3,
+            "typestr": f"|V{size}",
+            "shape": tuple(node.shape),
+            "strides": tuple(stride * size for stride in node.stride()),
+            "data": (node.data_ptr(), True),
+        }

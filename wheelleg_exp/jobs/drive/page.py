@@ -92,7 +92,7 @@ class DrivePage:
     def show(self, status: Status) -> None:
         """Show how the drive stands."""
         env = self._session.env
-        self._data.qpos[:] = env.scene.sim.view("qpos")[0].numpy()
+        self._data.qpos[:] = env.scene.sim.view("qpos")[0].cpu().numpy()
         mujoco.mj_kinematics(self._scene.mj_model, self._data)
         with self._server.atomic():
             self._scene.update_from_mjdata(self._data)

@@ -38,6 +38,7 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
             if device.type == "cpu":
                 wp.config.optimization_level = 0  # for tests, which wait longer for a compiler than for a step
                 _keep_quiet_of_cuda(wp)
+            wp.init()
         import mujoco_warp as mjw
     except ImportError as error:
         raise ConfigError(

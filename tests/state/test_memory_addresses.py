@@ -1,0 +1,36 @@
+"""Whether tensors share memory is asked of their addresses alone: on a GPU nothing can be read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from wheelleg_exp.state.memory import _array
+
+BASE = torch.zeros(6, 4)
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        (BASE[:, 0], BASE[:, 1]),
+        (BASE[:, 0], BASE),
+        (BASE[:3], BASE[3:]),
+        (BASE[:4], BASE[3:]),
+        (BASE.T[1], BASE[2]),
+        (BASE[:, 2:], BASE[:, :2]),
+        (BASE.bool(), BASE),
+    ],
+)
+def test_the_answer_is_that_of_arrays(a, b):
+    assert np.shares_memory(_array(a), _array(b)) is np.shares_memory(a.numpy(), b.numpy())
+
+
+def test_no_address_is_read():
+    """An address that is no process's, as a GPU's is none of the host's."""
+    far = _array(BASE)
+    interface = {**far.__array_interface__, "data": (1 << 44, True)}
+    nowhere = np.asarray(type("Far", (), {"__array_interface__": interface})())
+    assert not np.shares_memory(nowhere, far)
+    assert np.shares_memory(nowhere, nowhere)
