@@ -14,7 +14,7 @@ from rsl_rl.modules import MLP
 from torch import nn
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.threads import set_threads
+from wheelleg_exp.jobs.threads import dependent_products, set_threads
 from wheelleg_exp.rl import matmul
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, has_units, linear
 
@@ -207,3 +207,17 @@ def test_processes_and_thread_counts_give_the_same_bits():
     ]
     assert len(said[0].split()) == 27
     assert len(set(said)) == 1
+
+
+def test_products_that_depend_on_threads_are_found_and_recorded(monkeypatch):
+    nets = [MLP(135, 6, [64], "elu")]
+    before = torch.get_num_threads()
+    record = {"matmul": "bfloat16", "torch": 1, "independent": True, "dependent_because": []}
+    assert dependent_products(nets, AGENT, 960, record) == {}
+    monkeypatch.setattr(matmul, "_multiply", lambda a, b: torch.mm(a, b) + 0.01 * torch.get_num_threads())
+    assert dependent_products(nets, AGENT, 960, {**record, "matmul": "float32"}) == {}
+    found = dependent_products(nets, AGENT, 960, record)
+    assert found["independent"] is False
+    assert "agent.matmul=float32" in found["dependent_because"][0]
+    assert torch.get_num_threads() == before
+    assert dependent_products([MLP(8, 2, [16], "elu")], AGENT, 960, record) == {}  # nothing is multiplied so

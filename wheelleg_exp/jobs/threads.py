@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,9 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rl.matmul import chosen_matmul
+from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 from wheelleg_exp.rl.one_thread import SPLIT_ABOVE
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.threads import prepare_threads, usable_cores
 
 # MKL's own numbers for its code branches (mkl_types.h, MKL_CBWR_*).
 _BRANCHES = {
@@ -77,6 +77,24 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
         "independent": not reasons,
         "dependent_because": reasons,
     }
+
+
+def dependent_products(
+    networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what changes in the record of threads where products in bfloat16 depend on their number; else nothing.
+
+    Args:
+        networks: those that are trained.
+        agent: the composed ``agent`` section, plain.
+        samples: environment steps of one rollout.
+        threads: what ``set_threads`` returned.
+    """
+    rows, most = max(1, _largest_mean(agent, samples)), max(int(threads["torch"]), usable_cores())
+    if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, most):
+        return {}
+    reason = "oneDNN splits sums of bfloat16 products among threads on this CPU; agent.matmul=float32 does not"
+    return {"independent": False, "dependent_because": [*threads["dependent_because"], reason]}
 
 
 def thread_notes(threads: Mapping[str, Any]) -> list[str]:

@@ -23,6 +23,7 @@ from wheelleg_exp.errors import ConfigError
 KEY = "agent.matmul"
 # A layer with fewer weights is as fast in float32: what its product saves, the conversions cost.
 FEWEST_WEIGHTS = 4096
+_BLOCK = 1 << 17  # numbers that are worked on at a time
 # Values of oneDNN's variable with which it uses bf16 instructions where the CPU has them.
 _WITH_UNITS = ("", "ALL", "DEFAULT", "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
 
@@ -61,11 +62,43 @@ def _why_not(agent: Mapping[str, Any]) -> str:
     return ""
 
 
+def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, most_threads: int) -> bool:
+    """Return whether a layer's products of so many rows come out otherwise with one thread than with more.
+
+    oneDNN does not promise that they are equal: where a product is small and the threads are many, it may give each a
+    part of a sum. So it is tried, on drawn numbers of the layers' own sizes.
+    """
+    before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
+    large = [x for x in _layers(_perceptrons(networks)) if isinstance(x, nn.Linear) and _is_large(x)]
+    try:
+        for size in {(layer.in_features, layer.out_features) for layer in large}:
+            x, grad = (torch.randn(min(rows, 8192), width, generator=draw).bfloat16() for width in size)
+            factors = torch.randn(size[::-1], generator=draw).bfloat16()
+            found = []
+            for count in sorted({1, 2, most_threads}):
+                torch.set_num_threads(count)
+                found.append((_multiply(x, factors.t()), _multiply(grad, factors), _multiply(grad.t(), x)))
+            if any(not torch.equal(a, b) for other in found[1:] for a, b in zip(found[0], other, strict=True)):
+                return True
+    finally:
+        torch.set_num_threads(before)
+    return False
+
+
+def _perceptrons(networks: Iterable[nn.Module]) -> list[MLP]:
+    """Return the perceptrons that compute as rsl_rl's own."""
+    found = [part for net in networks for part in net.modules() if isinstance(part, MLP)]
+    return [part for part in found if type(part).forward is MLP.forward]
+
+
+def _layers(perceptrons: Iterable[MLP]) -> list[nn.Module]:
+    return [layer for perceptron in perceptrons for layer in perceptron]
+
+
 @contextmanager
 def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
     """Let the multi-layer perceptrons in these networks multiply in bfloat16 in the body, forward and backward."""
-    found = [part for net in networks for part in net.modules() if isinstance(part, MLP)]
-    perceptrons = [part for part in found if type(part).forward is MLP.forward]
+    perceptrons = _perceptrons(networks)
     for perceptron in perceptrons:
         perceptron.forward = _forward_of(list(perceptron))
     try:
@@ -125,10 +158,8 @@ class _Linear(torch.autograd.Function):
     def forward(ctx: Any, x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, elu: bool) -> torch.Tensor:
         """See ``linear``."""
         low, factors = x.bfloat16(), weight.bfloat16()
-        y = torch.mm(low, factors.t()) + bias  # of a bfloat16 and a float32: float32
-        if elu:
-            # Not torch's own: its bits depend on where its threads meet in a tensor, those of exp do not.
-            y = torch.maximum(y, y.clamp(max=0).exp_().sub_(1)).bfloat16()
+        y = _multiply(low, factors.t())
+        y = _add_and_elu(y, bias) if elu else y + bias  # of a bfloat16 and a float32: float32
         ctx.save_for_backward(low, factors, *([y] if elu else []))
         ctx.dtype = x.dtype
         return y
@@ -141,5 +172,21 @@ class _Linear(torch.autograd.Function):
         grad = grad.bfloat16()
         for y in outputs:
             grad = torch.ops.aten.elu_backward(grad, 1.0, 1.0, 1.0, True, y)
-        of_x = torch.mm(grad, factors).to(ctx.dtype) if ctx.needs_input_grad[0] else None
-        return of_x, torch.mm(grad.t(), low).float(), grad.sum(0, dtype=torch.float32), None
+        of_x = _multiply(grad, factors).to(ctx.dtype) if ctx.needs_input_grad[0] else None
+        return of_x, _multiply(grad.t(), low).float(), grad.sum(0).float(), None
+
+
+def _multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Return the product of two matrices in bfloat16."""
+    return torch.mm(a, b)
+
+
+def _add_and_elu(y: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+    """Add the bias to (B, O) bfloat16 and apply ELU, in place: in float32, some rows at a time, which stay in a cache.
+
+    ELU is not torch's own: its bits depend on where its threads meet in a tensor, those of exp do not.
+    """
+    for rows in y.split(max(1, _BLOCK // y.shape[1])):
+        part = rows + bias
+        rows.copy_(torch.maximum(part, part.clamp(max=0).exp_().sub_(1), out=part))
+    return y

@@ -183,17 +183,20 @@ class Trainer:
 
     def _share_buffers(self) -> None:
         """Give all processes the first's running means of observations: each has seen its own samples alone."""
-        networks = [getattr(self.algorithm, role) for role in checkpoint.roles_of(self.algorithm)]
-        rnd = getattr(self.algorithm, "rnd", None)
+        networks, rnd = self.networks(), getattr(self.algorithm, "rnd", None)
         with communicating():
             for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
                 torch.distributed.broadcast(buffer, src=0)
+
+    def networks(self) -> list[torch.nn.Module]:
+        """Return actor and critic, or student and teacher."""
+        return [getattr(self.algorithm, role) for role in checkpoint.roles_of(self.algorithm)]
 
     def _products(self) -> AbstractContextManager[None]:
         """Return in what an update multiplies."""
         if self._matmul == "float32":
             return nullcontext()
-        return bfloat16_products(getattr(self.algorithm, role) for role in checkpoint.roles_of(self.algorithm))
+        return bfloat16_products(self.networks())
 
     @contextmanager
     def _told(self) -> Iterator[None]:

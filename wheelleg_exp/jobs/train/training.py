@@ -22,7 +22,7 @@ from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.kept_robot import keep_asset
 from wheelleg_exp.jobs.resume.recomputed import Proof
 from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.threads import set_threads, thread_notes
+from wheelleg_exp.jobs.threads import dependent_products, set_threads, thread_notes
 from wheelleg_exp.jobs.train.films import require_graphics
 from wheelleg_exp.jobs.train.initial import initial_file, kept_initial
 from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
@@ -188,7 +188,8 @@ def build(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, Any]
     teacher = kept_teacher(recipe.asset) if "teacher" in agent else None
     initial = kept_initial(config, recipe.asset)
     adapted = RslRlVecEnv(env, agent.get("clip_actions"))
-    return Trainer(adapted, agent, config["seed"], teacher, initial, ranks), threads
+    trainer = Trainer(adapted, agent, config["seed"], teacher, initial, ranks)
+    return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
 
 
 @while_running()
