@@ -1,10 +1,14 @@
 """How long the update takes: stock rsl_rl's PPO, and ours, in turn, in one process.
 
     python benchmarks/update_speed.py [--envs 512] [--rounds 5] [--threads 2] [--matmul auto] [key=value ...]
+    python benchmarks/update_speed.py --modes [--counts 1,2,4,8] [--rounds 3]
 
 The networks, their inputs, minibatches and epochs are those of the composed config; observations, rewards and
 episodes' ends are drawn, because the time does not depend on them. CPU time is told beside wall clock: on a busy
 machine it is steadier. ``--matmul float32`` measures ours without bfloat16.
+
+``--modes`` runs ours with each of MKL's repeatable code paths, each kind of product and several numbers of threads, in
+processes of their own, and says which of them give the same weights to the bit.
 """
 
 from __future__ import annotations
@@ -12,15 +16,19 @@ from __future__ import annotations
 import argparse
 import contextlib
 import copy
+import hashlib
 import io
 import json
 import os
 import statistics
+import subprocess
+import sys
 import time
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.threads import PORTABLE_KERNELS, WIDE_KERNELS, prepare_threads
 
 prepare_threads()
 
@@ -71,27 +79,28 @@ def timed(algorithm: PPO, matmul: str) -> tuple[float, float]:
         return time.perf_counter() - start, time.process_time() - cpu
 
 
-def main() -> None:
-    """Measure both and print medians and their ratio."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--envs", type=int, default=512)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--threads", type=int, default=2, help="of torch")
-    parser.add_argument("--matmul", choices=["auto", "float32", "bfloat16"], default="auto")
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("overrides", nargs="*", help="key=value of the config")
-    args = parser.parse_args()
+def digest(algorithm: PPO) -> str:
+    """Return a digest of the networks' weights and the optimiser's means."""
+    found = hashlib.sha256()
+    means = [t for state in algorithm.optimizer.state.values() for t in state.values()]
+    for tensor in [*algorithm.actor.parameters(), *algorithm.critic.parameters(), *means]:
+        found.update(tensor.detach().numpy().tobytes())
+    return found.hexdigest()[:12]
+
+
+def measure(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
+    """Return median seconds by name, stock and ours or one of them, and what was in force."""
     agent = compose(["task=stand", *args.overrides]).config["agent"]
     torch.set_num_threads(args.threads)
     matmul = chosen_matmul({**agent, "matmul": args.matmul})
-    plain = stock(agent, args.envs)
-    ours = stock(agent, args.envs)
-    found: dict[str, list[tuple[float, float]]] = {"stock": [], "ours": []}
+    kinds = {"stock": "float32", "ours": matmul}
+    algorithms = {name: stock(agent, args.envs) for name in names}
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     for number in range(args.rounds + 1):
-        for name, algorithm, kind in (("stock", plain, "float32"), ("ours", ours, matmul)):
+        for name, algorithm in algorithms.items():
             torch.manual_seed(number)
             roll_out(algorithm, args.envs, int(agent["num_steps_per_env"]))
-            took = timed(algorithm, kind)
+            took = timed(algorithm, kinds[name])
             if number:  # the first warms up
                 found[name].append(took)
     facts: dict[str, Any] = {
@@ -101,11 +110,51 @@ def main() -> None:
         "threads": args.threads,
         "envs": args.envs,
         "load": os.getloadavg()[0],
+        "digest": {name: digest(algorithm) for name, algorithm in algorithms.items()},
     }
     for index, kind in enumerate(("wall", "cpu")):
-        medians = {name: statistics.median(run[index] for run in runs) for name, runs in found.items()}
-        facts[kind] = medians | {"ratio": medians["ours"] / medians["stock"]}
-    if args.json:
+        facts[kind] = {name: statistics.median(run[index] for run in runs) for name, runs in found.items()}
+        if len(names) == 2:
+            facts[kind]["ratio"] = facts[kind]["ours"] / facts[kind]["stock"]
+    return facts
+
+
+def compare_modes(args: argparse.Namespace) -> None:
+    """Print seconds and digests of ours by code path, kind of product and number of threads."""
+    counts = [int(count) for count in args.counts.split(",")]
+    for kernels in (PORTABLE_KERNELS, WIDE_KERNELS):
+        for matmul in ("float32", "bfloat16"):
+            runs = []
+            for count in counts:
+                command = [sys.executable, __file__, "--alone", "--json", f"--threads={count}", f"--matmul={matmul}"]
+                command += [f"--envs={args.envs}", f"--rounds={args.rounds}", *args.overrides]
+                environ = os.environ | {"MKL_CBWR": kernels}
+                done = subprocess.run(command, env=environ, stdout=subprocess.PIPE, text=True, check=True)
+                runs.append(json.loads(done.stdout.splitlines()[-1]))
+            digests = [run["digest"]["ours"] for run in runs]
+            seconds = " ".join(f"{count}: {run['wall']['ours']:.3f}" for count, run in zip(counts, runs, strict=True))
+            said = "equal to the bit" if len(set(digests)) == 1 else "DIFFERENT " + " ".join(digests)
+            print(f"{kernels} {matmul:>8}, s by threads {seconds}, weights {said}", flush=True)
+
+
+def main() -> None:
+    """Measure both and print medians and their ratio; or compare modes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--envs", type=int, default=512)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--threads", type=int, default=2, help="of torch")
+    parser.add_argument("--matmul", choices=["auto", "float32", "bfloat16"], default="auto")
+    parser.add_argument("--modes", action="store_true", help="compare code paths, products and numbers of threads")
+    parser.add_argument("--counts", default="1,2,4,8", help="numbers of threads that --modes compares")
+    parser.add_argument("--alone", action="store_true", help="ours without the stock one")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("overrides", nargs="*", help="key=value of the config")
+    args = parser.parse_args()
+    if args.modes:
+        compare_modes(args)
+        return
+    facts = measure(args, ["ours"] if args.alone else ["stock", "ours"])
+    if args.json or args.alone:
         print(json.dumps(facts))
         return
     print(", ".join(f"{name} {facts[name]}" for name in ("matmul", "threads", "envs", "cpu_capability", "mkl", "load")))

@@ -8,12 +8,42 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+
+_CPUINFO = Path("/proc/cpuinfo")
+PORTABLE_KERNELS, WIDE_KERNELS = "AVX2,STRICT", "AVX512,STRICT"
+
+
+def matrix_kernels() -> str:
+    """Return which of MKL's repeatable code paths is the fastest here: the wide one needs an Intel CPU with AVX-512.
+
+    Both give the same bits at any number of threads. On other makes' CPUs MKL takes one path whatever it is told.
+    """
+    facts = _first_processor()
+    wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(facts.get("flags", "").split())
+    return WIDE_KERNELS if wide and facts.get("vendor_id") == "GenuineIntel" else PORTABLE_KERNELS
+
+
+def _first_processor() -> dict[str, str]:
+    """Return what the kernel tells of the first processor; nothing where it has no such file."""
+    facts = {}
+    try:
+        with _CPUINFO.open(encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                if not line.strip():
+                    break
+                name, _, value = line.partition(":")
+                facts[name.strip()] = value.strip()
+    except OSError:
+        return {}
+    return facts
+
 
 # MKL_CBWR: the same matrix code path for every number of threads, so that thread counts change no number.
 # OMP_WAIT_POLICY: idle threads sleep; spinning ones make a busy machine many times slower.
-VARIABLES = {"MKL_CBWR": "AVX2,STRICT", "OMP_WAIT_POLICY": "PASSIVE"}
+VARIABLES = {"MKL_CBWR": matrix_kernels(), "OMP_WAIT_POLICY": "PASSIVE"}
+_chosen: set[str] = set()  # variables that are this program's choice, not the user's
 
 _CGROUPS = Path("/sys/fs/cgroup")
 _PROC_CGROUP = Path("/proc/self/cgroup")
@@ -27,8 +57,23 @@ def prepare_threads() -> bool:
     """
     late = "torch" in sys.modules and any(name not in os.environ for name in VARIABLES)
     for name, value in VARIABLES.items():
-        os.environ.setdefault(name, value)
+        if name not in os.environ:
+            os.environ[name] = value
+            _chosen.add(name)
     return not late
+
+
+def keep_kernels(recorded: Mapping[str, str]) -> None:
+    """Let MKL go on with a run's code path where this program chose another, and this CPU has it.
+
+    It must be called before the first product. A path that the user asks for stays.
+
+    Args:
+        recorded: the environment variables of the run.
+    """
+    kernels = recorded.get("MKL_CBWR")
+    if "MKL_CBWR" in _chosen and kernels in (PORTABLE_KERNELS, matrix_kernels()):
+        os.environ["MKL_CBWR"] = kernels
 
 
 def usable_cores() -> int:

@@ -187,3 +187,67 @@ def test_one_core_is_one_physics_thread(monkeypatch):
     monkeypatch.setattr("wheelleg_exp.sim.batch.usable_cores", lambda: 1)
     assert BatchEngine(model, 2, 0).nthread == 1
     assert BatchEngine(model, 2, 2).nthread == 2
+
+
+@pytest.mark.parametrize("threads_now", [2, 3, 4, 5])
+def test_activations_that_threads_part_within_a_vector_are_told(threads_now):
+    layer = {"hidden_dims": [512, 100], "activation": "elu"}
+    agent = {**AGENT, "torch_threads": threads_now, "num_steps_per_env": 24, "actor": layer}
+    told = {}
+    for envs in (333, 512):
+        found = set_threads(agent, 1, samples=24 * envs)
+        told[envs] = [reason for reason in found["dependent_because"] if "activations" in reason]
+        assert found["independent"] == (not told[envs])
+        for rows, width in ((envs, 512), (envs, 100), (24 * envs // 4, 512), (24 * envs // 4, 100)):
+            numbers = torch.randn(rows, width, generator=torch.Generator().manual_seed(1))
+            one, more = (
+                (torch.set_num_threads(count), torch.nn.functional.elu(numbers))[1] for count in (1, threads_now)
+            )
+            assert torch.equal(one, more) or f"{rows} x {width}" in told[envs][0]
+    assert bool(told[333]) or threads_now == 2
+    assert bool(told[512]) == (threads_now not in (2, 4))
+    relu = {**agent, "actor": {**layer, "activation": "relu"}}
+    assert set_threads(relu, 1, samples=24 * 333)["independent"]
+
+
+XEON = "processor\t: 0\nvendor_id\t: GenuineIntel\nflags\t\t: fpu avx2 avx512f avx512dq avx512cd avx512bw avx512vl\n\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "kernels"),
+    [
+        (XEON, "AVX512,STRICT"),
+        (XEON.replace("GenuineIntel", "AuthenticAMD"), "AVX2,STRICT"),
+        (XEON.replace(" avx512bw", ""), "AVX2,STRICT"),
+        (XEON.replace(" avx512bw", "").rstrip("\n") + "\n\n" + XEON, "AVX2,STRICT"),  # the first processor counts
+        ("", "AVX2,STRICT"),
+        (None, "AVX2,STRICT"),
+    ],
+)
+def test_wide_kernels_are_for_intels_cpus_that_have_them(tmp_path, monkeypatch, text, kernels):
+    if text is not None:
+        (tmp_path / "cpuinfo").write_text(text)
+    monkeypatch.setattr(cores, "_CPUINFO", tmp_path / "cpuinfo")
+    assert cores.matrix_kernels() == kernels
+
+
+@pytest.mark.parametrize(
+    ("users", "recorded", "found"),
+    [
+        (None, "AVX2,STRICT", "AVX2,STRICT"),
+        (None, "AVX512,STRICT", "AVX512,STRICT"),
+        (None, "AVX512_E1,STRICT", "AVX512,STRICT"),  # nobody knows whether this CPU has it
+        (None, None, "AVX512,STRICT"),
+        ("SSE4_2", "AVX2,STRICT", "SSE4_2"),
+    ],
+)
+def test_a_run_goes_on_with_its_own_kernels_unless_the_user_asks_for_others(monkeypatch, users, recorded, found):
+    monkeypatch.setattr(cores, "_chosen", set())
+    monkeypatch.setattr(cores, "matrix_kernels", lambda: "AVX512,STRICT")
+    monkeypatch.setattr(cores, "VARIABLES", {"MKL_CBWR": "AVX512,STRICT"})
+    monkeypatch.setenv("MKL_CBWR", users or "")
+    if users is None:
+        monkeypatch.delenv("MKL_CBWR")
+    cores.prepare_threads()
+    cores.keep_kernels({} if recorded is None else {"MKL_CBWR": recorded})
+    assert os.environ["MKL_CBWR"] == found

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 from wheelleg_exp.rl.one_thread import SPLIT_ABOVE
 from wheelleg_exp.threads import prepare_threads, usable_cores
@@ -36,6 +37,7 @@ _in_time: list[bool] = []  # what each call to prepare_threads said: once late i
 
 _STRICT = 0x10000
 _EVERYTHING = -1
+_LOOP = 32  # numbers of one step of torch's vector loops: two vectors of sixteen, with AVX-512
 # With these the number of threads changes matrix products, strict or not.
 _THREADED_BRANCHES = ("off", "compatible")
 
@@ -63,7 +65,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
     _in_time.append(prepare_threads())  # MKL heeds its variable up to its first product, OpenMP up to torch's import
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
-    reasons = _dependent(mkl, device, _largest_mean(agent, samples))
+    reasons = _dependent(mkl, device, _largest_mean(agent, samples)) + _uneven_activations(agent, samples, wanted)
     return {
         "torch": torch.get_num_threads(),
         "interop": torch.get_num_interop_threads(),
@@ -150,6 +152,39 @@ def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
     """Return over how many numbers the update takes a mean."""
     algorithm = agent.get("algorithm") or {}
     return (samples or 0) // max(1, int(algorithm.get("num_mini_batches", 1)))
+
+
+def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
+    """Return which of the networks' ELU depend on the threads.
+
+    torch gives each thread a part of the numbers; what remains of a part after the last whole step of its vector loop
+    is computed by other code than the rest, and rounded otherwise.
+    """
+    if samples is None or str(agent["device"]) != "cpu":
+        return []
+    batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}
+    layers = {
+        int(width)
+        for role in ROLES
+        for section in [agent.get(role) or {}]
+        if str(section.get("activation", "elu")) == "elu"
+        for width in section.get("hidden_dims") or ()
+    }
+    uneven = [
+        f"{rows} x {width}" for rows in sorted(batches) for width in sorted(layers) if _splits(rows * width, threads)
+    ]
+    if not uneven:
+        return []
+    return [
+        f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end within a vector; "
+        "1, 2, 4 or 8 threads and a multiple of 32 environments do not"
+    ]
+
+
+def _splits(numbers: int, threads: int) -> bool:
+    """Return whether torch's threads part so many numbers at a place that is not a whole step of its vector loop."""
+    parts = min(threads, -(-numbers // SPLIT_ABOVE))
+    return parts > 1 and -(-numbers // parts) % _LOOP != 0
 
 
 def _dependent(mkl: Mapping[str, Any] | None, device: str, largest_mean: int) -> list[str]:

@@ -11,14 +11,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from rsl_rl.modules import MLP
 from torch import nn
 from torch.autograd.function import once_differentiable
 
 from wheelleg_exp.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rsl_rl.modules import MLP
 
 KEY = "agent.matmul"
 # A layer with fewer weights is as fast in float32: what its product saves, the conversions cost.
@@ -87,6 +89,8 @@ def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, most_th
 
 def _perceptrons(networks: Iterable[nn.Module]) -> list[MLP]:
     """Return the perceptrons that compute as rsl_rl's own."""
+    from rsl_rl.modules import MLP
+
     found = [part for net in networks for part in net.modules() if isinstance(part, MLP)]
     return [part for part in found if type(part).forward is MLP.forward]
 
