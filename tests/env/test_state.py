@@ -66,7 +66,6 @@ DERIVED = frozenset(
         ".sensors['contact']._norms",
         ".sensors['contact']._largest_norm",
         ".sensors['contact']._counts",
-        ".sensors['contact']._products",  # of the last measurement, written anew by the next
         ".sensors['contact'].data._history",  # of the forces, once asked for
         ".robot.data._shows_outputs",  # about the cache
         ".robot.data.motion_at_start",  # read within a control step alone

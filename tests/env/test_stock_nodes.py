@@ -54,7 +54,6 @@ DERIVED = KNOWN | {
     "._norms",
     "._largest_norm",
     "._counts",
-    "._products",
     ".data._history",
 }
 DERIVED |= {

@@ -340,3 +340,42 @@ def test_a_parameter_that_is_changed_later_is_one_groups_own(make_env):
     env = _two(make_env, "x", "x")
     env.observation_manager.terms("critic")["y"].term.params["key"] = "z"
     assert _calls(env, x=2.0, z=5.0) == ("xz", 2.0, 5.0)
+
+
+# ---- a group that is the beginning of another ----
+
+
+def _policy_and_critic(make_env):
+    policy, critic = {"a": _value("x"), "b": _value("y")}, {"a": _value("x"), "b": _value("y"), "c": _value("z")}
+    groups = {"policy": {"terms": policy, "history_length": 3}, "critic": {"terms": critic, "history_length": 3}}
+    return make_env(observations=groups)
+
+
+def _observed(env, x, y, z, w=0.0):
+    spies.VALUES.update(x=x, y=y, z=z, w=w)
+    observed = env.observation_manager.compute()
+    return observed["policy"][0].tolist(), observed["critic"][0].tolist()
+
+
+def test_a_group_that_begins_another_shows_the_same_rows(make_env):
+    env = _policy_and_critic(make_env)
+    assert _observed(env, 1.0, 2.0, 3.0) == ([1, 1, 1, 2, 2, 2], [1, 1, 1, 2, 2, 2, 3, 3, 3])
+    assert _observed(env, 4.0, 5.0, 6.0) == ([1, 1, 4, 2, 2, 5], [1, 1, 4, 2, 2, 5, 3, 3, 6])
+    spies.VALUES.update(x=7.0, y=8.0, z=9.0)
+    peeked = env.observation_manager.peek()
+    assert peeked["policy"][0].tolist() == [1, 4, 7, 2, 5, 8]
+    assert peeked["critic"][0].tolist() == [1, 4, 7, 2, 5, 8, 3, 6, 9]
+    for value in env.observation_manager.compute().values():
+        value.fill_(99.0)  # what was returned is the caller's own
+    assert _observed(env, 0.0, 0.0, 0.0) == ([4, 7, 0, 5, 8, 0], [4, 7, 0, 5, 8, 0, 6, 9, 0])
+
+
+def test_a_group_goes_its_own_way_once_a_parameter_of_the_other_is_changed(make_env):
+    env = _policy_and_critic(make_env)
+    _observed(env, 1.0, 2.0, 3.0)
+    env.observation_manager.terms("critic")["a"].term.params["key"] = "w"
+    assert _observed(env, 4.0, 5.0, 6.0, 7.0) == ([1, 1, 4, 2, 2, 5], [1, 1, 7, 2, 2, 5, 3, 3, 6])
+    again = _policy_and_critic(make_env)
+    again.load_state_dict(env.state_dict())
+    for one in (env, again):
+        assert _observed(one, 8.0, 9.0, 10.0, 11.0) == ([1, 4, 8, 2, 5, 9], [1, 7, 11, 2, 5, 9, 3, 6, 10])

@@ -36,7 +36,6 @@ DERIVED = frozenset(
         "._norms",
         "._largest_norm",
         "._counts",
-        "._products",
         ".data._history",
         "._shows_outputs",
         "._data",

@@ -91,17 +91,21 @@ class RowHistory:
         return self.values.clone() if self.remembers else self.values
 
     def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
-        """Return what ``append`` would, without storing it."""
+        """Return what ``append`` would, without storing it; of the first terms alone where there are fewer samples."""
         pieces = []
-        for kept, sample in zip(self._kept, samples, strict=True):
+        for kept, sample in zip(self._kept, samples, strict=False):
             if kept.start < kept.stop:
                 pieces.append(self.values[:, kept])
             pieces.append(sample)
         after = torch.cat(pieces, dim=1)
         if first is not None and self.remembers:
             newest = torch.cat(list(samples), dim=1).index_select(0, first)
-            after.index_copy_(0, first, newest.index_select(1, self._fill))
+            after.index_copy_(0, first, newest.index_select(1, self._fill[: after.shape[1]]))
         return after
+
+    def beginning(self, count: int) -> torch.Tensor:
+        """Return a copy of the columns of the first ``count`` terms."""
+        return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
 
     def part(self, index: int) -> RowHistoryPart:
         """Return the history of one term."""

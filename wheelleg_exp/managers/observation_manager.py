@@ -32,6 +32,7 @@ class ObservationManager(Kept):
         self._groups: dict[str, dict[str, ObservationTerm]] = {}
         self._layouts: dict[str, GroupLayout] = {}
         self._rows: dict[str, RowHistory] = {}
+        self._beginnings: dict[str, str] = {}
         for group, node in nodes.items():
             if node is not None:
                 self._add_group(group, node, env)
@@ -115,8 +116,11 @@ class ObservationManager(Kept):
         """
         kept = None if only is None else self.state_dict()
         first = self._first_ids()
-        values: Values = {}
-        self.obs_buf = {group: self._computed(group, first, values) for group in self._groups}
+        values = Values()
+        for group in [group for group in self._beginnings if not self._is_beginning(group)]:
+            self._part(group)
+        found = {group: self._computed(group, first, values) for group in self._order}
+        self.obs_buf = {group: found[group] for group in self._groups}
         if self._any_first:
             self._is_first.fill_(False)
             self._any_first = False
@@ -159,6 +163,10 @@ class ObservationManager(Kept):
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
+        for group, whole in list(self._beginnings.items()):
+            own, longer = ([t["history"]["samples"] for t in saved["groups"][g].values()] for g in (group, whole))
+            if not all(map(torch.equal, own, longer)):
+                self._part(group)
         for group, terms in self._groups.items():
             for name, term in terms.items():
                 term.load_state_dict(saved["groups"][group][name])
@@ -184,6 +192,44 @@ class ObservationManager(Kept):
         others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
         for one in self._groups[group].values():
             one.share(others)
+        self._find_beginnings(group)
+
+    @property
+    def _order(self) -> list[str]:
+        """The groups, those last that are the beginning of another one."""
+        return sorted(self._groups, key=lambda group: group in self._beginnings)
+
+    def _find_beginnings(self, added: str) -> None:
+        """Let one row be kept for two groups, where the terms of one are the first terms of the other."""
+        for known in [group for group in self._rows if group not in self._beginnings and group != added]:
+            part, whole = sorted((known, added), key=lambda group: len(self._groups[group]))
+            if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._beginnings.values():
+                continue
+            pairs = zip(self._groups[part].values(), self._groups[whole].values(), strict=False)
+            if all(one.samples_as(other) and one.history_length for one, other in pairs):
+                self._beginnings[part] = whole
+                self._keep_in(self._rows[whole], part)
+                if part == added:
+                    return
+
+    def _keep_in(self, row: RowHistory, group: str) -> None:
+        self._rows[group] = row
+        for index, term in enumerate(self._groups[group].values()):
+            term.history = row.part(index)
+
+    def _is_beginning(self, group: str) -> bool:
+        """Return whether the terms of a group still are those of the group that its row is kept with."""
+        whole = self._groups[self._beginnings[group]].values()
+        pairs = zip(self._groups[group].values(), whole, strict=False)
+        return all((one if one.same_as is other else other).is_shared() for one, other in pairs)
+
+    def _part(self, group: str) -> None:
+        """Keep a row of its own from now on for a group whose row was the beginning of another group's."""
+        terms = self._groups[group].values()
+        values = self._rows[self._beginnings.pop(group)].beginning(len(terms))
+        row = RowHistory(len(values), [t.width for t in terms], [t.history_length for t in terms], values.device)
+        row.values = values
+        self._keep_in(row, group)
 
     def _add_histories(self, group: str, env: Env) -> None:
         """Make the histories: one row for all terms where the group is one, else a buffer for each term."""
@@ -204,6 +250,8 @@ class ObservationManager(Kept):
         """Advance one group by a sample, and return its observation."""
         terms = self._groups[group]
         row = self._rows.get(group)
+        if group in self._beginnings:
+            return self._rows[group].beginning(len(terms))
         if row is not None:
             return row.append([term.sample(values) for term in terms.values()], first)
         shown = {}

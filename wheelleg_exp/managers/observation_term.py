@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import operator
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -20,7 +20,18 @@ from wheelleg_exp.managers.term import Term
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.state import Kept, made, stateful
 
-Values = dict["ObservationTerm", torch.Tensor]
+
+@dataclass
+class Values:
+    """What terms have computed in a step, by the first that was asked.
+
+    Attributes:
+        raw: what their functions gave.
+        samples: what became of it.
+    """
+
+    raw: dict[ObservationTerm, torch.Tensor] = field(default_factory=dict)
+    samples: dict[ObservationTerm, torch.Tensor] = field(default_factory=dict)
 
 
 class ObservationTerm(Kept):
@@ -59,7 +70,8 @@ class ObservationTerm(Kept):
         require_memory(4 * sample.numel() * history_length, term.path, what)
         self.history: HistoryBuffer | RowHistoryPart | None = None
         self.same_as: ObservationTerm | None = None
-        self._when_shared: tuple[Any, ...] = ()
+        self._when_shared: list[tuple[Any, Any]] = []
+        self._same_sample = False
         self.history_length = history_length
         self.sample_shape = tuple(sample.shape[1:])
         self.width = math.prod(self.sample_shape)
@@ -82,8 +94,26 @@ class ObservationTerm(Kept):
         for other in others:
             if other.same_as is None and term.func is other.term.func and _same(term.params, other.term.params):
                 self.same_as = other
-                self._when_shared = (*term.params.values(), *other.term.params.values())
+                self._when_shared = [(params, dict(params)) for params in (term.params, other.term.params)]
+                self._same_sample = self._processes_as() == other._processes_as()
                 return
+
+    def _processes_as(self) -> Any:
+        """Return what a value goes through, to be compared; what remembers, draws or holds tensors equals nothing."""
+        plain = not self._modifiers and self._noise is None and self.delay is None
+        return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
+
+    def is_shared(self) -> bool:
+        """Return whether another term gives this one's value: a curriculum may have changed the parameters of one."""
+        return self.same_as is not None and all(
+            now.keys() == then.keys() and all(now[name] is value for name, value in then.items())
+            for now, then in self._when_shared
+        )
+
+    def samples_as(self, other: ObservationTerm) -> bool:
+        """Return whether another term has the same samples and keeps as many of them."""
+        shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
+        return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
         """Return the step's sample (N, ...) before history; draws noise and advances delay and modifiers.
@@ -91,10 +121,20 @@ class ObservationTerm(Kept):
         Args:
             values: what terms have computed in this step.
         """
-        value = self._computed(values)
+        owner = self
+        if self.same_as is not None and self.is_shared():
+            owner = self.same_as
+            if self._same_sample and owner in values.samples:
+                return values.samples[owner]
+        if owner not in values.raw:
+            values.raw[owner] = owner.term(self._env)
+        value = values.raw[owner]
         if self.delay is not None:
             value = self.delay.push(value)
-        return self._processed(value, draw=True)
+        sample = self._processed(value, draw=True)
+        if owner is self or self._same_sample:
+            values.samples[owner] = sample
+        return sample
 
     def sample_between(self) -> None:
         """Take up a sample between two physics steps of a control step, for what is to be seen late."""
@@ -157,16 +197,6 @@ class ObservationTerm(Kept):
             self.history.load_state_dict(saved["history"])
         if self.delay is not None:
             self.delay.load_state_dict(saved["delay"])
-
-    def _computed(self, values: Values) -> torch.Tensor:
-        """Return what the term's function gives in this step, to whichever group has asked first."""
-        owner, other = self, self.same_as
-        if other is not None:  # a curriculum may have changed the parameters of one of them since
-            now = (*self.term.params.values(), *other.term.params.values())
-            owner = other if all(map(operator.is_, now, self._when_shared)) else self
-        if owner not in values:
-            values[owner] = owner.term(self._env)
-        return values[owner]
 
     def _processed(self, value: torch.Tensor, *, draw: bool) -> torch.Tensor:
         if self._modifiers or self._noise is not None:

@@ -61,11 +61,11 @@ def _half_angles_table(dtype: torch.dtype, device: torch.device) -> torch.Tensor
 
 def quat_to_matrix(q: torch.Tensor) -> torch.Tensor:
     """Return the rotation matrices (N, 3, 3) of unit quaternions (N, 4)."""
-    parts, table = q.T.contiguous(), _matrix_table(q.dtype, q.device)
-    products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, len(q))
-    if len(q) == 1:  # a single product of vectors adds up in another order
+    parts, table, n = q.T.contiguous(), _matrix_table(q.dtype, q.device), q.shape[0]
+    products = (parts.unsqueeze(1) * parts.unsqueeze(0)).view(16, n)
+    if n == 1:  # a single product of vectors adds up in another order
         return (products.T @ table).view(1, 3, 3)
-    return (table.T @ products).view(3, 3, len(q)).permute(2, 0, 1)
+    return (table.T @ products).view(3, 3, n).permute(2, 0, 1)
 
 
 def rotate(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:

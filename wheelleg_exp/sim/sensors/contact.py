@@ -101,10 +101,7 @@ class ContactSensor(SensorBase):
         start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
         width = bodies * self._slots * _WIDTH
         self._readings = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
-        # Components, then contacts first, so that one operation runs over all bodies of all environments.
-        components = self._readings.permute(3, 2, 0, 1)
-        self._pressures, self._normals = components[1].unsqueeze(0), components[4:7]
-        self._products = torch.zeros(3, self._slots, n, bodies, dtype=sim.dtype, device=device)
+        self._pressures, self._normals = self._readings[..., 1].unsqueeze(2), self._readings[..., 4:7]
         self._counts = self._readings[:, :, 0, 0]
         pairs = bodies * len(self.filter_names)
         end = start + width + pairs * self._slots * _WIDTH
@@ -149,9 +146,7 @@ class ContactSensor(SensorBase):
         """Sample the forces of the physics step that has just run."""
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
         torch.maximum(self._found, self._counts, out=self._found)
-        total = torch.mul(self._pressures, self._normals, out=self._products).sum(dim=1).neg_()
-        force = total.permute(1, 2, 0).to(torch.float32, memory_format=torch.contiguous_format)
-        self.data.take_forces(force, due)
+        self.data.take_forces(torch.matmul(self._pressures, self._normals).squeeze(2).neg_().float(), due)
         if due is None:
             self._norms, self._largest_norm = [None, *self._norms[:-1]], None
         else:
