@@ -103,7 +103,7 @@ class CommandTerm(TermBase):
 
     def _resample(self, env_ids: torch.Tensor) -> None:
         low, high = self._time_range
-        draw = torch.rand(len(env_ids), generator=self._generator, device=self.time_left.device)
+        draw = torch.rand(env_ids.shape[0], generator=self._generator, device=self.time_left.device)
         self.time_left.index_copy_(0, env_ids, low + (high - low) * draw)
         self.draw(env_ids)
         self.command_counter[env_ids] += 1

@@ -166,7 +166,9 @@ class EventManager(ManagerBase):
     def _draw_timer(self, name: str, term: Term, ids: torch.Tensor) -> None:
         low, high = term.fields["interval_range_s"]
         generator = self._env.streams.get(f"{term.path}.interval")
-        self._time_left[name][ids] = low + (high - low) * torch.rand(len(ids), generator=generator, device=ids.device)
+        self._time_left[name][ids] = low + (high - low) * torch.rand(
+            ids.shape[0], generator=generator, device=ids.device
+        )
 
     def _start_counter(self, name: str) -> None:
         self._last_step[name] = torch.zeros(self._num_envs, dtype=torch.long, device=self._env.device)

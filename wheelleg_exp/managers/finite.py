@@ -95,8 +95,12 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
-    if may_fail([env.scene.sim.total(rows), *(values[rows].sum() for values in written.values())]):
+    if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
         _tell_writes(env, path, {**env.scene.motion(), **written}, ids)
+
+
+def _rows(values: torch.Tensor, ids: torch.Tensor | None) -> torch.Tensor:
+    return values if ids is None else values.index_select(0, ids)
 
 
 def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: torch.Tensor | None) -> None:

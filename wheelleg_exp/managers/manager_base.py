@@ -92,8 +92,8 @@ class ManagerBase(Kept):
 
     def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:
         for name, term in self._terms.items():
-            remembers = term.stateful
-            if remembers is not None and name not in but and type(remembers).reset is not TermBase.reset:
+            remembers: Any = term.func
+            if isinstance(remembers, TermBase) and name not in but and type(remembers).reset is not TermBase.reset:
                 with term.blamed():
                     remembers.reset(env_ids)
 

@@ -16,7 +16,7 @@ from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.failures import failure, require_form
 from wheelleg_exp.managers.returned import row_form
-from wheelleg_exp.managers.term import Term
+from wheelleg_exp.managers.term import Term, TermBase
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.state import Kept, made, stateful
 
@@ -165,8 +165,8 @@ class ObservationTerm(Kept):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Reset the term object, modifiers, noise and delay of ``env_ids``; histories refill with the next sample."""
-        if self.term.stateful is not None:
-            self.term.stateful.reset(env_ids)
+        if isinstance(self.term.func, TermBase):
+            self.term.func.reset(env_ids)
         for modifier in self._modifiers:
             modifier.reset(env_ids)
         if hasattr(self._noise, "reset"):

@@ -193,6 +193,8 @@ class RecorderManager(ManagerBase):
             raise ConfigError(f"'{key}' tells of the episodes themselves", expected="another key")
 
     def _append(self, hook: str) -> None:
+        if not self._hooks[hook]:
+            return
         for name, array in self._noted(hook, self._num_envs):
             if name not in self._rows:
                 what = f"{self._env.max_episode_length} steps of '{name}' of {self._num_envs} environments"

@@ -9,6 +9,7 @@ import torch
 
 Columns = torch.Tensor | Sequence[int] | slice | None
 EnvIds = torch.Tensor | Sequence[int] | slice | None
+_ALL = slice(None)
 
 
 def ids_where(mask: torch.Tensor) -> torch.Tensor:
@@ -84,7 +85,7 @@ def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> t
     """Return some columns (N, k, ...) of values (N, K, ...): what ``values[:, ids]`` is, several times as fast."""
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:  # no mask
         return values.index_select(1, ids)
-    return values[:, ids]
+    return values if isinstance(ids, slice) and ids == _ALL else values[:, ids]
 
 
 def columns(ids: Columns, device: torch.device) -> torch.Tensor | slice:

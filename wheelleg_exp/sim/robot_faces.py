@@ -130,7 +130,7 @@ class RobotFaces(Kept):
         pose = root_pose.to(dtype)
         norm = torch.linalg.vector_norm(pose[:, 3:7], dim=1, keepdim=True).clamp_(min=1e-12)
         unit = pose[:, 3:7] / norm
-        self._root_qpos.index_copy_(0, ids, torch.cat((pose[:, 0:3], unit), dim=1).expand(len(ids), -1))
+        self._root_qpos.index_copy_(0, ids, torch.cat((pose[:, 0:3], unit), dim=1).expand(ids.shape[0], -1))
         self.mark_written(ids)
 
     write_root_link_pose_to_sim = write_root_pose_to_sim
@@ -165,7 +165,7 @@ class RobotFaces(Kept):
 
     def _write_velocity(self, ids: torch.Tensor, linear: torch.Tensor, angular: torch.Tensor) -> None:
         """Write a free joint's velocity: of the link's origin in world axes, and in link axes."""
-        self._root_qvel.index_copy_(0, ids, torch.cat((linear, angular), dim=1).expand(len(ids), -1))
+        self._root_qvel.index_copy_(0, ids, torch.cat((linear, angular), dim=1).expand(ids.shape[0], -1))
         self.data.forget_accelerations(ids)
         self.mark_written(ids)
 
@@ -283,7 +283,7 @@ class RobotFaces(Kept):
 
     def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
         """Set forces and torques (n, k, 6) at the CoM of the bodies, link axes, until the next reset of ``ids``."""
-        columns_of_bodies = wrench.view(len(ids), -1, 2, 3).mT.expand(-1, len(body_ids), -1, -1)
+        columns_of_bodies = wrench.view(ids.shape[0], -1, 2, 3).mT.expand(-1, len(body_ids), -1, -1)
         for body, values in zip(body_ids, columns_of_bodies.unbind(dim=1), strict=True):
             self._wrench[:, body].index_copy_(0, ids, values)
         self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})

@@ -91,7 +91,7 @@ class UniformVelocityCommand(RangedCommand):
 
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw velocities, headings and who stands."""
-        u = torch.rand(len(env_ids), 6, generator=self._generator, device=self._command.device)
+        u = torch.rand(env_ids.shape[0], 6, generator=self._generator, device=self._command.device)
         low, high = self.bounds()
         drawn = low + (high - low) * u[:, :4]
         self.asked.index_copy_(0, env_ids, drawn[:, :3])
@@ -157,8 +157,8 @@ class NormalVelocityCommand(UniformVelocityCommand):
     def draw(self, env_ids: torch.Tensor) -> None:
         """Draw velocities, which components are zero, and who stands."""
         device, mean, std, zero = self._command.device, *self._moments
-        normal = torch.randn(len(env_ids), 3, generator=self._generator, device=device)
-        u = torch.rand(len(env_ids), 7, generator=self._generator, device=device)
+        normal = torch.randn(env_ids.shape[0], 3, generator=self._generator, device=device)
+        u = torch.rand(env_ids.shape[0], 7, generator=self._generator, device=device)
         self._command[env_ids] = torch.where(u[:, :3] <= 0.5, 1.0, -1.0) * (mean + std * normal)
         self.is_zero_vel_env[env_ids] = u[:, 3:6] < zero
         self.is_standing_env[env_ids] = u[:, 6] <= self._rel_standing

@@ -31,8 +31,8 @@ def set_permanent_body_wrench(
     robot = env.scene[asset_cfg.name]
     bodies = chosen(asset_cfg.body_ids, robot.all_body_ids).tolist()
     low, high = _wrench_bounds(*force_range, *torque_range, env.device)
-    drawn = rotation.uniform(low, high, len(ids) * len(bodies), generator)
-    robot.set_permanent_wrench(ids, bodies, drawn.view(len(ids), len(bodies), 6))
+    drawn = rotation.uniform(low, high, ids.shape[0] * len(bodies), generator)
+    robot.set_permanent_wrench(ids, bodies, drawn.view(ids.shape[0], len(bodies), 6))
 
 
 @cache
@@ -70,7 +70,7 @@ class push_by_adding_velocity(TermBase):
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         """Push."""
         ids = all_ids(env, env_ids)
-        velocity = rotation.uniform(self._low, self._high, len(ids), self._generator)
+        velocity = rotation.uniform(self._low, self._high, ids.shape[0], self._generator)
         data = self._robot.data
         if self.adds:
             velocity += data.root_vel_w[ids]

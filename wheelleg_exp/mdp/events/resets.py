@@ -50,7 +50,7 @@ class reset_root_state_uniform(TermBase):
         """Place the roots of ``env_ids``."""
         ids = all_ids(env, env_ids)
         robot = self._robot
-        u = rotation.uniform(self._low, self._high, len(ids), self._generator)
+        u = rotation.uniform(self._low, self._high, ids.shape[0], self._generator)
         start = robot.data.default_root_state.index_select(0, ids)
         position = start[:, 0:3] + env.scene.env_origins.index_select(0, ids) + u[:, 0:3]
         pose = torch.cat((position, self.orientation(start[:, 3:7], u[:, 3:6])), dim=1)
@@ -113,9 +113,9 @@ class reset_root_state_from_terrain(TermBase):
         """Place the roots of ``env_ids``."""
         ids, terrain, robot = all_ids(env, env_ids), self._terrain, self._robot
         places = terrain.flat_patches["init_pos"]
-        chosen = torch.randint(places.shape[2], (len(ids),), generator=self._generator, device=ids.device)
+        chosen = torch.randint(places.shape[2], (ids.shape[0],), generator=self._generator, device=ids.device)
         place = places[terrain.terrain_levels[ids], terrain.terrain_types[ids], chosen]
-        u = rotation.uniform(self._low, self._high, len(ids), self._generator)
+        u = rotation.uniform(self._low, self._high, ids.shape[0], self._generator)
         start = robot.data.default_root_state[ids]
         turn = rotation.quat_from_euler_xyz(*u[:, 0:3].unbind(dim=1))
         robot.write_root_pose_to_sim(torch.cat((place + start[:, 0:3], turn), dim=1), ids)
