@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import torch
 
+from wheelleg_exp.env.captured import captured_step
 from wheelleg_exp.env.faces import Cfg, EnvFaces
 from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
@@ -95,6 +96,8 @@ class ManagerBasedRLEnv(EnvFaces):
         self.event_manager.apply("startup")
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
+        self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
+        self._captured = captured_step(self) if self.scene.sim.is_captured else None
         self._term_state = TermState(self, self.managers, cfg)
 
     @property
@@ -130,23 +133,7 @@ class ManagerBasedRLEnv(EnvFaces):
             SimulationFailure: observations, or what an event wrote, are not finite: the run cannot go on.
         """
         waiting = self._waiting()
-        self.action_manager.process_action(action)
-        self.recorder_manager.record_pre_step()
-        self.scene.robot.begin_control_step()
-        for substep in range(self.decimation):
-            if substep:
-                self.observation_manager.sample_between()
-            self.action_manager.apply_action()
-            self.scene.write_data_to_sim()
-            self.scene.sim.step()
-            self.recorder_manager.record_post_physics_decimation_step()
-            self.scene.update()
-        self.episode_length_buf += 1
-        self.common_step_counter += 1
-
-        done = self.termination_manager.compute(waiting)
-        self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
-        failed = self.scene.unstable() | self.reward_manager.failed
+        done, failed = self._simulate(action, waiting)
         if waiting is not None:
             failed &= ~waiting
         ended = ids_where(done | failed)  # all before is whole tensors of fixed shape
@@ -174,7 +161,36 @@ class ManagerBasedRLEnv(EnvFaces):
         if self.autoreset == "same_step":  # else those that have failed still show it
             require_finite_observations(self)
         terminated, time_outs = self.termination_manager.terminated, self.termination_manager.time_outs
-        return observations, self.reward_buf, terminated.clone(), time_outs.clone(), self.extras
+        reward = self.reward_buf if self._captured is None else self.reward_buf.clone()
+        return observations, reward, terminated.clone(), time_outs.clone(), self.extras
+
+    def _simulate(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Act, simulate and judge: return which environments are done and which have failed, (N,) bool."""
+        if self._captured is not None and waiting is None and not self.recorder_manager.active_terms:
+            count = self.common_step_counter
+            self._action.copy_(action)
+            done, failed = self._captured()
+            self.common_step_counter = count + 1
+            return done, failed
+        return self._act_and_judge(action, waiting)
+
+    def _act_and_judge(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        self.action_manager.process_action(action)
+        self.recorder_manager.record_pre_step()
+        self.scene.robot.begin_control_step()
+        for substep in range(self.decimation):
+            if substep:
+                self.observation_manager.sample_between()
+            self.action_manager.apply_action()
+            self.scene.write_data_to_sim()
+            self.scene.sim.step()
+            self.recorder_manager.record_post_physics_decimation_step()
+            self.scene.update()
+        self.episode_length_buf += 1
+        self.common_step_counter += 1
+        done = self.termination_manager.compute(waiting)
+        self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
+        return done, self.scene.unstable() | self.reward_manager.failed
 
     def _waiting(self) -> torch.Tensor | None:
         """Return which environments ended in the last step and begin anew in this one, (N,) bool (``next_step``)."""

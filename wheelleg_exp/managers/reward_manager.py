@@ -54,9 +54,7 @@ class RewardManager(ManagerBase):
             dt: what the step lasts, s.
             but: environments (N,) bool whose step counts for nothing.
         """
-        weights = self._present_weights()
-        if weights != self._weights:  # a curriculum may have changed one
-            self._take_weights(weights)
+        self.take_present_weights()
         if self._terms:
             values = torch.stack([self._nothing if term is None else term(self._env) for term in self._called])
             torch.mul(values.to(self._factors.dtype), self._factors, out=self.step_reward)
@@ -67,6 +65,12 @@ class RewardManager(ManagerBase):
         self.failed.copy_(not_finite(reward))
         self._sums.add_(torch.where(self.failed, self._nothing, self.step_reward), alpha=dt)
         return reward.masked_fill_(self.failed, 0.0)
+
+    def take_present_weights(self) -> None:
+        """Take up the weights as they are now: a curriculum may have changed one."""
+        weights = self._present_weights()
+        if weights != self._weights:
+            self._take_weights(weights)
 
     def _present_weights(self) -> list[float]:
         return [term.fields["weight"] for term in self._terms.values()]

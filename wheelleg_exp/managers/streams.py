@@ -38,6 +38,10 @@ class Streams(Kept):
             self._generators[path].manual_seed(stream_seed(self._seed, path))
         return self._generators[path]
 
+    def all(self) -> list[torch.Generator]:
+        """Return the generators of all streams that somebody has asked for."""
+        return list(self._generators.values())
+
     def reseed(self, seed: int) -> None:
         """Start every stream anew from ``seed``."""
         self._seed = seed

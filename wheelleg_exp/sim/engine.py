@@ -95,6 +95,14 @@ class Engine(Kept, ABC):
             SimulationFailure: the engine raised an error.
         """
 
+    @property
+    def is_captured(self) -> bool:
+        """Whether an environment's step may be captured as a CUDA graph, the engine's steps within it."""
+        return False
+
+    def require_room(self) -> None:
+        """Raise SimulationFailure when there were more contacts or constraint rows than there is room for."""
+
     @abstractmethod
     def forward(self, ids: torch.Tensor | None = None) -> None:
         """Make derived outputs describe the present state of ``ids`` (all when None)."""

@@ -70,6 +70,8 @@ class SimOptions:
         njmax: engine ``warp``: constraint rows that each simulation has room for; 0 works it out of the model and
             ``nconmax``. More than that is an error.
         graph: engine ``warp`` on a GPU: whether a physics step is launched as one CUDA graph, which changes no number.
+        graph_step: engine ``warp`` on a GPU: whether a control step from its actions to its rewards is launched as one
+            CUDA graph. Terms must then decide nothing by numbers of their own that change from step to step.
     """
 
     engine: Literal["mujoco", "warp"]
@@ -87,6 +89,7 @@ class SimOptions:
     nconmax: Natural = 0
     njmax: Natural = 0
     graph: bool = True
+    graph_step: bool = False
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ class WarpEngine(Engine):
         self.asked = set()
         wp, mjw = load(self.device)
         self._wp, self._mjw = wp, mjw
+        self._captures = options.graph_step and self.device.type == "cuda"
         self._graphs = Graphs(wp, self.device, options.graph)
         self.room = room_for(model, options.nconmax, options.njmax)
         with self._graphs.here():
@@ -138,11 +139,21 @@ class WarpEngine(Engine):
             SimulationFailure: there were more contacts or constraint rows than there is room for; on a GPU it is told
                 a step or two later.
         """
-        self._overflow.require_none(self._d)
+        if not self._graphs.is_capturing:
+            self.require_room()
         self._graphs.run("step", self._advance)
         if self.device.type == "cpu":
             self._overflow.look()
             self._overflow.require_none(self._d)
+
+    @property
+    def is_captured(self) -> bool:
+        """Whether an environment's step may be captured as a CUDA graph, the engine's steps within it."""
+        return self._captures
+
+    def require_room(self) -> None:
+        """Raise SimulationFailure when there were more contacts or constraint rows than there is room for."""
+        self._overflow.require_none(self._d)
 
     def _advance(self) -> None:
         self._mjw.step(self._m, self._d)

@@ -27,6 +27,11 @@ class Graphs:
         self._wanted = wanted and device.type == "cuda"
         self._captured: dict[str, Any] = {}
 
+    @property
+    def is_capturing(self) -> bool:
+        """Whether torch captures what is launched now."""
+        return self._device.type == "cuda" and torch.cuda.is_current_stream_capturing()
+
     def forget(self) -> None:
         """Forget what was captured: the arrays that it works on are others now."""
         self._captured.clear()
@@ -52,7 +57,7 @@ class Graphs:
             name: what it is known by.
             work: launches the kernels.
         """
-        if not self._wanted or torch.cuda.is_current_stream_capturing():
+        if not self._wanted or self.is_capturing:
             with self.here():
                 work()
         elif name not in self._captured:

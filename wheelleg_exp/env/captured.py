@@ -1,0 +1,285 @@
+"""A part of the step that a GPU does as one CUDA graph: many small kernels cost the host one call.
+
+A graph repeats kernels on the memory that they were captured with. What Python does between them is done once, at the
+capture, so it is found out and repeated: which attributes hold other tensors afterwards, and which hold other values.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from types import FunctionType, MethodType
+from typing import Any, Protocol
+
+import torch
+
+from wheelleg_exp.managers.term import Term
+
+_PLAIN = (bool, int, float, str, type(None))
+_OWN = ("wheelleg_exp.", "functools")
+# Classes and attributes that stand still, or are no state of this part of the step.
+_FIXED = frozenset(
+    """Cfg Captured TermState Graphs cfg options spec model asked extras common_step_counter _captured""".split()  # noqa: SIM905
+)
+_MOST_VARIANTS = 8
+_WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
+
+
+class Recorder(Protocol):
+    """What records work and repeats it: a CUDA graph, or a stand-in."""
+
+    def record(self, work: Callable[[], None]) -> None:
+        """Do the work and record it."""
+
+    def replay(self) -> None:
+        """Do the recorded work again, on the same memory."""
+
+
+class CudaGraph:
+    """A CUDA graph of torch's, in which random streams go on from replay to replay.
+
+    Args:
+        generators: the random streams that the work may draw from.
+        pool: memory that graphs share which are never replayed at the same time.
+    """
+
+    def __init__(self, generators: Sequence[torch.Generator], pool: Any = None) -> None:
+        self._graph = torch.cuda.CUDAGraph()
+        self._pool = pool
+        for generator in generators:
+            self._graph.register_generator_state(generator)
+
+    def record(self, work: Callable[[], None]) -> None:
+        """Do the work and record it; it runs at the first replay."""
+        torch.cuda.synchronize()
+        with torch.cuda.graph(self._graph, pool=self._pool, capture_error_mode="thread_local"):
+            work()
+
+    def replay(self) -> None:
+        """Do the recorded work again."""
+        self._graph.replay()
+
+
+class Slot:
+    """A place that holds a value, by the way to it: an attribute, perhaps of entries of dictionaries and lists in it.
+
+    Args:
+        holder: the object.
+        way: the attribute's name, then keys.
+    """
+
+    def __init__(self, holder: Any, way: tuple[Any, ...]) -> None:
+        self.holder, self.way = holder, way
+        self.name = (id(holder), *way)
+
+    def _around(self) -> Any:
+        """Return what holds it directly; itself when that is not there."""
+        found = vars(self.holder)
+        for key in self.way[:-1]:
+            found = _entry(found, key, self)
+            if not isinstance(found, (dict, list)):
+                return self
+        return found
+
+    def get(self) -> Any:
+        """Return what it holds; itself when it is not there."""
+        around = self._around()
+        return self if around is self else _entry(around, self.way[-1], self)
+
+    def set(self, value: Any) -> None:
+        """Let it hold a value; itself takes it away."""
+        around, key = self._around(), self.way[-1]
+        if around is self:
+            return
+        if value is self:
+            if isinstance(around, dict):
+                around.pop(key, None)
+        elif isinstance(around, dict) or key < len(around):
+            around[key] = value
+
+
+def _entry(container: Any, key: Any, otherwise: Any) -> Any:
+    if isinstance(container, dict):
+        return container.get(key, otherwise)
+    if isinstance(container, list):
+        return container[key] if key < len(container) else otherwise
+    return otherwise
+
+
+def slots(roots: Sequence[Any]) -> Iterator[Slot]:
+    """Yield every place below some objects that holds a tensor, a plain value or a dictionary."""
+    seen: set[int] = set()
+    waiting = list(roots)
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, functools.partial):
+            waiting += [node.func, *node.args, *node.keywords.values()]
+        elif isinstance(node, (tuple, set, frozenset, list)):
+            waiting += list(node)
+        elif isinstance(node, dict):
+            waiting += list(node.values())
+        elif isinstance(node, MethodType):
+            waiting.append(node.__self__)
+        elif isinstance(node, FunctionType):
+            waiting += [cell.cell_contents for cell in node.__closure__ or ()]
+        elif type(node).__module__.startswith(_OWN) and type(node).__name__ not in _FIXED:
+            for key in list(getattr(node, "__dict__", {})):
+                if key not in _FIXED:
+                    yield from _places(node, (key,), vars(node)[key], waiting)
+
+
+def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -> Iterator[Slot]:
+    if isinstance(value, torch.Tensor) or type(value) in _PLAIN:
+        yield Slot(holder, way)
+    elif isinstance(value, (dict, list)):
+        yield Slot(holder, way)
+        entries = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, entry in list(entries):
+            yield from _places(holder, (*way, key), entry, waiting)
+    else:
+        waiting.append(value)
+
+
+@dataclass
+class _Variant:
+    """One recording, and what the host does beside it: tensors that slots must hold before, and all they hold after."""
+
+    recorder: Recorder
+    before: list[tuple[Slot, torch.Tensor]]
+    after: list[tuple[Slot, Any]]
+    contents: list[tuple[Slot, dict[Any, Any]]]
+    outputs: Any
+
+
+class Captured:
+    """Runs a part of the step, and from its third run on repeats it as recorded.
+
+    What it decides by plain values of the roots it decides anew for each set of them that a run begins with: each has a
+    recording of its own. A number that each run changes would stand still in a recording, so it is an error.
+
+    Args:
+        work: the part: whole tensors of fixed shapes, which reads and writes what the roots hold, and returns tensors.
+        roots: the objects that hold what it reads and writes.
+        recorder: makes a recorder.
+        forget: is called before every run; makes the roots forget what they have derived.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[], Any],
+        roots: Sequence[Any],
+        recorder: Callable[[], Recorder],
+        forget: Callable[[], None],
+    ) -> None:
+        self._work, self._roots, self._recorder, self._forget = work, roots, recorder, forget
+        self._plain: dict[tuple[int, Any], Slot] = {}
+        self._rebound: set[tuple[int, Any]] = set()
+        self._runs = 0
+        self._variants: dict[tuple[Any, ...], _Variant] = {}
+
+    def __call__(self) -> Any:
+        """Run the part, or repeat it."""
+        self._forget()
+        if self._runs < _WARM_UP:
+            self._runs += 1
+            return self._run_by_itself()
+        key = tuple(_kind(slot.get()) for slot in self._plain.values())
+        variant = self._variants.get(key)
+        if variant is None:
+            if len(self._variants) >= _MOST_VARIANTS:
+                return self._work()
+            variant = self._variants[key] = self._record()
+        for slot, static in variant.before:
+            now = slot.get()
+            if now is not static:
+                static.copy_(now)
+                slot.set(static)
+        variant.recorder.replay()
+        for slot, content in variant.contents:
+            whole = slot.get()
+            if isinstance(whole, dict):
+                whole.clear()
+                whole.update(content)
+        for slot, value in variant.after:
+            slot.set(value)
+        return variant.outputs
+
+    def _run_by_itself(self) -> Any:
+        before = [(slot, slot.get()) for slot in slots(self._roots)]
+        found = self._work()
+        for slot, value in before:
+            now = slot.get()
+            if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
+                if now is not value and _form(now) == _form(value):
+                    self._rebound.add(slot.name)
+            elif not isinstance(value, (dict, list)):
+                if type(value) in (int, float) and type(now) in (int, float) and now != value:
+                    raise TypeError(f"{type(slot.holder).__name__}.{slot.way[0]} counts, which a recording cannot")
+                if isinstance(value, bool) or isinstance(slot.holder, Term) or _kind(now) != _kind(value):
+                    self._plain[slot.name] = slot
+        return found
+
+    def _record(self) -> _Variant:
+        found = list(slots(self._roots))
+        with torch.inference_mode(False), torch.no_grad():
+            for slot in found:
+                value = slot.get()
+                if slot.name in self._rebound and isinstance(value, torch.Tensor):
+                    slot.set(value.detach().clone())  # memory of its own, whoever has shared it
+        tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
+        others = [(slot, slot.get()) for slot in found if type(slot.get()) in _PLAIN]
+        wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
+        recorder, outputs = self._recorder(), []
+        recorder.record(lambda: outputs.append(self._work_and_write_back(tensors)))
+        contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
+        after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
+        return _Variant(recorder, tensors, after, contents, outputs[0])
+
+    def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
+        """Do the work, and write what slots hold then into the memory that they held before."""
+        result = self._work()
+        statics = {static.untyped_storage().data_ptr() for _, static in tensors}
+        found = []
+        for slot, static in tensors:
+            now = slot.get()
+            if now is not static and isinstance(now, torch.Tensor) and _form(now) == _form(static):
+                found.append((slot, static, now.clone() if now.untyped_storage().data_ptr() in statics else now))
+        for slot, static, now in found:
+            static.copy_(now)
+            slot.set(static)
+        return result
+
+
+def _kind(value: Any) -> Any:
+    """Return what a recording depends on: a plain value, or what kind of thing there is."""
+    return value if type(value) in _PLAIN else type(value)
+
+
+def _form(value: torch.Tensor) -> tuple[Any, ...]:
+    return value.shape, value.dtype, value.device
+
+
+def _differs(now: Any, was: dict[Any, Any]) -> bool:
+    return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
+
+
+def captured_step(env: Any) -> Captured:
+    """Return the part of an environment's step from its actions to its rewards, as CUDA graphs.
+
+    Args:
+        env: the environment, whole but for this.
+    """
+
+    def forget() -> None:
+        env.scene.robot.data.invalidate()
+        env.scene.sim.require_room()
+        env.reward_manager.take_present_weights()
+
+    def recorder() -> Recorder:
+        return CudaGraph(env.streams.all())
+
+    return Captured(lambda: env._act_and_judge(env._action, None), [env], recorder, forget)
