@@ -12,6 +12,7 @@ import pytest
 from jobs.small import SMALL, Words, cache_of, wheelleg
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.sweep.job import Request
+from wheelleg_exp.jobs.sweep.launchers import LocalLauncher
 from wheelleg_exp.jobs.sweep.sweep import SweepRunner
 from wheelleg_exp.run.sweep_index import SweepIndex
 
@@ -106,8 +107,8 @@ def stand_in(whats: list[str], stop: StopRequest, at_once: int = 1, seen: Seen |
     jobs = [([what], [what]) for what in whats]
     index = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "basic"}, jobs=jobs)
     requests = [Request([what], [], ["wheelleg", "train", what], "") for what in whats]
-    program = (sys.executable, "-S", "-c", STAND_IN)
-    return SweepRunner(index, requests, at_once, seen or Seen(), stop, program)
+    launcher = LocalLauncher((sys.executable, "-S", "-c", STAND_IN))
+    return SweepRunner(index, requests, at_once, seen or Seen(), stop, launcher)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.sweep import job as sweep_job
 from wheelleg_exp.jobs.sweep import sweep as runner_module
 from wheelleg_exp.jobs.sweep.job import Request
+from wheelleg_exp.jobs.sweep.launchers import LocalLauncher
 from wheelleg_exp.recording.reading.digest import entity_digests
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.listing import list_runs
@@ -85,7 +86,7 @@ def test_jobs_that_fail_or_die_stop_no_other(stop, at_once):
 
 def test_a_program_that_cannot_start_ends_the_sweep(stop):
     runner = stand_in(["finish"], stop)
-    runner._program = ("/there/is/no/such/program",)
+    runner._launcher = LocalLauncher(["/there/is/no/such/program"])
     with pytest.raises(OSError, match="program"):
         runner.run()
     assert _index()["status"] == "failed"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.common import print_json
 from wheelleg_exp.cli.printing.tables import print_table
-from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError
+from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, WheellegError
 from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         display.checked()
 
         from wheelleg_exp.cli.printing.figures import shown
+        from wheelleg_exp.jobs.sweep.choosing import launcher_of
         from wheelleg_exp.jobs.sweep.sweep import SweepRunner
         from wheelleg_exp.run.begin import refuse_secrets
 
@@ -52,7 +53,12 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         if crowded:
             display.say(f"warning: {crowded}")
         requests = [_request(job, args.config_dirs, _alone(job.overrides, named)) for job in sweep.jobs]
-        status = SweepRunner(index, requests, at_once, display, stop).run()
+        try:
+            launcher = launcher_of(sweep.launcher, sweep.settings(index.folder), index.folder)
+        except WheellegError:
+            index.finish("failed")
+            raise
+        status = SweepRunner(index, requests, at_once, display, stop, launcher).run()
     if args.json:
         print_json({"sweep": str(index.folder), **_document(index)})
     else:
@@ -61,6 +67,10 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
 
 
 def _at_once(sweep: Sweep) -> int:
+    from wheelleg_exp.config.composing.launchers import QUEUES
+
+    if sweep.launcher in QUEUES:
+        return sweep.n_jobs
     return min(len(sweep.jobs), int(_joblib().effective_n_jobs(sweep.n_jobs)))
 
 
@@ -110,7 +120,11 @@ def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
 
 
 def _crowded(sweep: Sweep, at_once: int) -> str | None:
-    """Say that the jobs ask for more threads than there are cores."""
+    """Say that the jobs ask for more threads than there are cores, where they run on this machine."""
+    from wheelleg_exp.config.composing.launchers import QUEUES
+
+    if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":  # other machines, or a queue that counts cores
+        return None
     cores = int(_joblib().cpu_count())
     configs = [job.config for job in sweep.jobs]
     threads = max(max(c["agent"]["torch_threads"], c["env"]["sim"]["nthread"] or cores) for c in configs)

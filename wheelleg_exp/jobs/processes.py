@@ -170,6 +170,15 @@ class Child:
         """End the process."""
         self.process.kill()
 
+    def over(self) -> bool:
+        """Return whether the process has ended."""
+        return self.process.poll() is not None
+
+    def end_now(self) -> None:
+        """End the process, and leave nothing of it."""
+        self.kill()
+        self.process.wait()
+
     def close(self) -> None:
         """Close the pipes."""
         self.open = {}

@@ -61,7 +61,9 @@ class ConsoleSweepDisplay(LiveLines):
     def ended(self, job: Mapping[str, Any]) -> None:
         """Show how a job ended."""
         if self._live:
-            self._progress.remove_task(self._tasks.pop(job["number"]))
+            task = self._tasks.pop(job["number"], None)
+            if task is not None:  # else it was never begun
+                self._progress.remove_task(task)
             if self._all is not None:
                 self._progress.advance(self._all)
         why = f": {job['error']['message']}" if job["error"] and job["status"] == "failed" else ""

@@ -14,19 +14,19 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from wheelleg_exp.config.checking.collect import find_mistakes
 from wheelleg_exp.config.checking.diagnose import explain
 from wheelleg_exp.config.checking.diagnose_groups import where_of
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.hydra_keys import is_unread, unread
+from wheelleg_exp.config.composing.launchers import LAUNCHERS, QUEUES, jobs_at_once, not_installed, offer_ray
 from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
 from wheelleg_exp.config.problems import override_of, parts, raise_all
 from wheelleg_exp.errors import ConfigError, nearest_name
 
 PRIMARY = "train"
-LAUNCHERS = ("basic", "joblib")
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
 _MULTIRUN = "hydra.mode=MULTIRUN"  # what Hydra's -m adds
@@ -58,7 +58,8 @@ class Sweep:
     Attributes:
         jobs: at least one.
         launcher: one of ``LAUNCHERS``.
-        n_jobs: how many run at once, as joblib counts: -1 for one on every core, -2 for one core less.
+        n_jobs: how many run at once, as joblib counts: -1 for one on every core, -2 for one core less; of a queue, how
+            many it may hold at once.
         multirun: what Hydra composes for a multirun, its own node included.
     """
 
@@ -66,6 +67,16 @@ class Sweep:
     launcher: str
     n_jobs: int
     multirun: DictConfig = field(repr=False)
+
+    def settings(self, folder: Path) -> dict[str, Any]:
+        """Return the launcher's own settings, plain, for the folder of the sweep."""
+        config = self.multirun.copy()
+        with open_dict(config):
+            config.hydra.sweep.dir = str(folder)
+            config.hydra.job.name = "wheelleg"
+        found = OmegaConf.to_container(config.hydra.launcher, resolve=True)
+        assert isinstance(found, dict)
+        return {str(key): value for key, value in found.items()}
 
 
 def compose_sweep(
@@ -82,11 +93,14 @@ def compose_sweep(
         ConfigError: the mistakes of all jobs, each of them once.
     """
     folders = tuple(require_folder(folder) for folder in config_dirs)
+    offer_ray()
     with hydra_globals():
         loader = Loader(folders)
         parsed, mistakes = _parse([str(text) for text in overrides], loader)
         own = [override for override in parsed if _OWN.match(override.key_or_group)]
-        refused = {str(o.input_line): e for o in parsed for e in _refuse(o)} | _refuse_repeated(parsed, loader.groups())
+        chosen = _chosen(own)
+        refused = {str(o.input_line): e for o in parsed for e in _refuse(o, chosen)}
+        refused |= _refuse_repeated(parsed, loader.groups())
         mistakes += refused.values()
         kept = [override for override in parsed if str(override.input_line) not in refused]
         multirun = _compose_multirun(loader, kept)
@@ -100,8 +114,7 @@ def compose_sweep(
     if multirun is None:
         multirun = _compose_launcher(loader, own, parsed)
     launcher = str(multirun.hydra.runtime.choices["hydra/launcher"])
-    n_jobs = int(multirun.hydra.launcher.n_jobs) if launcher == "joblib" else 1
-    return Sweep(tuple(checked), launcher, n_jobs, multirun)
+    return Sweep(tuple(checked), launcher, jobs_at_once(launcher, multirun.hydra.launcher, len(checked)), multirun)
 
 
 def digest_of(composed: Composed) -> str:
@@ -121,7 +134,7 @@ def _parse(texts: Sequence[str], loader: Loader) -> tuple[list[Override], list[C
     return parsed, mistakes
 
 
-def _refuse(override: Override) -> Iterator[ConfigError]:
+def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
     """Yield what is wrong with an override before anything is composed."""
     key, where = override.key_or_group, where_of(override)
     values = {"hydra/launcher": LAUNCHERS, "hydra/sweeper": _SWEEPERS}.get(key)
@@ -136,6 +149,10 @@ def _refuse(override: Override) -> Iterator[ConfigError]:
             expected="one of " + ", ".join(values),
             nearest=nearest_name(chosen, values),
         )
+    elif key == "hydra/launcher" and (absent := not_installed(str(override.value()))) is not None:
+        yield ConfigError(f"'{override.value()}' is not installed", key=key, where=where, expected=absent)
+    elif launcher in QUEUES and key.startswith("hydra.launcher."):
+        return
     elif is_unread(key) or (values is None and override.is_hydra_override() and override.is_delete()):
         yield unread(key, where)
     elif override.is_sweep_override():
@@ -197,7 +214,7 @@ def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[
 
 def _mistakes_of(own: Sequence[Override], folders: Sequence[Path]) -> list[ConfigError]:
     """Return the mistakes in the settings of the launcher."""
-    chosen = next((str(o.value()) for o in own if o.key_or_group == "hydra/launcher"), "basic")
+    chosen = _chosen(own)
     words = [o for o in own if chosen != "basic" or not o.key_or_group.startswith("hydra.launcher.")]
     errors = [_of_joblib(override) for override in own if override not in words]
     try:
@@ -206,6 +223,10 @@ def _mistakes_of(own: Sequence[Override], folders: Sequence[Path]) -> list[Confi
     except ConfigError as error:
         errors += parts(error)
     return errors
+
+
+def _chosen(own: Sequence[Override]) -> str:
+    return next((str(o.value()) for o in own if o.key_or_group == "hydra/launcher"), "basic")
 
 
 def _of_joblib(override: Override) -> ConfigError:

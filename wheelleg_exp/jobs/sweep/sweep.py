@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -12,17 +10,13 @@ from typing import Any, Protocol
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import while_running
-from wheelleg_exp.jobs.processes import Child, Event, listen
+from wheelleg_exp.jobs.processes import Event
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.sweep.job import Request
+from wheelleg_exp.jobs.sweep.launchers import Job, Launcher, LocalLauncher
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.sweep_index import JobStatus, SweepIndex, SweepStatus
 
-# The job imports what this process would import, whatever folder it is called from.
-_BOOT = (
-    "import os, sys; sys.path[:] = sys.argv.pop().split(os.pathsep); "
-    "from wheelleg_exp.jobs.sweep.job import main; sys.exit(main())"
-)
 _WAIT_S = 0.2
 _PATIENCE_S = 10.0
 
@@ -55,7 +49,7 @@ class SweepRunner:
         at_once: how many jobs run at the same time.
         display: receives what happens.
         stop: asks to stop; every job stops at its next whole iteration, with a checkpoint.
-        program: the command that runs one job, by default ``job`` under this interpreter.
+        launcher: where the jobs run, by default as processes of this machine.
     """
 
     def __init__(
@@ -65,15 +59,15 @@ class SweepRunner:
         at_once: int,
         display: SweepDisplay,
         stop: StopRequest,
-        program: Sequence[str] | None = None,
+        launcher: Launcher | None = None,
     ) -> None:
         self._index = index
         self._waiting = deque(zip(index.jobs, requests, strict=True))
         self._at_once = at_once
         self._display = display
         self._stop = stop
-        self._program = program or (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path))
-        self._running: dict[Child, dict[str, Any]] = {}  # with the index's entry
+        self._launcher: Launcher = launcher or LocalLauncher()
+        self._running: dict[Job, dict[str, Any]] = {}  # with the index's entry
 
     @while_running()
     def run(self) -> SweepStatus:
@@ -109,22 +103,26 @@ class SweepRunner:
             self._end_all()
 
     def _start(self, entry: dict[str, Any], request: Request) -> None:
-        self._index.job_started(entry["number"])
-        # Python's environment, and not the C library's, into which libraries of this process may have written.
-        self._running[Child(self._program, request.line(), os.environ)] = entry
-        self._display.started(entry)
+        if not self._launcher.queued:
+            self._index.job_started(entry["number"])
+        self._running[self._launcher.start(entry["number"], request)] = entry
+        if not self._launcher.queued:
+            self._display.started(entry)
 
     def _ask_to_stop(self) -> None:
-        for child in self._running:
-            child.ask_to_stop()
+        for job in self._running:
+            job.ask_to_stop()
 
     def _listen(self, wait_s: float = _WAIT_S) -> None:
         """Take in what the jobs have told."""
-        for child, event in listen(self._running, wait_s):
-            self._hear(self._running[child], event)
+        for job, event in self._launcher.listen(self._running, wait_s):
+            self._hear(self._running[job], event)
 
     def _hear(self, job: dict[str, Any], told: Event) -> None:
-        if told["event"] == "run":
+        if told["event"] == "began":
+            self._index.job_started(job["number"])
+            self._display.started(job)
+        elif told["event"] == "run":
             self._index.job_has_run(job["number"], told["path"])
         elif told["event"] == "iteration":
             self._display.iteration(job, told["done"], told["total"], told["scalars"])
@@ -132,42 +130,43 @@ class SweepRunner:
             self._display.note(job, told["text"])
 
     def _reap(self) -> None:
-        """Record the jobs whose process has ended."""
-        for child in [child for child in self._running if child.process.poll() is not None]:
+        """Record the jobs that have ended; one that was taken from its queue before it began still waits."""
+        for job in [job for job in self._running if job.over()]:
             self._listen(0.0)
-            job = self._running.pop(child)
-            child.close()
-            self._index.job_ended(job["number"], *self._outcome(job, child))
-            self._display.ended(job)
+            entry = self._running.pop(job)
+            job.close()
+            if entry["status"] == "waiting" and self._stop.requested:
+                continue
+            self._index.job_ended(entry["number"], *self._outcome(entry, job))
+            self._display.ended(entry)
 
-    def _outcome(self, job: dict[str, Any], child: Child) -> tuple[JobStatus, dict[str, Any], Any]:
+    def _outcome(self, entry: dict[str, Any], job: Job) -> tuple[JobStatus, dict[str, Any], Any]:
         """Return status, results and error of a job: its manifest's, if that says how it ended."""
-        run = self._index.run_of(job)
+        run = self._index.run_of(entry)
         if run is not None:
             with contextlib.suppress(RunDirectoryError):
                 manifest = Manifest.load(run)
                 if manifest.status != "running":
                     return manifest.status, manifest.results, manifest.data["error"]  # type: ignore[return-value]
-        if child.ended is not None:
-            return child.ended["status"], {}, child.ended["error"]
-        words = "".join(f": {line.strip()}" for line in [*child.last_words][-1:])
-        return "failed", {}, {"type": "error", "message": f"its process {child.how_it_died()}{words}"}
+        if job.ended is not None:
+            return job.ended["status"], {}, job.ended["error"]
+        words = "".join(f": {line.strip()}" for line in [*job.last_words][-1:])
+        return "failed", {}, {"type": "error", "message": f"its process {job.how_it_died()}{words}"}
 
     def _end_all(self) -> None:
         """End what still runs, when the sweep itself fails or is interrupted for the second time."""
         try:
-            self._end(Child.ask_to_stop, 0.0)
-            self._end(Child.interrupt, _PATIENCE_S)
-            self._end(Child.kill, _PATIENCE_S)
+            self._end(lambda job: job.ask_to_stop(), 0.0)
+            self._end(lambda job: job.interrupt(), _PATIENCE_S)
+            self._end(lambda job: job.kill(), _PATIENCE_S)
         finally:
-            for child in self._running:  # a third interrupt: nobody waits any longer
-                child.kill()
-                child.process.wait()
-                child.close()
+            for job in self._running:  # a third interrupt: nobody waits any longer
+                job.end_now()
+                job.close()
 
-    def _end(self, act: Callable[[Child], None], patience_s: float) -> None:
-        for child in self._running:
-            act(child)
+    def _end(self, act: Callable[[Job], None], patience_s: float) -> None:
+        for job in self._running:
+            act(job)
         deadline = time.monotonic() + patience_s
         while self._running and time.monotonic() < deadline:
             self._listen()

@@ -1,0 +1,249 @@
+"""Sweeps whose jobs a queue runs: what passes by files, and what the index says whatever becomes of the jobs."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from jobs.small import SMALL, trained_once
+from jobs.sweeps import STAND_IN, Seen
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.sweep import compose_sweep, digest_of
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.jobs.sweep import carrier
+from wheelleg_exp.jobs.sweep.carrier import Carrier
+from wheelleg_exp.jobs.sweep.choosing import launcher_of
+from wheelleg_exp.jobs.sweep.job import Request
+from wheelleg_exp.jobs.sweep.queued import Queue
+from wheelleg_exp.jobs.sweep.sweep import SweepRunner
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.sweep_index import SweepIndex
+
+
+@pytest.fixture
+def stop():
+    with StopRequest() as request:
+        yield request
+
+
+class Ticket:
+    """A thread that carries a job, or one that never does."""
+
+    def __init__(self, folder: str, begins: bool) -> None:
+        self.thread = threading.Thread(target=Carrier(), args=(folder,), daemon=True)
+        self.cancelled = False
+        if begins:
+            self.thread.start()
+
+    def gone(self) -> bool:
+        return self.cancelled or (self.thread.ident is not None and not self.thread.is_alive())
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+    def why(self) -> str:
+        return "was ended from outside, as the test's job"
+
+
+class Threads(Queue):
+    """A queue of this process; the jobs from ``full`` on wait for ever."""
+
+    def __init__(self, folder: Path, full: int = 99) -> None:
+        super().__init__(folder)
+        self.full = full
+        self.handed_in: list[int] = []
+
+    def submit(self, jobs):
+        self.handed_in.append(len(jobs))
+        return [Ticket(str(job.folder), number < self.full) for number, job in enumerate(jobs)]
+
+
+@pytest.fixture(autouse=True)
+def _stand_in(monkeypatch, request):
+    if "launcher" not in request.fixturenames:
+        monkeypatch.setattr(carrier, "program_here", lambda path: (sys.executable, "-S", "-c", STAND_IN))
+
+
+def swept(whats: list[str], stop: StopRequest, seen: Seen | None = None, full: int = 99) -> tuple[SweepRunner, Threads]:
+    jobs = [([what], [what]) for what in whats]
+    index = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "threads"}, jobs=jobs)
+    requests = [Request([what], [], ["wheelleg", "train", what], "") for what in whats]
+    queue = Threads(index.folder, full)
+    return SweepRunner(index, requests, len(whats), seen or Seen(), stop, queue), queue
+
+
+def index() -> dict:
+    (path,) = Path("runs/sweeps").glob("*/sweep.json")
+    return json.loads(path.read_text())
+
+
+def test_all_jobs_are_handed_in_together_and_heard(stop):
+    seen = Seen()
+    runner, queue = swept(["finish1", "finish2", "talk"], stop, seen)
+    assert runner.run() == "finished"
+    assert queue.handed_in == [3]
+    assert ("iteration", 1, 1, 1) in seen.told
+    assert [job["run"] for job in index()["jobs"]] == [f"../../stand/{what}" for what in ("finish1", "finish2", "talk")]
+    assert sum(told[0] == "note" and told[1] == 3 for told in seen.told) == 22000
+
+
+def test_jobs_that_fail_or_die_are_named_and_stop_no_other(stop):
+    runner, _ = swept(["fail", "killed", "die", "finish"], stop)
+    assert runner.run() == "failed"
+    jobs = index()["jobs"]
+    assert [job["status"] for job in jobs] == ["failed", "failed", "failed", "finished"]
+    assert jobs[0]["error"]["message"] == "gone to NaN"
+    assert "was ended by SIGKILL" in jobs[1]["error"]["message"]
+    assert "ended with status 7 and did not say why: the last words" in jobs[2]["error"]["message"]
+
+
+def test_a_stop_ends_what_runs_and_takes_what_waits_out_of_the_queue(stop):
+    seen = Seen(on_start=lambda job: os.kill(os.getpid(), signal.SIGINT))
+    runner, _ = swept(["wait", "finish"], stop, seen, full=1)
+    assert runner.run() == "interrupted"
+    assert [job["status"] for job in index()["jobs"]] == ["interrupted", "waiting"]
+    assert [told for told in seen.told if told[0] == "ended"] == [("ended", 1, "interrupted")]
+
+
+def test_a_job_that_waits_counts_as_waiting(stop):
+    moments = []
+
+    def look(job):
+        moments.append([each["status"] for each in index()["jobs"]])
+        stop.requested = True
+
+    runner, _ = swept(["wait", "finish"], stop, Seen(on_start=look), full=1)
+    runner.run()
+    assert moments == [["running", "waiting"]]
+
+
+def test_a_job_that_its_queue_loses_has_failed(stop):
+    runner, queue = swept(["finish"], stop, full=0)
+    submit = queue.submit
+
+    def losing(jobs):
+        (ticket,) = submit(jobs)
+        ticket.cancelled = True
+        return [ticket]
+
+    queue.submit = losing
+    assert runner.run() == "failed"
+    assert "ended from outside, as the test's job" in index()["jobs"][0]["error"]["message"]
+
+
+def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
+    """As when Slurm warns: submitit calls ``checkpoint``."""
+    (tmp_path / carrier.REQUEST).write_text(
+        json.dumps(
+            {
+                "line": Request(["wait"], [], [], "").line().decode().strip(),
+                "path": [],
+                "working_directory": str(tmp_path),
+                "variables": {},
+            }
+        )
+    )
+    job = Carrier()
+    thread = threading.Thread(target=job, args=(str(tmp_path),), daemon=True)
+    thread.start()
+    while '"run"' not in carrier._text(tmp_path / carrier.EVENTS):
+        thread.join(0.02)
+    assert job.checkpoint(str(tmp_path)) is None  # which tells submitit not to begin it anew
+    thread.join()
+    told = [json.loads(line) for line in (tmp_path / carrier.EVENTS).read_text().splitlines()]
+    assert told[0]["event"] == "began"
+    assert {event["status"] for event in told if event["event"] == "ended"} == {"interrupted"}
+    with pytest.raises(RuntimeError, match="not begun anew"):
+        Carrier()(str(tmp_path))
+
+
+def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(carrier, "Child", lambda program, line, environ, folder: made.append(environ) or 1 / 0)
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")  # as Ray sets it in its workers
+    monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
+    facts = {"line": "", "path": [], "working_directory": ".", "variables": {"MKL_CBWR": "AVX2,STRICT"}}
+    (tmp_path / carrier.REQUEST).write_text(json.dumps(facts))
+    with pytest.raises(ZeroDivisionError):
+        Carrier()(str(tmp_path))
+    assert made[0]["MKL_CBWR"] == "AVX2,STRICT"
+    assert "OMP_NUM_THREADS" not in made[0]
+
+
+# What the command line says.
+
+
+@pytest.mark.parametrize(
+    ("launcher", "module", "extra"), [("ray", "ray", "ray"), ("submitit_slurm", "submitit", "slurm")]
+)
+def test_a_launcher_that_is_not_installed_says_what_to_install(monkeypatch, launcher, module, extra):
+    from wheelleg_exp.config.composing import launchers
+
+    monkeypatch.setattr(launchers, "_is_there", lambda name: name != module)
+    with pytest.raises(ConfigError, match=rf"'{launcher}' is not installed.*wheelleg_exp\[{extra}\]"):
+        compose_sweep(["seed=1,2", f"hydra/launcher={launcher}"])
+
+
+def test_the_settings_of_a_queue_are_hydras_own():
+    pytest.importorskip("submitit")
+    words = ["hydra/launcher=submitit_slurm", "hydra.launcher.partition=gpu", "hydra.launcher.timeout_min=30"]
+    sweep = compose_sweep(["seed=1,2,3", *words])
+    assert (sweep.launcher, sweep.n_jobs) == ("submitit_slurm", 3)
+    settings = sweep.settings(Path("/sweep"))
+    assert (settings["partition"], settings["timeout_min"], settings["name"]) == ("gpu", 30, "wheelleg")
+    assert settings["submitit_folder"] == "/sweep/.submitit/%j"
+    assert all("hydra" not in word for job in sweep.jobs for word in job.overrides)
+    with pytest.raises(ConfigError, match=r"hydra\.launcher\.partitoin"):
+        compose_sweep(["seed=1,2", words[0], "hydra.launcher.partitoin=gpu"])
+
+
+def test_what_submitit_refuses_is_told(tmp_path):
+    pytest.importorskip("submitit")
+    with pytest.raises(ConfigError, match=r"hydra\.launcher: submitit refuses it"):
+        launcher_of("submitit_slurm", {"submitit_folder": str(tmp_path / "s"), "partition": "gpu"}, tmp_path)
+
+
+# Real queues.
+
+
+@pytest.fixture(params=["submitit_local", "ray"])
+def launcher(request, tmp_path):
+    if request.param == "ray":
+        ray = pytest.importorskip("ray", reason="ray is not installed (pip install 'wheelleg_exp[ray]')")
+        yield "ray", {"ray": {"init": {"address": "local", "num_cpus": 2}, "remote": {}}}
+        ray.shutdown()
+        return
+    pytest.importorskip("submitit")
+    yield request.param, {"submitit_folder": str(tmp_path / "log" / "%j"), "timeout_min": 10}
+
+
+@pytest.mark.train
+@pytest.mark.filterwarnings("ignore")
+def test_a_job_of_a_queue_is_the_run_alone_and_one_that_is_killed_is_named(launcher, stop, tmp_path, tmp_path_factory):
+    jobs = [SMALL, [*SMALL, "agent.max_iterations=1000000", "agent.save_interval=1000000"]]
+    index_ = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "x"}, jobs=[(w, []) for w in jobs])
+    requests = [Request(words, [], ["wheelleg", "train", *words], digest_of(compose(words))) for words in jobs]
+
+    def kill(job):
+        if job["number"] == 2:
+            began = json.loads((index_.folder / "jobs" / "2" / carrier.EVENTS).read_text().splitlines()[0])
+            os.kill(began["pid"], signal.SIGKILL)
+
+    queue = launcher_of(*launcher, index_.folder)
+    assert SweepRunner(index_, requests, 2, Seen(on_iteration=kill), stop, queue).run() == "failed"
+    one, other = index()["jobs"]
+    assert (one["status"], other["status"]) == ("finished", "failed")
+    assert "was ended from outside" in other["error"]["message"]
+    run, alone = index_.run_of(one), trained_once(tmp_path_factory).run.path
+    for name in ("model_2.pt", "params/env.yaml", "exported/policy.onnx"):
+        assert (run / name).read_bytes() == (alone / name).read_bytes(), name
+    ours, theirs = (Manifest.load(path).data["environment_variables"] for path in (run, alone))
+    numeric = ("MKL_CBWR", "OMP_WAIT_POLICY", "OMP_NUM_THREADS")
+    assert {name: ours.get(name) for name in numeric} == {name: theirs.get(name) for name in numeric}
