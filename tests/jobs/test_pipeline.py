@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+import yaml
 
 from jobs.small import TINY, cache_of, wheelleg
 from wheelleg_exp.config.composing.sweep import digest_of
@@ -276,3 +277,33 @@ def test_a_pipeline_that_is_not_there_is_named(capsys):
     assert "did you mean 'stand_to_terrain'" in said.err
     said = wheelleg("train", "-m", "pipeline=stand_to_terrain")
     assert said.status == 2
+
+
+def test_gates_that_ask_for_what_is_not_measured_are_told_before_the_first_phase_begins(tmp_path):
+    """With the file and the line, all at once, and a wrong protocol by its key."""
+    node = tree(at_least={"stand/survivl": 0.5}, at_most={"walk/skill_vx": 1.0})
+    (tmp_path / "pipeline").mkdir()
+    (tmp_path / "pipeline" / "two.yaml").write_text("# @package pipeline\n" + yaml.safe_dump(node, sort_keys=False))
+    words = ["pipeline=two", *(word for word in WORDS if not word.startswith("agent.max_iter")), f"run.root={tmp_path}"]
+    said = wheelleg("train", *words, "--config-dir", tmp_path)
+    assert said.status == 2
+    assert "pipeline.phases.second.gate.at_least.stand/survivl: protocol 'stand' has no such metric" in said.err
+    assert "did you mean 'stand/survival'" in said.err
+    assert "pipeline.phases.second.gate.at_most.walk/skill_vx" in said.err
+    assert "two.yaml:" in said.err
+    said = wheelleg(
+        "train", *words, "--config-dir", tmp_path, "+pipeline.phases.first.gate.overrides=['protocol.stand=null']"
+    )
+    assert (said.status, "phase 'first': there is no test in it" in said.err) == (2, True)
+    assert not (tmp_path / "pipelines").exists()
+
+
+def test_a_changed_gate_is_held_against_what_is_measured_before_the_record_changes(whole: PipelineIndex):
+    index = PipelineIndex.load(whole.folder)
+    index.data["status"] = "interrupted"
+    index.phases[1]["status"] = "training"
+    before = index.path.read_bytes()
+    with pytest.raises(ConfigError, match="no such metric") as told:
+        go_on(index, ["pipeline.phases.second.gate.at_least={stand/drft:0.5}"], [])
+    assert told.value.nearest == "stand/drift"
+    assert index.path.read_bytes() == before

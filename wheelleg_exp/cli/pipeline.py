@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,12 @@ def train_pipeline(args: argparse.Namespace, piped: Sequence[str], stop: StopReq
     pipeline = declared(piped, args.config_dirs)
     overrides = [word for word in args.overrides if word not in piped]
     phases = compose_phases(pipeline.phases, overrides, args.config_dirs)
+    stop.check()
+
+    from wheelleg_exp.jobs.pipeline.metric_names import require_metrics
+
+    with nullcontext() if pipeline.composed is None else pipeline.composed.placing():
+        require_metrics(pipeline.phases, phases, args.config_dirs)
     stop.check()
     refuse_secrets(args.command, {"the overrides": "\n".join(args.overrides)}, pipeline.tree)
 

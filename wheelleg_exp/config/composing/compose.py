@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,7 +19,7 @@ from wheelleg_exp.config.checking.diagnose import explain, nearest_path
 from wheelleg_exp.config.composing.hydra_keys import unread_overrides
 from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
 from wheelleg_exp.config.composing.provenance import MISSING, Provenance, trace
-from wheelleg_exp.config.problems import UnknownName, raise_all
+from wheelleg_exp.config.problems import Mistakes, UnknownName, join, raise_all
 from wheelleg_exp.config.tree import dotted, leaves, node_paths
 from wheelleg_exp.errors import ConfigError, MissingValue, WheellegError
 from wheelleg_exp.terms.binding import drop_removed
@@ -64,14 +64,21 @@ class Composed:
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Give errors that leave the body the place in the config that their key comes from."""
+        """Give errors that leave the body, each of several, the place in the config that their key comes from."""
         try:
             yield
+        except Mistakes as error:
+            for part in error.errors:
+                self._place(part)
+            raise join(error.errors) from error
         except WheellegError as error:
-            # A whole section comes from many places.
-            if error.where is None and error.key is not None and "." in error.key:
-                error.where = self.provenance.where(error.key)
+            self._place(error)
             raise
+
+    def _place(self, error: WheellegError) -> None:
+        is_section = isinstance(self.config.get(error.key or ""), Mapping)  # a whole section comes from many places
+        if error.where is None and error.key is not None and not is_section:
+            error.where = self.provenance.where(error.key)
 
     @property
     def files(self) -> list[Path]:

@@ -4,6 +4,7 @@
 |---|---|
 | ``settings`` | the declared pipeline: its phases, composed and held against each other |
 | ``gate`` | whether an evaluation passes a gate |
+| ``metric_names`` | whether the gates ask for metrics that there are |
 | ``pipeline`` | runs the phases, and keeps the record up to date |
 | ``job`` | going on with a run, and evaluating it, each in a process of its own |
 | ``child`` | the end of the process that has started a job |

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.changes import Change, changes, same
+from wheelleg_exp.config.checking.collect import compose_valid
 from wheelleg_exp.config.composing.amend import amend, placing
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, is_of_pipeline, read
+from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, Phase, is_of_pipeline, read, words_of
 from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.pipeline_index import PipelineIndex
 from wheelleg_exp.run.process import is_alive
@@ -53,8 +54,12 @@ def go_on(
         for change in found:
             _require_changeable(change, index)
         declared = read(tree)
+    folders = list(config_dirs) or [Path(folder) for folder in index.data["config_dirs"]]
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
         raise ConfigError("the phases of a pipeline stay", key=f"{PRIMARY}.phases", expected=str(list(kept["phases"])))
+    regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
+    with placing(overrides):
+        _require_gates({name: declared.phases[name] for name in declared.phases if name in regated}, index, folders)
     for phase in index.phases:
         if phase["status"] == "failed":
             phase |= _again(phase, declared.tree["phases"][phase["name"]], found)
@@ -62,6 +67,15 @@ def go_on(
         index.data["config_dirs"] = [str(folder) for folder in config_dirs]
     index.restart(command, [{"key": c.key, "was": str(c.a), "now": str(c.b)} for c in found], declared.tree)
     return declared
+
+
+def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:
+    """Hold changed gates against what their protocols measure."""
+    if phases:
+        from wheelleg_exp.jobs.pipeline.metric_names import require_metrics
+
+        words = {name: words_of(name, phase, index.data["overrides"]) for name, phase in phases.items()}
+        require_metrics(phases, {name: compose_valid(w, config_dirs=folders) for name, w in words.items()}, folders)
 
 
 def _require_changeable(change: Change, index: PipelineIndex) -> None:

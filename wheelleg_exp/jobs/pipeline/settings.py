@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -80,10 +80,12 @@ class Declared:
     Attributes:
         tree: its plain config.
         phases: its phases by name.
+        composed: what it was composed from, which knows the file and the line of a key; None of a record.
     """
 
     tree: dict[str, Any]
     phases: dict[str, Phase]
+    composed: Composed | None = None
 
 
 def is_of_pipeline(override: str) -> bool:
@@ -99,7 +101,7 @@ def declared(overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> Decl
     """
     composed = compose(overrides, primary=PRIMARY, config_dirs=config_dirs)
     with composed.placing():
-        return read(composed.config[PRIMARY])
+        return replace(read(composed.config[PRIMARY]), composed=composed)
 
 
 def read(tree: Mapping[str, Any]) -> Declared:
@@ -157,7 +159,7 @@ def compose_phases(
                 words = [f"protocol={phase.gate.protocol}", *phase.gate.overrides]
                 compose(words, primary="evaluate", config_dirs=config_dirs)
         except ConfigError as error:
-            mistakes += [_in_phase(part, name) for part in parts(error)]
+            mistakes += [in_phase(part, name) for part in parts(error)]
     if not mistakes:
         mistakes = list(_misfits(found))
     if mistakes:
@@ -177,9 +179,10 @@ def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
         roles = [part for part in PARTS[now.get("init_from_what") or "networks"] if part != "optimizer"]
         found = fit((was["env"], was["agent"]), (now["env"], now["agent"]), roles, f"phase '{before}'")
         for error in [*found.mistakes, *found.suspects]:
-            yield _in_phase(error, name)
+            yield in_phase(error, name)
 
 
-def _in_phase(error: ConfigError, name: str) -> ConfigError:
+def in_phase(error: ConfigError, name: str) -> ConfigError:
+    """Return a mistake that says in whose phase it is."""
     message = f"phase '{name}': {error.message}"
     return ConfigError(message, key=error.key, where=error.where, expected=error.expected, nearest=error.nearest)
