@@ -12,7 +12,7 @@ import yaml
 from jobs.small import SMALL, cache_of, wheelleg
 from jobs.sweeps import STAND_IN, swept_once
 
-from wheelleg_exp.jobs.sweep import sweep as runner_module
+from wheelleg_exp.jobs.sweep import launchers
 
 pytestmark = pytest.mark.slow
 
@@ -43,7 +43,7 @@ def swept(tmp_path_factory):
         (["-m", "seed=1,2", "hydra.run.dir=x"], ["hydra.run.dir: nothing reads this", "run.root=DIR"]),
         (["-m", "seed=1,2", "hydra/job_logging=disabled"], ["hydra/job_logging: nothing reads this"]),
         (["--multirun", "hydra.sweep.dir=x"], ["hydra.sweep.dir: nothing reads this", "run.root"]),
-        (["-m", "hydra/launcher=ray"], ["'ray' is not supported", "one of basic, joblib"]),
+        (["-m", "hydra/launcher=lsf"], ["'lsf' is not supported", "one of basic, joblib"]),
     ],
     ids=lambda value: " ".join(value) if "=" in value[-1] and " " not in value[-1] else "",
 )
@@ -68,7 +68,7 @@ PRETENDING = STAND_IN.replace('(what,) = request["overrides"]', 'what = request[
 @pytest.fixture
 def pretend(monkeypatch):
     """Jobs do not train; the table, the statuses and the index are the same."""
-    monkeypatch.setattr(runner_module, "_BOOT", PRETENDING)
+    monkeypatch.setattr(launchers, "_BOOT", PRETENDING)
 
 
 @pytest.mark.usefixtures("pretend")

@@ -262,7 +262,7 @@ def test_mistakes_of_every_kind_are_told_together(stock):
         (["hydra.sweeper.max_batch_size=2"], ["hydra.sweeper.max_batch_size: nothing reads", "hydra.sweeper.params"]),
         (["hydra/sweeper=optuna"], ["hydra/sweeper: 'optuna' is not supported", "expected one of basic"]),
         (["hydra/launcher=joblb"], ["hydra/launcher: 'joblb'", "one of basic, joblib", "did you mean 'joblib'"]),
-        (["hydra/launcher=submitit_slurm"], ["'submitit_slurm' is not supported", "one of basic, joblib"]),
+        (["hydra/launcher=lsf"], ["'lsf' is not supported", "one of basic, joblib, submitit_local"]),
         (["hydra/launcher=basic,joblib"], ["hydra/launcher: Hydra's own settings cannot be swept"]),
         (["hydra.launcher.n_jobs=2"], ["hydra.launcher.n_jobs: the basic launcher", "hydra/launcher=joblib beside"]),
         ([*JOBLIB[:1], "hydra.launcher.n_jobs=0"], ["hydra.launcher.n_jobs: no job would ever run"]),
