@@ -42,6 +42,18 @@ def test_the_table_tells_how_each_run_went_and_fits_a_terminal(root):
     assert ": the disk is full return: mean of the last 100 ended episodes of the training; time-out: share of" in said
 
 
+def test_columns_that_no_run_fills_leave_their_room_to_the_ids(tmp_path):
+    for number, name in enumerate(("stand", "walk"), 1):
+        now = datetime(2026, 1, 1, number, tzinfo=UTC)
+        run = RunDirectory.create(tmp_path, "walk", number, name, now)
+        manifest = Manifest.begin(run.path, task="walk", seed=number, command=["wheelleg"], threads={}, now=now)
+        manifest.finish("finished", {}, None, now=now)
+        run.manifest().add("evaluation", results={"protocol": "gate_stand", "metrics": {"stand/survival": 0.5}})
+    lines = wheelleg("list", "runs", "--root", tmp_path).out.splitlines()
+    assert " ".join(lines[0].split()) == "id task status done return time-out evaluated took"
+    assert [line.split()[0] for line in lines[1:3]] == [run.name for run in sorted((tmp_path / "walk").iterdir())][::-1]
+
+
 def test_an_evaluated_run_tells_under_which_protocol_and_who_survived(root):
     run = RunDirectory.open("latest", root)
     metrics = {"walk/survival": 0.984, "walk/error_vx": 0.01, "push/survival": 0.5}

@@ -23,8 +23,9 @@ _LEAST_ID = 16  # columns
 RUN_COLUMNS = ["id", "task", "status", *LISTED, "resume"]
 LEGEND = (
     f"\nreturn: mean of {LAST} of the training; time-out: share of its environments whose last episode it ended; "
-    "played: how many of the last play's ended episodes survived"
+    "played, evaluated: how many of the last play's ended episodes, or of the last evaluation's, survived"
 )
+_SELDOM = ("played", "evaluated", "resume")  # what many runs have not
 SWEEP_COLUMNS = ["id", "status", "jobs", "swept", "took"]
 
 _PROBLEMS_SHOWN = 10
@@ -72,11 +73,9 @@ def runs(
 
 
 def _told(columns: list[str], rows: list[list[Any]]) -> tuple[list[str], list[list[Any]]]:
-    """Return a table without the column of evaluations where no run has one: most have none, and rows are full."""
-    at = columns.index("evaluated")
-    if any(row[at] is not None for row in rows):
-        return columns, rows
-    return columns[:at] + columns[at + 1 :], [row[:at] + row[at + 1 :] for row in rows]
+    """Return a table without the columns in which no run has anything: rows are full, and an id is to be copied."""
+    kept = [at for at, name in enumerate(columns) if name not in _SELDOM or any(row[at] is not None for row in rows)]
+    return [columns[at] for at in kept], [[row[at] for at in kept] for row in rows]
 
 
 def no_match(root: Path | None, sweep: str | None) -> str:
