@@ -10,7 +10,7 @@ from torch.utils._pytree import tree_flatten
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured, captured_step
+from wheelleg_exp.env.captured import Captured, captured_look, captured_step
 
 WAITS = ("_local_scalar_dense", "nonzero")  # what a graph cannot hold: the host waits for a number
 
@@ -66,7 +66,8 @@ def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
 
     env.scene.sim.step = noted
     env._captured = captured_step(env)
-    env._captured._recorder = Tape
+    env._captured_look = captured_look(env)
+    env._captured._recorder = env._captured_look._recorder = Tape
     return env
 
 
@@ -88,6 +89,7 @@ def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_wei
         ended += int((theirs[2] | theirs[3]).sum())
     assert ended > 16
     assert 1 <= len(taped._captured._variants) <= 6
+    assert 1 <= len(taped._captured_look._variants) <= 6
 
 
 class Counts:

@@ -20,7 +20,8 @@ _PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
-    """Cfg Captured TermState Graphs cfg options spec model asked extras common_step_counter _captured""".split()  # noqa: SIM905
+    """Cfg Captured TermState Graphs cfg options spec model asked extras common_step_counter _captured
+    _captured_look""".split()  # noqa: SIM905
 )
 _MOST_VARIANTS = 8
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
@@ -237,7 +238,7 @@ class Captured:
         recorder.record(lambda: outputs.append(self._work_and_write_back(tensors)))
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
-        return _Variant(recorder, tensors, after, contents, outputs[0])
+        return _Variant(recorder, tensors, after, contents, _standing(outputs[0]))
 
     def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
         """Do the work, and write what slots hold then into the memory that they held before."""
@@ -252,6 +253,15 @@ class Captured:
             static.copy_(now)
             slot.set(static)
         return result
+
+
+def _standing(tree: Any) -> Any:
+    """Return mappings and sequences of tensors as they are now, whatever becomes of the containers."""
+    if isinstance(tree, dict):
+        return {key: _standing(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return type(tree)(_standing(value) for value in tree)
+    return tree
 
 
 def _kind(value: Any) -> Any:
@@ -279,7 +289,15 @@ def captured_step(env: Any) -> Captured:
         env.scene.sim.require_room()
         env.reward_manager.take_present_weights()
 
-    def recorder() -> Recorder:
-        return CudaGraph(env.streams.all())
+    return Captured(lambda: env._act_and_judge(env._action, None), [env], lambda: CudaGraph(env.streams.all()), forget)
 
-    return Captured(lambda: env._act_and_judge(env._action, None), [env], recorder, forget)
+
+def captured_look(env: Any) -> Captured:
+    """Return the observations of an environment, as CUDA graphs.
+
+    Args:
+        env: the environment, whole but for this.
+    """
+    manager = env.observation_manager
+    manager.in_masks = True
+    return Captured(manager.compute, [env], lambda: CudaGraph(env.streams.all()), env.scene.robot.data.invalidate)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.env.captured import captured_step
+from wheelleg_exp.env.captured import captured_look, captured_step
 from wheelleg_exp.env.faces import Cfg, EnvFaces
 from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
@@ -98,6 +98,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
         self._captured = captured_step(self) if self.scene.sim.is_captured else None
+        self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
         self._term_state = TermState(self, self.managers, cfg)
 
     @property
@@ -157,7 +158,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self.command_manager.compute(self.step_dt)
         self.event_manager.apply_interval(self.step_dt)
         self.scene.show_written()
-        observations = self.observation_manager.compute()
+        observations = self._observe()
         if self.autoreset == "same_step":  # else those that have failed still show it
             require_finite_observations(self)
         terminated, time_outs = self.termination_manager.terminated, self.termination_manager.time_outs
@@ -191,6 +192,12 @@ class ManagerBasedRLEnv(EnvFaces):
         done = self.termination_manager.compute(waiting)
         self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
         return done, self.scene.unstable() | self.reward_manager.failed
+
+    def _observe(self) -> Observations:
+        """Return the observations; those of a graph are copied out of its memory."""
+        if self._captured_look is None:
+            return self.observation_manager.compute()
+        return cloned(self._captured_look())
 
     def _waiting(self) -> torch.Tensor | None:
         """Return which environments ended in the last step and begin anew in this one, (N,) bool (``next_step``)."""

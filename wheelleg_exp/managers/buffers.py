@@ -35,7 +35,7 @@ class HistoryBuffer:
 
         Args:
             sample: the new sample.
-            first: environments for which it is the first of an episode, or None.
+            first: environments for which it is the first of an episode, ids or a mask (N,) bool, or None.
         """
         self.samples = self.appended(sample, first)
         return self.samples
@@ -44,6 +44,8 @@ class HistoryBuffer:
         """Return what ``append`` would, without storing it."""
         newest = sample.unsqueeze(1)
         after = torch.cat((self.samples[:, 1:], newest), dim=1)
+        if first is not None and first.dtype == torch.bool:
+            return torch.where(first.view(-1, *[1] * (after.ndim - 1)), newest, after)
         if first is not None:
             after[first] = newest[first]
         return after
@@ -85,7 +87,7 @@ class RowHistory:
 
         Args:
             samples: the new samples.
-            first: environments for which they are the first of an episode, or None.
+            first: environments for which they are the first of an episode, ids or a mask (N,) bool, or None.
         """
         self.values = self.appended(samples, first)
         return self.values.clone() if self.remembers else self.values
@@ -98,6 +100,9 @@ class RowHistory:
                 pieces.append(self.values[:, kept])
             pieces.append(sample)
         after = torch.cat(pieces, dim=1)
+        if first is not None and self.remembers and first.dtype == torch.bool:
+            newest = torch.cat(list(samples), dim=1).index_select(1, self._fill[: after.shape[1]])
+            return torch.where(first.unsqueeze(1), newest, after)
         if first is not None and self.remembers:
             newest = torch.cat(list(samples), dim=1).index_select(0, first)
             after.index_copy_(0, first, newest.index_select(1, self._fill[: after.shape[1]]))

@@ -40,6 +40,7 @@ class ObservationManager(Kept):
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._any_first = False
+        self.in_masks = False  # whether rows are chosen by masks, whose shapes are fixed, and not by ids
         self.reset(torch.arange(env.num_envs, device=env.device))
 
     @property
@@ -145,7 +146,9 @@ class ObservationManager(Kept):
         return found
 
     def _first_ids(self) -> torch.Tensor | None:
-        return ids_where(self._is_first) if self._any_first else None
+        if not self._any_first:
+            return None
+        return self._is_first if self.in_masks else ids_where(self._is_first)
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Reset every term of ``env_ids``."""
