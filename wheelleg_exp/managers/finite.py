@@ -123,7 +123,7 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None) -> N
     Raises:
         SimulationFailure: with the key of the first such term.
     """
-    groups = env.observation_manager.obs_buf.values()
+    groups = env.observation_manager.distinct()
     parts = [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
     if parts and may_fail(part.sum() for part in parts):
         for path, part in _observed(env):

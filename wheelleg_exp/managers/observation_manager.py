@@ -103,6 +103,10 @@ class ObservationManager(Kept):
             for name, value in values.items()
         ]
 
+    def distinct(self) -> list[Group]:
+        """Return what the groups showed last, but for those that are the beginning of another one."""
+        return [value for group, value in self.obs_buf.items() if group not in self._beginnings]
+
     def sample_between(self) -> None:
         """Take up samples between two physics steps of a control step, of terms that are seen late."""
         for term in self._late:

@@ -145,8 +145,8 @@ class ContactSensor(SensorBase):
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         """Sample the forces of the physics step that has just run."""
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
-        torch.maximum(self._found, self._counts, out=self._found)
         self.data.take_forces(torch.matmul(self._pressures, self._normals).squeeze(2).neg_().float(), due)
+        torch.maximum(self._found, self._counts, out=self._found)
         if due is None:
             self._norms, self._largest_norm = [None, *self._norms[:-1]], None
         else:
