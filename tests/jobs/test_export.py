@@ -442,6 +442,12 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
         for _ in range(spec["decimation"]):
             robot.drive(targets)
             simulate.mujoco.mj_step(robot.model, robot.data)
+    assert spec["command_accelerations"] == {}
+    spec["command_accelerations"] = {"c": [0.6, None, 3.0]}  # 0.01 and 0.05 a step at 60 Hz
+    for step in range(1, 4):
+        found = robot.approached("c", [0.025, 0.2, -9.0])
+        np.testing.assert_allclose(found, [min(0.025, 0.01 * step), 0.2, -0.05 * step], rtol=1e-6)
+    np.testing.assert_equal(robot.approached("other", [1.0, 2.0]), [1.0, 2.0])
     readings, data = robot.readings({}), env.scene.robot.data
     np.testing.assert_allclose(readings["joint_pos"], data.joint_pos[0], atol=2e-4)
     np.testing.assert_allclose(readings["joint_vel"], data.joint_vel[0], atol=2e-2)

@@ -141,6 +141,29 @@ def test_travel_is_summed_up_to_a_bound_and_anew_in_each_episode(make_env):
     assert term.travel_error[[0, 2]].tolist() == [pytest.approx([-0.4, 0.2])] * 2
 
 
+def test_a_command_goes_where_it_is_asked_to_by_no_more_than_its_acceleration(make_env):
+    """By hand: from rest by 2 m/s² and 3 rad/s², each step's share of it, and never beyond what was drawn."""
+    env, term = _travel(make_env, w_z=-0.5, max_lin_acceleration=2.0, max_ang_acceleration=3.0)
+    lin, ang = 2.0 * env.step_dt, 3.0 * env.step_dt
+    assert 5 * lin < 0.3 < 40 * lin  # seen on its way and at its end
+    for step in range(2, 40):  # the reset is the first
+        env.step(STILL)
+        expected = [min(0.3, step * lin), 0.0, -min(0.5, step * ang)]
+        assert term.command[0].tolist() == pytest.approx(expected, rel=1e-5)
+    assert term.asked.tolist() == [pytest.approx([0.3, 0.0, -0.5])] * 4
+    env.reset(env_ids=torch.tensor([2]))
+    assert term.command[2].tolist() == pytest.approx([lin, 0.0, -ang])
+    assert term.command[1].tolist() == pytest.approx([0.3, 0.0, -0.5])
+
+
+def test_a_command_without_an_acceleration_jumps(make_env):
+    env, term = _travel(make_env)
+    assert term.max_acceleration == (None, None, None)
+    assert term.command.tolist() == [pytest.approx([0.3, 0.0, 0.5])] * 4
+    env.step(STILL)
+    torch.testing.assert_close(term.asked, term.command)
+
+
 def test_travel_is_seen_and_rewarded(make_env):
     seen = {"_target_": "wheelleg_exp.mdp.observations.travel_error", "command_name": "c"}
     cost = {"_target_": "wheelleg_exp.mdp.rewards.travel_error_l2", "command_name": "c", "heading_length": 0.5}

@@ -53,6 +53,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
             [(f"`{name}`", r["width"], r["unit"], r["meaning"]) for name, r in spec["readings"].items()],
         ),
         *_commands(spec["commands"]),
+        *_accelerations(spec["command_accelerations"]),
         "## Joints, in order",
         _table(
             ("#", "joint", "default, rad", "stiffness, N·m/rad", "damping, N·m·s/rad", "effort, N·m", "speed, rad/s"),
@@ -106,6 +107,15 @@ def _commands(commands: Mapping[str, Mapping[str, Any]]) -> list[str]:
         if ranges and all(len(pair) == 2 for pair in ranges.values())
     ]
     return ["Trained with these commands (m/s, rad/s): " + "; ".join(told) + "."] if told else []
+
+
+def _accelerations(accelerations: Mapping[str, Sequence[float | None]]) -> list[str]:
+    return [
+        f"`commands.{name}` begins at rest and goes towards what is asked for by at most "
+        + ", ".join("any amount" if most is None else f"{most:.4g}" for most in limits)
+        + " a second (m/s, m/s, rad/s), as `simulate.py` does it: a robot that is told to be fast at once falls."
+        for name, limits in accelerations.items()
+    ]
 
 
 def _observations(groups: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -52,6 +52,7 @@ def specification(
             for name in names
             if name.startswith(COMMANDS)
         },
+        "command_accelerations": _accelerations(env, names),
         "observation_width": sum(_width(term) for group in groups for term in group["terms"]),
         "observations": groups,
         "action_width": env.action_manager.total_action_dim,
@@ -66,6 +67,16 @@ def specification(
             "quat": layout.default_root_quat.tolist(),
         },
     }
+
+
+def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
+    """Return by how much the commands that are read change at most, m/s² and rad/s², where they may not jump."""
+    found = {}
+    for name in (name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)):
+        most = getattr(env.command_manager.get_term(name), "max_acceleration", None)
+        if most is not None and any(limit is not None for limit in most):
+            found[name] = list(most)
+    return found
 
 
 def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, Any]:

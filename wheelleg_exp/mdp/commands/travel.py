@@ -40,6 +40,10 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         heading_command: whether headings are drawn at all.
         heading_control_stiffness: k, 1/s.
         asset_name: the member of the scene that is commanded.
+
+    Attributes:
+        max_acceleration: by which each component changes at most, m/s², m/s², rad/s²; None lets it jump.
+        travel_error: how far the robot has gone too far, m, and turned too far, rad, (N, 2).
     """
 
     def __init__(
@@ -73,11 +77,12 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         )
         self._wheels = member(env.scene, wheel_cfg.name, "wheel_cfg.name")
         self._wheel_ids, self._radius = wheel_cfg.joint_ids, wheel_radius
-        self.travel_error = torch.zeros(env.num_envs, 2, device=env.device)  # m and rad; positive is too far
+        self.travel_error = torch.zeros(env.num_envs, 2, device=env.device)
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
-        lin, ang = (math.inf if most is None else most for most in (max_lin_acceleration, max_ang_acceleration))
+        self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
+        most = [math.inf if limit is None else limit for limit in self.max_acceleration]
         # Tuples: tensors among the attributes are state.
-        self._fastest = (torch.tensor([lin, lin, ang], device=env.device) * env.step_dt,)
+        self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
         self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
 
     def compute(self, dt: float) -> torch.Tensor:

@@ -37,6 +37,7 @@ class Robot:
         self.model = mujoco.MjModel.from_xml_path(str(scene))
         self.model.opt.timestep = spec["physics_dt"]  # XML keeps six digits
         self.data = mujoco.MjData(self.model)
+        self.commands: dict[str, np.ndarray] = {}
         joints = [self.model.joint(name) for name in spec["joint_names"]]
         self.qpos = [int(joint.qposadr[0]) for joint in joints]
         self.qvel = [int(joint.dofadr[0]) for joint in joints]
@@ -116,9 +117,16 @@ class Robot:
                 )
             self.data.ctrl[actuators] = torque
 
+    def approached(self, name: str, asked: Any) -> np.ndarray:
+        """Return a command a step nearer to what is asked for, no faster than in training."""
+        now = self.commands.setdefault(name, np.zeros(len(asked)))
+        most = array(self.spec["command_accelerations"].get(name, [None] * len(asked)), np.inf) * self.spec["step_dt"]
+        now += np.clip(np.asarray(asked) - now, -most, most)
+        return now
+
     def step(self, policy: Policy, commands: Mapping[str, Any]) -> None:
         """Advance by one control step."""
-        targets = policy.step(self.readings(commands))
+        targets = policy.step(self.readings({name: self.approached(name, asked) for name, asked in commands.items()}))
         for _ in range(self.spec["decimation"]):
             self.drive(targets)
             mujoco.mj_step(self.model, self.data)
