@@ -21,7 +21,7 @@ from wheelleg_exp.run.directory import RunDirectory
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = sorted(path for path in (ROOT / "docs" / "examples").iterdir() if path.is_dir())
+FOLDERS = sorted(path for path in (ROOT / "docs" / "examples").iterdir() if (path / "task").is_dir())
 TASKS = [(folder, path.stem) for folder in FOLDERS for path in sorted((folder / "task").glob("*.yaml"))]
 # The primary commands of a README's bash blocks; what follows ` #` is a comment.
 COMMAND = re.compile(r"^wheelleg (?:compose|train|zero-agent) (.*)$", re.MULTILINE)
