@@ -10,15 +10,13 @@ from torch.utils._pytree import tree_flatten
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured, captured_look, captured_step
+from wheelleg_exp.env.captured import Captured, CapturedStep, captured_look
 
 WAITS = ("_local_scalar_dense", "nonzero")  # what a graph cannot hold: the host waits for a number
 
 
 class Tape(TorchDispatchMode):
-    """Notes torch's operations and the engine's steps with their memory, and does them again on the same memory."""
-
-    recording: Tape | None = None
+    """Notes torch's operations with their memory, and does them again on the same memory."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -32,10 +30,8 @@ class Tape(TorchDispatchMode):
         return result
 
     def record(self, work):
-        Tape.recording = self
         with self:
             work()
-        Tape.recording = None
 
     def replay(self):
         if self.is_new:  # a graph's recording does nothing, the tape's has done it
@@ -55,19 +51,17 @@ def stand() -> ManagerBasedRLEnv:
     return env
 
 
+def parts(env: ManagerBasedRLEnv) -> list[Captured]:
+    step = env._captured
+    return [step.act, step.act_again, step.judge, env._captured_look]
+
+
 def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
     """Let an environment's step be taped as a GPU's would be captured."""
-    step = env.scene.sim.step
-
-    def noted() -> None:
-        step()
-        if Tape.recording is not None:
-            Tape.recording.notes.append((lambda: step(), (), {}, None))
-
-    env.scene.sim.step = noted
-    env._captured = captured_step(env)
+    env._captured = CapturedStep(env)
     env._captured_look = captured_look(env)
-    env._captured._recorder = env._captured_look._recorder = Tape
+    for part in parts(env):
+        part._recorder = Tape
     return env
 
 
@@ -88,8 +82,7 @@ def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_wei
         assert taped.common_step_counter == plain.common_step_counter
         ended += int((theirs[2] | theirs[3]).sum())
     assert ended > 16
-    assert 1 <= len(taped._captured._variants) <= 6
-    assert 1 <= len(taped._captured_look._variants) <= 6
+    assert all(1 <= len(part._variants) <= 6 for part in parts(taped))
 
 
 class Counts:

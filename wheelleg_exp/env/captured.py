@@ -20,10 +20,10 @@ _PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
-    """Cfg Captured TermState Graphs cfg options spec model asked extras common_step_counter _captured
+    """Cfg Captured CapturedStep TermState Graphs cfg options spec model asked extras common_step_counter _captured
     _captured_look""".split()  # noqa: SIM905
 )
-_MOST_VARIANTS = 8
+_MOST_VARIANTS, _MOST_PLAIN = 8, 1000
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
 
 
@@ -151,6 +151,7 @@ class _Variant:
 
     recorder: Recorder
     before: list[tuple[Slot, torch.Tensor]]
+    empty: list[Slot]
     after: list[tuple[Slot, Any]]
     contents: list[tuple[Slot, dict[Any, Any]]]
     outputs: Any
@@ -193,12 +194,11 @@ class Captured:
         if variant is None:
             if len(self._variants) >= _MOST_VARIANTS:
                 return self._work()
-            variant = self._variants[key] = self._record()
-        for slot, static in variant.before:
-            now = slot.get()
-            if now is not static:
-                static.copy_(now)
-                slot.set(static)
+            variant = self._variants[key] = self._record()  # which has begun with what is there
+        elif unlike := self._enter(variant):  # others decide what is there when this begins: recordings depend on it
+            self._plain |= {slot.name: slot for slot in unlike}
+            self._variants.clear()
+            return self._work() if len(self._plain) > _MOST_PLAIN else self()
         variant.recorder.replay()
         for slot, content in variant.contents:
             whole = slot.get()
@@ -208,6 +208,21 @@ class Captured:
         for slot, value in variant.after:
             slot.set(value)
         return variant.outputs
+
+    @staticmethod
+    def _enter(variant: _Variant) -> list[Slot]:
+        """Bring what slots hold into a recording's memory; return those that hold another kind of thing."""
+        unlike = [slot for slot in variant.empty if slot.get() is not None]
+        for slot, static in variant.before:
+            now = slot.get()
+            if now is static:
+                continue
+            if isinstance(now, torch.Tensor) and _form(now) == _form(static):
+                static.copy_(now)
+                slot.set(static)
+            else:
+                unlike.append(slot)
+        return unlike
 
     def _run_by_itself(self) -> Any:
         before = [(slot, slot.get()) for slot in slots(self._roots)]
@@ -238,7 +253,8 @@ class Captured:
         recorder.record(lambda: outputs.append(self._work_and_write_back(tensors)))
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
-        return _Variant(recorder, tensors, after, contents, _standing(outputs[0]))
+        empty = [slot for slot, value in others if value is None]
+        return _Variant(recorder, tensors, empty, after, contents, _standing(outputs[0]))
 
     def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
         """Do the work, and write what slots hold then into the memory that they held before."""
@@ -277,19 +293,36 @@ def _differs(now: Any, was: dict[Any, Any]) -> bool:
     return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
 
 
-def captured_step(env: Any) -> Captured:
-    """Return the part of an environment's step from its actions to its rewards, as CUDA graphs.
+class CapturedStep:
+    """The part of an environment's step from its actions to its rewards: CUDA graphs around the engine's own.
+
+    The engine's graphs end early where all simulations have converged, which a capture of torch's cannot hold.
 
     Args:
         env: the environment, whole but for this.
     """
 
-    def forget() -> None:
-        env.scene.robot.data.invalidate()
-        env.scene.sim.require_room()
-        env.reward_manager.take_present_weights()
+    def __init__(self, env: Any) -> None:
+        self._env = env
 
-    return Captured(lambda: env._act_and_judge(env._action, None), [env], lambda: CudaGraph(env.streams.all()), forget)
+        def part(work: Callable[[], Any]) -> Captured:
+            return Captured(work, [env], lambda: CudaGraph(env.streams.all()), env.scene.robot.data.invalidate)
+
+        self.act = part(lambda: env._act(env._action))
+        self.act_again = part(env._act_again)
+        self.judge = part(lambda: env._judge(None))
+
+    def __call__(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return which environments are done and which have failed, (N,) bool."""
+        env = self._env
+        env.reward_manager.take_present_weights()
+        self.act()
+        for substep in range(env.decimation):
+            if substep:
+                self.act_again()
+            env.scene.sim.step()
+        done, failed = self.judge()
+        return done, failed
 
 
 def captured_look(env: Any) -> Captured:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.env.captured import captured_look, captured_step
+from wheelleg_exp.env.captured import CapturedStep, captured_look
 from wheelleg_exp.env.faces import Cfg, EnvFaces
 from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
@@ -97,7 +97,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
-        self._captured = captured_step(self) if self.scene.sim.is_captured else None
+        self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
         self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
         self._term_state = TermState(self, self.managers, cfg)
 
@@ -176,17 +176,33 @@ class ManagerBasedRLEnv(EnvFaces):
         return self._act_and_judge(action, waiting)
 
     def _act_and_judge(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        self._act(action)
+        for substep in range(self.decimation):
+            if substep:
+                self._act_again()
+            self.scene.sim.step()
+        return self._judge(waiting)
+
+    def _act(self, action: torch.Tensor) -> None:
+        """Take up an action, and write what the first physics step begins with."""
         self.action_manager.process_action(action)
         self.recorder_manager.record_pre_step()
         self.scene.robot.begin_control_step()
-        for substep in range(self.decimation):
-            if substep:
-                self.observation_manager.sample_between()
-            self.action_manager.apply_action()
-            self.scene.write_data_to_sim()
-            self.scene.sim.step()
-            self.recorder_manager.record_post_physics_decimation_step()
-            self.scene.update()
+        self.action_manager.apply_action()
+        self.scene.write_data_to_sim()
+
+    def _act_again(self) -> None:
+        """Take up a physics step that has run, and write what the next one begins with."""
+        self.recorder_manager.record_post_physics_decimation_step()
+        self.scene.update()
+        self.observation_manager.sample_between()
+        self.action_manager.apply_action()
+        self.scene.write_data_to_sim()
+
+    def _judge(self, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Take up the last physics step, and judge: which environments are done and which have failed, (N,) bool."""
+        self.recorder_manager.record_post_physics_decimation_step()
+        self.scene.update()
         self.episode_length_buf += 1
         self.common_step_counter += 1
         done = self.termination_manager.compute(waiting)
