@@ -23,6 +23,7 @@ SMALL = {
         "protocol.walk.lin_vel_x=[-0.3,0.0,0.3]",
     ),
     "terrain": (
+        "protocol.strip=null",
         "protocol.terrain.episodes=2",
         "protocol.terrain.levels=2",
         "protocol.terrain.horizon_s=3.0",

@@ -118,7 +118,12 @@ def test_who_falls_by_itself_bears_no_push(task):
 
 
 def test_every_tile_gets_its_episodes_and_who_falls_succeeds_on_none(task):
-    words = ("protocol.terrain.episodes=2", "protocol.terrain.levels=2", "protocol.terrain.horizon_s=1.5")
+    words = (
+        "protocol.strip=null",
+        "protocol.terrain.episodes=2",
+        "protocol.terrain.levels=2",
+        "protocol.terrain.horizon_s=1.5",
+    )
     kinds = [f"protocol.terrain.scene.terrain.sub_terrains.{name}=null" for name in ("grid", "waves", "obstacles")]
     found = evaluate(*task, zeros, protocol("terrain", *words, *kinds))
     names, counts = np.unique(found.episodes["cell_name"], return_counts=True)

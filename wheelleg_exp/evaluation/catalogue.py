@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -47,7 +47,7 @@ def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, A
     elif test == "terrain":
         found = _of_terrain(columns, float((protocol.get("terrain") or {}).get("pass_share", 0.9)))
     else:
-        found = {"stand": _of_standing, "steps": _of_steps, "push": _of_pushing, "robust": _of_worlds}[test](columns)
+        found = _SIMPLY[test](columns)
     return [metric for metric in found if set(metric.columns) <= set(columns)]
 
 
@@ -177,6 +177,21 @@ def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Met
     yield from _alike(test, columns, everything)
 
 
+def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test, better = "strip", "higher"
+    yield from _survival(test, columns)
+    yield Metric("strip/success", test, ("success",), mean, better=better)
+    yield Metric("strip/recovered", test, ("recovered",), mean, better=better)
+    for cell in dict.fromkeys(columns["cell_name"].tolist()):
+        rows = partial(cell_is, name=cell)
+        for name in ("success", "distance_ratio", "recovered"):
+            yield Metric(f"strip/{name}/{cell}", test, (name,), mean, better=better, rows=rows)
+        yield Metric(f"strip/recovery/{cell}", test, ("recovery_s",), mean, "s", rows=rows)
+        for name, column, unit in (("error_vx", "error_vx", "m/s"), ("swing", "swing_rad", "rad")):
+            for where in ("before", "on", "behind"):
+                yield Metric(f"strip/{name}_{where}/{cell}", test, (f"{column}_{where}",), quadratic, unit, rows=rows)
+
+
 def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
     test = "robust"
     sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
@@ -188,3 +203,12 @@ def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
         yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
         yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)
     yield Metric("robust/worst_survival", test, ("world", "survived"), worst_mean, "", "higher", changed)
+
+
+_SIMPLY: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {  # those that ask the protocol for nothing
+    "stand": _of_standing,
+    "steps": _of_steps,
+    "push": _of_pushing,
+    "strip": _of_strips,
+    "robust": _of_worlds,
+}

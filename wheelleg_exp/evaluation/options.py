@@ -20,7 +20,7 @@ def _some_step(steps: Mapping[str, Any]) -> Iterator[Broken]:
 
 def _lengths(protocol: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     """Yield the key that says how long the episodes of each test are, and how long that is, s."""
-    for test in ("stand", "walk", "terrain", "robust"):
+    for test in ("stand", "walk", "terrain", "strip", "robust"):
         if protocol[test] is not None:
             yield f"{test}.horizon_s", protocol[test]["horizon_s"]
     if (steps := protocol["steps"]) is not None:
@@ -32,7 +32,7 @@ def _lengths(protocol: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
     lengths, settle = list(_lengths(protocol)), protocol["settle_s"]
     if not lengths:
-        tests = "stand, walk, steps, push, terrain, robust"
+        tests = "stand, walk, steps, push, terrain, strip, robust"
         yield Broken("", "there is no test in it", f"one of {tests} that is not null")
     for key, seconds in lengths:
         if seconds <= settle:
@@ -160,6 +160,53 @@ class Terrain:
     scene: Section
 
 
+def _room_behind(strip: Mapping[str, Any]) -> Iterator[Broken]:
+    way, there = strip["lin_vel_x"] * strip["horizon_s"], strip["before"] + strip["length"]
+    if way <= there:
+        message = f"in {strip['horizon_s']:g} s the commanded way, {way:g} m, does not lead behind the strip"
+        yield Broken("horizon_s", message, f"more than {there / strip['lin_vel_x']:g} s")
+
+
+@relation(_room_behind)
+@dataclass(frozen=True)
+class Strip:
+    """``protocol.strip``: straight on from level ground over a strip of rough ground, and on, on level ground.
+
+    Attributes:
+        episodes: number of episodes of each strip.
+        horizon_s: how long each is, s.
+        lin_vel_x: forward speed, m/s.
+        amplitudes: how rough each strip is: its heights are drawn from U(-a, a), m.
+        before: where the strip begins, m from where the robot does.
+        length: of the strip, m.
+        width: of the strip, m.
+        horizontal_scale: distance of the heights that are drawn, m.
+        vertical_scale: heights are whole multiples of it, m.
+        distance_share: share of the commanded way from which on an episode has succeeded.
+        quiet_s: how long before the strip it is seen how quiet the robot is, s.
+        quiet_factor: how many times as much as then its pitch may swing when it has recovered.
+        quiet_floor: RMS swing of the pitch that counts as quiet in any case, rad.
+        recovered_s: over how long that swing is taken, s.
+        within_s: by when after the strip, s.
+    """
+
+    episodes: Count
+    horizon_s: Positive
+    lin_vel_x: Positive
+    amplitudes: Annotated[list[Positive], NotEmpty()]
+    before: Positive
+    length: Positive
+    width: Positive
+    horizontal_scale: Positive
+    vertical_scale: Positive
+    distance_share: Share
+    quiet_s: Positive
+    quiet_factor: Positive
+    quiet_floor: Positive
+    recovered_s: Positive
+    within_s: Positive
+
+
 @dataclass(frozen=True)
 class Robust:
     """``protocol.robust``: one thing of the world changed at a time, for every episode alike.
@@ -211,6 +258,7 @@ class Protocol:
         steps: responses to steps of the command.
         push: recovery from pushes.
         terrain: driving over tiles of rough ground.
+        strip: driving from level ground over rough ground and on.
         robust: standing and driving in a changed world.
     """
 
@@ -230,4 +278,5 @@ class Protocol:
     steps: Steps | None = None
     push: Push | None = None
     terrain: Terrain | None = None
+    strip: Strip | None = None
     robust: Robust | None = None

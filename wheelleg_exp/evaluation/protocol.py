@@ -14,7 +14,7 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation import scenarios
 from wheelleg_exp.evaluation.catalogue import metrics_of
-from wheelleg_exp.evaluation.measuring import motors, on_terrain, standing, stepping, walking
+from wheelleg_exp.evaluation.measuring import motors, on_terrain, standing, stepping, strip, walking
 from wheelleg_exp.evaluation.measuring.changed_world import Late, worlds
 from wheelleg_exp.evaluation.measuring.pushing import push_columns
 from wheelleg_exp.evaluation.measuring.standing import Columns
@@ -150,6 +150,8 @@ def _tables(options: Protocol) -> Iterator[Scenarios]:
         yield scenarios.pushing(options.push)
     if options.terrain is not None:
         yield scenarios.on_terrain(options.terrain)
+    if options.strip is not None:
+        yield scenarios.over_strips(options.strip)
     if options.robust is not None:
         yield scenarios.in_changed_world(options.robust)
 
@@ -157,12 +159,7 @@ def _tables(options: Protocol) -> Iterator[Scenarios]:
 def _run(subject: Subject, table: Scenarios) -> Part:
     if table.test == "robust":
         return _in_changed_worlds(subject, table)
-    cfg = subject.cfg(table)
-    if table.test == "terrain" and subject.protocol.terrain is not None:
-        cfg["scene"]["terrain"] = on_terrain.tiles(subject.protocol.terrain, subject.seed)
-    rollout = subject.rollout(table, cfg)
-    if table.test == "terrain" and subject.protocol.terrain is not None:
-        on_terrain.place(rollout, subject.protocol.terrain)
+    rollout = _placed(subject, table)
     policy, tell = subject.make_policy(rollout.env), subject.teller(table.test)
     if table.test == "push" and subject.protocol.push is not None:
         columns, made = push_columns(rollout, policy, subject.protocol.push, subject.seed, subject.target, tell)
@@ -171,6 +168,22 @@ def _run(subject: Subject, table: Scenarios) -> Part:
         made = rollout.roll(policy, subject.seed, tell)
         columns = _columns(subject, rollout, made)
     return Part(table.test, rollout.starts, identity(rollout, made) | _numbers(columns), about(rollout))
+
+
+def _placed(subject: Subject, table: Scenarios) -> Rollout:
+    """Build the environment of a table's episodes on the ground of its test."""
+    cfg, options = subject.cfg(table), subject.protocol
+    if table.test == "terrain" and options.terrain is not None:
+        cfg["scene"]["terrain"] = on_terrain.tiles(options.terrain, subject.seed)
+        rollout = subject.rollout(table, cfg)
+        on_terrain.place(rollout, options.terrain)
+        return rollout
+    if table.test == "strip" and options.strip is not None:
+        cfg["scene"]["terrain"] = strip.ground(options.strip, cfg["scene"]["terrain"], subject.seed)
+        rollout = subject.rollout(table, cfg)
+        strip.place(rollout, options.strip)
+        return rollout
+    return subject.rollout(table, cfg)
 
 
 def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
@@ -212,6 +225,8 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
         columns |= stepping.responses(made, options.steps)
     if test == "terrain" and options.terrain is not None:
         columns |= walking.errors(made, settle) | on_terrain.ways(made, rollout, options.terrain)
+    if test == "strip" and options.strip is not None:
+        columns |= strip.crossing(made, options.strip, settle)
     return columns
 
 

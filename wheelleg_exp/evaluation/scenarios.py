@@ -10,7 +10,7 @@ from itertools import product
 
 import torch
 
-from wheelleg_exp.evaluation.options import Push, Robust, Stand, Steps, Terrain, Walk
+from wheelleg_exp.evaluation.options import Push, Robust, Stand, Steps, Strip, Terrain, Walk
 
 Vec3 = tuple[float, float, float]
 
@@ -108,6 +108,15 @@ def on_terrain(options: Terrain) -> Scenarios:
     settings = json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True)
     cells = ((command,),) * len(names)
     return Scenarios("terrain", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
+
+
+def over_strips(options: Strip) -> Scenarios:
+    """Return episodes that drive straight on over a strip of rough ground, strip by strip."""
+    names = tuple(f"{1000.0 * amplitude:g}mm" for amplitude in options.amplitudes)
+    command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
+    settings = json.dumps(asdict(options), sort_keys=True)
+    cells = ((command,),) * len(names)
+    return Scenarios("strip", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
 
 
 def in_changed_world(options: Robust) -> Scenarios:

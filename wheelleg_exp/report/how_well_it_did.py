@@ -20,6 +20,7 @@ _TITLES = {
     "steps": "Steps of the command",
     "push": "Pushes",
     "terrain": "Rough ground",
+    "strip": "Onto rough ground and off it",
     "robust": "A changed world",
 }
 _SHOWN_FIRST = 12  # metrics of a test, before the others are a click away

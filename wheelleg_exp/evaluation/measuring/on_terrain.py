@@ -62,15 +62,19 @@ def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
     ``distance_share``, else 0. ``kind`` and ``level`` say which tile.
     """
     cell = rollout.scenarios.cell_of().to(made.alive.device)
-    last = (made.alive.sum(dim=0) - 1).clamp(min=0)
-    there = made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2]
-    way = (there - made.pos[0, :, :2]).double()
-    heading = made.yaw[0].double()
-    along = way[:, 0] * heading.cos() + way[:, 1] * heading.sin()
-    ratio = along / (options.lin_vel_x * options.horizon_s)
+    ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
     return {
         "kind": (cell // options.levels).double(),
         "level": (cell % options.levels).double(),
         "distance_ratio": ratio,
         "success": (~made.fell & (ratio >= options.distance_share)).double(),
     }
+
+
+def along_heading(made: Trajectories) -> torch.Tensor:
+    """Return how far each robot came along its first heading, m, (N,), at the last step that the episode lived."""
+    last = (made.alive.sum(dim=0) - 1).clamp(min=0)
+    there = made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2]
+    way = (there - made.pos[0, :, :2]).double()
+    heading = made.yaw[0].double()
+    return way[:, 0] * heading.cos() + way[:, 1] * heading.sin()

@@ -18,7 +18,7 @@ from wheelleg_exp.evaluation.protocol import evaluate
 from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Gate, Phase, in_phase
 from wheelleg_exp.terms.sections import read_section
 
-_TESTS = ("stand", "walk", "steps", "push", "terrain", "robust")
+_TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
 
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:

@@ -1,0 +1,142 @@
+"""Level ground, a strip of rough ground, level ground: where it is, what is measured where, and who comes over it."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from evaluation.conftest import balancer, protocol, zeros
+from evaluation.synthetic import DT, fall, still, times
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.evaluation import evaluate
+from wheelleg_exp.evaluation.measuring import strip
+from wheelleg_exp.evaluation.options import Protocol, Strip
+from wheelleg_exp.evaluation.over_time import Trajectories
+from wheelleg_exp.sim.terrain import TerrainGenerator, UniformNoise
+from wheelleg_exp.terms.sections import read_section
+
+ALONE = "protocol.terrain=null"
+FRICTION = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
+
+
+def options(**changes: Any) -> Strip:
+    node = protocol("terrain", ALONE)["strip"]
+    return Strip(**{**node, "horizon_s": 9.0, "before": 0.9, "length": 0.6, **changes})
+
+
+def made_ground(asked: Strip) -> TerrainGenerator:
+    node = strip.ground(asked, FRICTION, seed=3)
+    kinds = {
+        name: UniformNoise(**{key: value for key, value in kind.items() if key != "_target_"})
+        for name, kind in node.pop("sub_terrains").items()
+    }
+    ground = TerrainGenerator(**{key: value for key, value in node.items() if key != "_target_"}, sub_terrains=kinds)
+    ground.place(2, 1.0, torch.device("cpu"), lambda: torch.Generator().manual_seed(0))
+    return ground
+
+
+def test_the_strips_lie_where_the_config_says_and_are_as_rough():
+    asked = options(amplitudes=[0.002, 0.004])
+    ground, cell = made_ground(asked), torch.tensor([0, 1])
+    rollout = SimpleNamespace(
+        env=SimpleNamespace(scene=SimpleNamespace(terrain=ground), device=torch.device("cpu")),
+        scenarios=SimpleNamespace(cell_of=lambda: cell),
+    )
+    strip.place(rollout, asked)
+    x = torch.linspace(-0.5, 3.2, 3701)
+    for amplitude, origin in zip(asked.amplitudes, ground.env_origins, strict=True):
+        assert origin[2] == 0.0
+        lines = [ground.height_at(origin[:2] + torch.stack((x, torch.full_like(x, y)), dim=1)) for y in (-0.4, 0, 0.4)]
+        heights = torch.stack(lines).abs()
+        inside = (x > 0.9) & (x < 1.5)
+        assert heights.max() <= amplitude + asked.vertical_scale / 2
+        assert heights[:, inside].max() > 0.8 * amplitude
+        flat = heights[:, inside].square().mean().sqrt()  # straight between the points: below a / sqrt(3)
+        assert 0.6 * amplitude / math.sqrt(3) < flat < amplitude / math.sqrt(3)
+        assert heights[:, (x < 0.88 - 1e-3) | (x > 1.52 + 1e-3)].max() == 0.0
+    node = strip.ground(asked, FRICTION, seed=3)
+    assert node["border_width"] >= asked.lin_vel_x * asked.horizon_s - asked.before - asked.length  # nobody falls off
+
+
+def drive(seconds: float = 9.0, n: int = 1, speed: float = 0.3) -> Trajectories:
+    """Return robots that drive at a speed from the first moment, as they are told."""
+    made = still(seconds, n)
+    made.pos[..., 0] = (speed * times(made)).unsqueeze(1)
+    made.vel[..., 0] = speed
+    made.command[..., 0] = 0.3
+    return made
+
+
+def test_what_is_measured_where():
+    made, asked = drive(), options(quiet_s=1.0)  # at the strip at 3 s, behind it at 5 s
+    time = times(made)
+    wave = math.sqrt(2.0) * torch.sin(2 * math.pi * 4 * time)  # of RMS 1, in whole periods of each part
+    parts = torch.where(time < 3.0, 0.01, torch.where(time <= 5.0, 0.2, 0.03))
+    made.pitch[:, 0] = -0.1 + wave * torch.where(
+        time < 2.0, 0.5, parts
+    )  # it leans; who starts is not quiet yet, and does not count
+    made.vel[:, 0, 0] += parts
+    found = strip.crossing(made, asked, settle_s=1.0)
+    for name, size in (("before", 0.01), ("on", 0.2), ("behind", 0.03)):
+        assert float(found[f"swing_rad_{name}"]) == pytest.approx(size, rel=0.05), name
+        assert float(found[f"error_vx_{name}"]) == pytest.approx(size, rel=0.05), name
+    assert (float(found["distance_ratio"]), float(found["success"])) == (pytest.approx(1.0, abs=0.01), 1.0)
+    assert float(found["recovered"]) == 0.0  # three times as unquiet as before, to the end
+    assert math.isnan(float(found["recovery_s"]))
+
+
+@pytest.mark.parametrize(("swings_s", "recovered"), [(0.8, 1.0), (2.4, 1.0), (2.7, 0.0)])
+def test_recovery_is_when_it_is_as_quiet_as_before(swings_s, recovered):
+    made, asked = drive(), options(within_s=2.5)
+    time = times(made)
+    lean = 0.05  # about which it is quiet: what it leans to drive is no swing
+    made.pitch[:, 0] = lean + torch.where((time > 3.0) & (time < 5.0 + swings_s), 0.1, 0.0)
+    found = strip.crossing(made, asked, settle_s=1.0)
+    assert float(found["recovery_s"]) == pytest.approx(swings_s, abs=3 * DT)
+    assert float(found["recovered"]) == recovered
+
+
+def test_who_falls_stops_or_comes_late_has_not_recovered():
+    made, asked = drive(n=4), options()
+    fall(made, 0, 4.0)  # on the strip
+    made.pos[:, 1, 0] = made.pos[:, 1, 0].clamp(max=0.5)  # never comes to it
+    made.pos[:, 2, 0] *= 0.25 / 0.3  # leaves it at 6 s, and has the time
+    made.pos[:, 3, 0] *= 0.2 / 0.3  # leaves it at 7.5 s, and has not
+    found = strip.crossing(made, asked, settle_s=1.0)
+    assert found["recovered"].tolist() == [0.0, 0.0, 1.0, 0.0]
+    assert found["success"].tolist() == [0.0, 0.0, 1.0, 0.0]
+    assert found["distance_ratio"].tolist() == pytest.approx([4 / 9, 0.5 / 2.7, 0.25 / 0.3, 0.2 / 0.3], abs=0.01)
+    assert math.isnan(float(found["error_vx_on"][1]))
+    assert math.isnan(float(found["error_vx_behind"][0]))
+
+
+SMALL = (ALONE, "protocol.strip.episodes=2")
+
+
+def test_the_reference_comes_over_and_swings_most_on_the_strip(task):
+    found = evaluate(*task, balancer(1.0), protocol("terrain", *SMALL, "protocol.strip.amplitudes=[0.0001,0.002]"))
+    assert (found.value("strip/survival"), found.value("strip/success")) == (1.0, 1.0)
+    assert found.value("strip/recovered/0.1mm") == 1.0
+    on, before = (found.value(f"strip/swing_{where}/2mm") for where in ("on", "before"))
+    assert on > 2 * before
+    assert on > 1.2 * found.value("strip/swing_on/0.1mm")
+    assert found.value("strip/distance_ratio/2mm") == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("make", [zeros, balancer(0.0)])
+def test_who_falls_or_never_moves_comes_over_no_strip(task, make):
+    short = ("protocol.strip.horizon_s=6.5", "protocol.strip.amplitudes=[0.002]")
+    found = evaluate(*task, make, protocol("terrain", *SMALL, *short))
+    assert (found.value("strip/success"), found.value("strip/recovered")) == (0.0, 0.0)
+    assert math.isnan(found.value("strip/error_vx_behind/2mm"))
+
+
+def test_an_episode_that_ends_before_the_strip_does_is_refused():
+    node = protocol("terrain", "protocol.strip.horizon_s=4.0")
+    with pytest.raises(ConfigError, match="does not lead behind the strip") as caught:
+        read_section(Protocol, node, "protocol")
+    assert caught.value.key == "protocol.strip.horizon_s"
