@@ -14,8 +14,9 @@ from patience import wait_until
 
 from browser.chrome import Chrome
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.jobs.drive.controls import Finish
+from wheelleg_exp.jobs.drive.controls import Finish, Push, Reset
 from wheelleg_exp.jobs.drive.drive import Drive, Wish, drive
+from wheelleg_exp.jobs.drive.hands import SLOW
 from wheelleg_exp.jobs.drive.page import DrivePage
 from wheelleg_exp.run.directory import RunDirectory
 
@@ -113,6 +114,61 @@ def test_keys_drive_and_the_page_shows_it(driving: Driving):
     figures = driving.made[0].figures
     assert figures["steps"] > 10
     assert (driving.made[0].folder / "recording.rrd").is_file()
+
+
+# A gamepad that a test moves: as browsers tell of one, anew at each call.
+_PAD = """
+window.pad = {axes: [0, 0, 0, 0], down: []};
+navigator.getGamepads = () => [null, {
+  connected: true, mapping: 'standard', axes: window.pad.axes,
+  buttons: Array.from({length: 17}, (_, i) => ({pressed: window.pad.down.includes(i), value: 0})),
+}, null, null];
+"""
+
+
+def test_a_gamepad_drives(driving: Driving):
+    """Sticks ask for their share of the range, what lies in the dead zone for nothing, and buttons act once."""
+    chrome, asked = driving.chrome, {"lin_vel_x": 0.0, "ang_vel_z": 0.0}
+
+    def sticks(left_x: float, left_y: float, right_x: float, right_y: float = 0.0) -> None:
+        chrome.script(f"window.pad.axes = [{left_x}, {left_y}, {right_x}, {right_y}]")
+
+    def press(button: int) -> None:
+        chrome.script(f"window.pad.down = [{button}]; return new Promise(done => setTimeout(done, 200))")
+
+    def asks(**values: float) -> bool:
+        return wait_until(lambda: driving.controls.values == pytest.approx({**asked, **values}, abs=1e-6))
+
+    assert wait_until(lambda: chrome.script("return window.wheellegDrive?.socket.readyState === 1"))
+    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.0)
+    chrome.script(_PAD)
+    sticks(0.0, -1.0, 0.0)  # the left one forwards
+    assert asks(lin_vel_x=0.3)
+    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.3)  # what the robot is told
+    sticks(0.9, 0.5, 1.0)  # half back, and the right one to the right; this task has no way sideways
+    assert asks(lin_vel_x=-0.15, ang_vel_z=-0.3)
+    sticks(0.0, 0.1, -0.1, 1.0)  # nobody touches it
+    assert asks()
+    driving.controls.set("lin_vel_x", 0.2)  # by a slider: a pad at rest leaves it
+    assert chrome.script("return new Promise(done => setTimeout(() => done(true), 200))")
+    assert driving.controls.values["lin_vel_x"] == 0.2
+
+    requests: list[Any] = []
+    request = driving.controls.request
+    driving.controls.request = lambda one: (requests.append(one), request(one))
+    press(9)
+    assert wait_until(lambda: driving.controls.paused and "paused" in driving.text())
+    assert driving.controls.paused  # a button that is held is pressed once
+    for button in (0, 1, 2, 9):
+        press(button)
+    chrome.script("window.pad.down = []")
+    assert wait_until(lambda: not driving.controls.paused)
+    assert (requests, driving.controls.speed) == ([Push(driving.page._hands.push), Reset()], SLOW)
+
+    sticks(0.0, -1.0, 0.0)
+    assert asks(lin_vel_x=0.3)
+    chrome.script("navigator.getGamepads = () => [null, null, null, null]")  # it is pulled out
+    assert asks()
 
 
 def test_a_port_that_is_taken_is_told():
