@@ -41,6 +41,7 @@ OFFERED = {
     "wheelleg train tas": ["task=", "task."],
     "wheelleg train robot=": ["robot=article", "robot=explicit", "robot=late", "robot=motor", "robot=physical"],
     "wheelleg train robot=e": ["robot=explicit"],
+    "wheelleg train pipeline=": ["pipeline=stand_to_terrain"],
     "wheelleg train rew": ["reward@env.rewards="],
     "wheelleg train +rew": ["+reward@env.rewards="],
     "wheelleg train reward@env.rewards=[al": ["reward@env.rewards=[alive"],
@@ -85,6 +86,15 @@ def test_every_command_and_every_option_of_a_group_is_offered():
 @pytest.mark.parametrize("command", COMMANDS)
 def test_options_of_every_command_are_offered(command):
     assert "--help" in completion.answer(f"wheelleg {command} --")
+
+
+def test_pipelines_are_offered_where_they_can_be_gone_on_with(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("2026-11-20_b", "2026-11-19_a"):
+        (tmp_path / "runs" / "pipelines" / name).mkdir(parents=True)
+        (tmp_path / "runs" / "pipelines" / name / "pipeline.json").write_text("{}")
+    assert completion.answer("wheelleg resume 2026") == ["2026-11-19_a", "2026-11-20_b"]
+    assert completion.answer("wheelleg play 2026") == []
 
 
 def test_a_users_folder_is_looked_into(tmp_path):

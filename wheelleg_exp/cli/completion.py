@@ -110,10 +110,10 @@ def candidates(words: list[str], word: str) -> list[str]:
         return []
     parser = Parser(prog=rest[0])
     import_module(f"wheelleg_exp.cli.{command.module}").configure(parser)
-    return _arguments(parser, rest[1:], word)
+    return _arguments(parser, rest[1:], word, resumed=rest[0] == "resume")
 
 
-def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> list[str]:
+def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, resumed: bool) -> list[str]:
     options = {text: action for action in parser._actions for text in action.option_strings}
     positionals = [action for action in parser._actions if not action.option_strings]
     given: dict[str, list[str]] = {}
@@ -130,11 +130,11 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> 
     if waiting is None and word.startswith("-"):
         return list(options)
     action = waiting or (positionals[position] if position < len(positionals) else None)
-    return [] if action is None else _of(action, word, given)
+    return [] if action is None else _of(action, word, given, resumed=resumed)
 
 
-def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list[str]:
-    """Return the candidates of one argument, by what its help calls it."""
+def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resumed: bool) -> list[str]:
+    """Return the candidates of one argument, by what its help calls it; a pipeline is resumed as a run is."""
     name = str(action.metavar or action.dest)
     before = given.get("overrides", [])
     folders = with_current([Path(text) for text in given.get("config_dirs", [])])
@@ -150,7 +150,8 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list
         return files + (config.keys if name == "KEY" else config.overrides)(word, before, folders, primary)
     if name in ("RUN", "A", "B"):
         root = Path(given.get("root", ["runs"])[-1])
-        return [*(_tasks(folders) if name != "RUN" else []), *_runs(root), *_files(word)]
+        first = [] if name == "RUN" else _tasks(folders)
+        return [*first, *_runs(root), *(_pipelines(root) if resumed else []), *_files(word)]
     if name == "GROUP":
         from wheelleg_exp.config.explaining import catalog
 
@@ -170,6 +171,13 @@ def _runs(root: Path) -> list[str]:
     from wheelleg_exp.run.directory import LATEST, run_folders
 
     return [LATEST, *(folder.name for folder in run_folders(root))]
+
+
+def _pipelines(root: Path) -> list[str]:
+    from wheelleg_exp.run.directory import PIPELINES
+    from wheelleg_exp.run.pipeline_index import PIPELINE_NAME
+
+    return sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
 
 
 def _primaries() -> list[str]:
