@@ -49,7 +49,8 @@ class CudaGraph:
         self._graph = torch.cuda.CUDAGraph()
         self._pool = pool
         for generator in generators:
-            self._graph.register_generator_state(generator)
+            # Of the class itself, with the same state: torch takes no subclass here.
+            self._graph.register_generator_state(generator.graphsafe_get_state())
 
     def record(self, work: Callable[[], None]) -> None:
         """Do the work and record it; it runs at the first replay."""

@@ -1,0 +1,81 @@
+"""Whether mujoco-warp repeats: the same steps from the same state, by its modes and numbers of worlds.
+
+    python benchmarks/gpu_repeat.py [--device cuda:0] [--num-envs 1 64 4096] [-- overrides ...]
+
+For each mode of ``opt.deterministic``, three runs of 100 physics steps from a state in which robots stand, fall
+and lie. Prints which runs are equal to the bit after 1, 2, 10 and 100 steps, by how much they differ and in how many worlds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from wheelleg_exp.threads import prepare_threads
+
+prepare_threads()
+
+import torch  # noqa: E402  (thread variables come first)
+
+from wheelleg_exp.build import build_env  # noqa: E402
+from wheelleg_exp.config.composing.compose import compose  # noqa: E402
+from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
+
+LOOKS = (1, 2, 10, 100)
+RUNS = 3
+
+
+def runs(num_envs: int, device: str, mode: str, overrides: list[str]) -> tuple[list[list[torch.Tensor]], float]:
+    """Return the states of each run at each look, and milliseconds a step."""
+    words = [*overrides, "env.sim.engine=warp", f"env.sim.device={device}", f"env.num_envs={num_envs}"]
+    composed = compose(words)
+    env = build_env(composed.config, asset_roots=composed.asset_roots)
+    env.reset()
+    engine = env.scene.sim
+    assert isinstance(engine, WarpEngine)
+    kinds = engine._mjw.DeterminismType
+    engine._m.opt.deterministic = {
+        "none": 0,
+        "atomics": int(kinds.ATOMICS),
+        "all": int(kinds.ATOMICS | kinds.CONTACTS | kinds.CONSTRAINT),
+    }[mode]
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(60):
+        action = 0.3 * torch.randn(num_envs, env.action_manager.total_action_dim, generator=generator)
+        env.step(action.to(env.device))
+    first, found, spent = engine.state_dict(), [], 0.0
+    for _ in range(RUNS):
+        engine.load_state_dict(first)
+        states = []
+        start = time.perf_counter()
+        for index in range(1, max(LOOKS) + 1):
+            engine.step()
+            if index in LOOKS:
+                states.append(engine.state)
+        if env.device.type == "cuda":
+            torch.cuda.synchronize(env.device)
+        spent = time.perf_counter() - start
+        found.append(states)
+    return found, 1e3 * spent / max(LOOKS)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--num-envs", type=int, nargs="+", default=[1, 64, 4096])
+    parser.add_argument("overrides", nargs="*", default=["task=stand"])
+    args = parser.parse_args()
+    for mode in ("none", "atomics", "all"):
+        for num_envs in args.num_envs:
+            found, ms = runs(num_envs, args.device, mode, args.overrides)
+            print(f"deterministic={mode}, {num_envs} worlds, {ms:.3f} ms a step")
+            for other in found[1:]:
+                for look, ours, theirs in zip(LOOKS, found[0], other, strict=True):
+                    apart = int((ours != theirs).any(dim=1).sum())
+                    largest = float((ours - theirs).abs().max())
+                    print(f"  after {look:3d} steps: {apart} worlds differ, by at most {largest:.3g}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
