@@ -3,7 +3,7 @@
     python benchmarks/gpu_repeat.py [--device cuda:0] [--num-envs 1 64 4096] [-- overrides ...]
 
 For each mode of ``opt.deterministic``, three runs of 100 physics steps from a state in which robots stand, fall
-and lie. Prints which runs are equal to the bit after 1, 2, 10 and 100 steps, by how much they differ and in how many worlds.
+and lie. Prints after 1, 2, 10 and 100 steps in how many worlds two runs differ to the bit, and by how much.
 """
 
 from __future__ import annotations
