@@ -14,8 +14,9 @@ def env(make_env, monkeypatch):
     """An environment of spies only, 3 wide, two physics steps a control step."""
     from wheelleg_exp.sim.scene import Scene
 
-    for name, said in (("write_data_to_sim", "write"), ("update", "update"), ("refresh", "refresh"), ("play", "play")):
-        _log_calls(monkeypatch, Scene, name, said)
+    said = {"write_data_to_sim": "write", "update": "update", "show_written": "refresh", "play": "play"}
+    for name, word in said.items():
+        _log_calls(monkeypatch, Scene, name, word)
     _log_calls(monkeypatch, Scene, "reset", "scene reset", ids=True)
     event = {"_target_": S + "SpyEvent"}
     return make_env(
