@@ -133,7 +133,7 @@ def test_a_damaged_run_without_a_date_has_a_dash(capsys, tmp_path):
     (folder / "manifest.json").write_text("{")
     assert main(["list", "runs"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[1].split() == ["nameless", "stand", "damaged", *"------"]
+    assert lines[1].split() == ["nameless", "stand", "damaged", *"-" * (len(lines[0].split()) - 3)]
     assert lines[2].startswith("nameless: ")
     assert main(["list", "runs", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["started"] is None
