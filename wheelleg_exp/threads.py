@@ -20,9 +20,14 @@ def matrix_kernels() -> str:
 
     Both give the same bits at any number of threads. On other makes' CPUs MKL takes one path whatever it is told.
     """
-    facts = _first_processor()
-    wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(facts.get("flags", "").split())
-    return WIDE_KERNELS if wide and facts.get("vendor_id") == "GenuineIntel" else PORTABLE_KERNELS
+    flags = _first_processor().get("flags", "").split()
+    wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(flags)
+    return WIDE_KERNELS if wide and is_intel() else PORTABLE_KERNELS
+
+
+def is_intel() -> bool:
+    """Return whether the CPU is one of Intel's, as far as the kernel tells."""
+    return _first_processor().get("vendor_id") == "GenuineIntel"
 
 
 def _first_processor() -> dict[str, str]:

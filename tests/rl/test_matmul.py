@@ -37,12 +37,14 @@ def rounded(x):
 
 @pytest.fixture
 def units(monkeypatch):
-    """Let the CPU have bf16 units, or not."""
+    """Let the CPU have bf16 vector instructions, or not, AMX, or not, and be Intel's, or not."""
     monkeypatch.delenv("ONEDNN_MAX_CPU_ISA", raising=False)
     monkeypatch.delenv("DNNL_MAX_CPU_ISA", raising=False)
 
-    def set_to(there):
+    def set_to(there, amx=False, intel=False):
         monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: there)
+        monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
+        monkeypatch.setattr(matmul, "is_intel", lambda: intel)
 
     return set_to
 
@@ -126,11 +128,29 @@ def test_auto_takes_bfloat16_where_the_cpu_has_units(units, there, found):
     assert set_threads(AGENT, 1)["matmul"] == found
 
 
-@pytest.mark.parametrize(("most", "found"), [("AVX2", False), ("AVX512_CORE_VNNI", False), ("avx512_core_amx", True)])
-def test_units_that_onednn_may_not_use_do_not_count(units, monkeypatch, most, found):
-    units(True)
+@pytest.mark.parametrize(
+    ("most", "vectors", "tiles"),
+    [
+        ("AVX2", False, False),
+        ("AVX512_CORE_VNNI", False, False),
+        ("AVX512_CORE_FP16", True, False),
+        ("avx512_core_amx", True, True),
+        ("ALL", True, True),
+    ],
+)
+def test_units_that_onednn_may_not_use_do_not_count(units, monkeypatch, most, vectors, tiles):
     monkeypatch.setenv("ONEDNN_MAX_CPU_ISA", most)
-    assert has_units() == found
+    units(True)
+    assert has_units() == vectors
+    units(True, amx=True, intel=True)
+    assert has_units() == tiles
+
+
+def test_of_intels_cpus_those_with_amx_count_alone(units):
+    units(True, intel=True)
+    assert chosen_matmul(AGENT) == "float32"
+    units(True, amx=True, intel=True)
+    assert chosen_matmul(AGENT) == "bfloat16"
 
 
 def test_without_onednn_there_are_no_units(units, monkeypatch):
@@ -197,24 +217,30 @@ for rows in (96, 1001, 3072):
 """
 
 
-def test_processes_and_thread_counts_give_the_same_bits():
-    environ = os.environ | {"MKL_CBWR": "AVX2,STRICT", "OMP_WAIT_POLICY": "PASSIVE"}
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", CODE, threads], env=environ, capture_output=True, timeout=PATIENCE_S, check=True
-        ).stdout
-        for threads in ("1", "1", "2", "3")
-    ]
-    assert len(said[0].split()) == 27
-    assert len(set(said)) == 1
+def bits(threads, **variables):
+    environ = os.environ | {"MKL_CBWR": "AVX2,STRICT", "OMP_WAIT_POLICY": "PASSIVE"} | variables
+    command = [sys.executable, "-c", CODE, str(threads)]
+    said = subprocess.run(command, env=environ, capture_output=True, timeout=PATIENCE_S, check=True).stdout.split()
+    assert len(said) == 27
+    return said
+
+
+def test_processes_give_the_same_bits():
+    assert bits(2) == bits(2)
+
+
+def test_thread_counts_give_the_same_bits_without_amx():
+    without = {"ONEDNN_MAX_CPU_ISA": "AVX512_CORE_FP16"}
+    assert bits(1, **without) == bits(2, **without) == bits(3, **without)
 
 
 def test_products_that_depend_on_threads_are_found_and_recorded(monkeypatch):
     nets = [MLP(135, 6, [64], "elu")]
     before = torch.get_num_threads()
     record = {"matmul": "bfloat16", "torch": 1, "independent": True, "dependent_because": []}
+    monkeypatch.setattr(matmul, "_multiply", lambda a, b: (a.double() @ b.double()).bfloat16())
     assert dependent_products(nets, AGENT, 960, record) == {}
-    monkeypatch.setattr(matmul, "_multiply", lambda a, b: torch.mm(a, b) + 0.01 * torch.get_num_threads())
+    monkeypatch.setattr(matmul, "_multiply", lambda a, b: torch.mm(a, b) + 0.01 * (torch.get_num_threads() == 8))
     assert dependent_products(nets, AGENT, 960, {**record, "matmul": "float32"}) == {}
     found = dependent_products(nets, AGENT, 960, record)
     assert found["independent"] is False

@@ -15,7 +15,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
 from wheelleg_exp.rl.one_thread import SPLIT_ABOVE
-from wheelleg_exp.threads import prepare_threads, usable_cores
+from wheelleg_exp.threads import prepare_threads
 
 # MKL's own numbers for its code branches (mkl_types.h, MKL_CBWR_*).
 _BRANCHES = {
@@ -92,8 +92,8 @@ def dependent_products(
         samples: environment steps of one rollout.
         threads: what ``set_threads`` returned.
     """
-    rows, most = max(1, _largest_mean(agent, samples)), max(int(threads["torch"]), usable_cores())
-    if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, most):
+    rows = max(1, _largest_mean(agent, samples))
+    if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
         return {}
     reason = "oneDNN splits sums of bfloat16 products among threads on this CPU; agent.matmul=float32 does not"
     return {"independent": False, "dependent_because": [*threads["dependent_because"], reason]}

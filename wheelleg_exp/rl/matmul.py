@@ -18,6 +18,7 @@ from torch import nn
 from torch.autograd.function import once_differentiable
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.threads import is_intel
 
 if TYPE_CHECKING:
     from rsl_rl.modules import MLP
@@ -26,8 +27,10 @@ KEY = "agent.matmul"
 # A layer with fewer weights is as fast in float32: what its product saves, the conversions cost.
 FEWEST_WEIGHTS = 4096
 _BLOCK = 1 << 17  # numbers that are worked on at a time
-# Values of oneDNN's variable with which it uses bf16 instructions where the CPU has them.
-_WITH_UNITS = ("", "ALL", "DEFAULT", "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
+# Values of oneDNN's variable with which it uses the CPU's AMX (and those that name it), and its bf16 instructions.
+_ANY = ("", "ALL", "DEFAULT")
+_WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
+_COUNTS = (1, 2, 3, 4, 8, 16)  # of threads that products are tried with: those where one breaks are of no order
 
 
 def chosen_matmul(agent: Mapping[str, Any]) -> str:
@@ -49,10 +52,18 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
 
 
 def has_units() -> bool:
-    """Return whether this CPU multiplies bfloat16 in hardware, and oneDNN is there and may use it."""
+    """Return whether this CPU multiplies bfloat16 faster than float32, and oneDNN is there and may use what it has.
+
+    AMX does, and so do the bf16 vector instructions of AMD's CPUs; with Intel's a product takes longer than in float32.
+    """
+    if not torch.backends.mkldnn.is_available():
+        return False
     most = os.environ.get("ONEDNN_MAX_CPU_ISA", os.environ.get("DNNL_MAX_CPU_ISA", "")).upper()
-    allowed = most in _WITH_UNITS or most.startswith(("AVX512_CORE_AMX", "AVX10"))
-    return allowed and torch.backends.mkldnn.is_available() and bool(torch.cpu._is_avx512_bf16_supported())
+    tiles = most in _ANY or "AMX" in most
+    if tiles and torch.cpu._is_amx_tile_supported():
+        return True
+    vectors = tiles or most in _WITH_VECTORS or most.startswith("AVX10")
+    return vectors and torch.cpu._is_avx512_bf16_supported() and not is_intel()
 
 
 def _why_not(agent: Mapping[str, Any]) -> str:
@@ -64,11 +75,11 @@ def _why_not(agent: Mapping[str, Any]) -> str:
     return ""
 
 
-def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, most_threads: int) -> bool:
+def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
     """Return whether a layer's products of so many rows come out otherwise with one thread than with more.
 
-    oneDNN does not promise that they are equal: where a product is small and the threads are many, it may give each a
-    part of a sum. So it is tried, on drawn numbers of the layers' own sizes.
+    oneDNN does not promise that they are equal: with AMX it may give each thread a part of a sum. So it is tried, with
+    ``threads`` and other numbers of them, on drawn numbers of the layers' own sizes.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     large = [x for x in _layers(_perceptrons(networks)) if isinstance(x, nn.Linear) and _is_large(x)]
@@ -76,12 +87,13 @@ def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, most_th
         for size in {(layer.in_features, layer.out_features) for layer in large}:
             x, grad = (torch.randn(min(rows, 8192), width, generator=draw).bfloat16() for width in size)
             factors = torch.randn(size[::-1], generator=draw).bfloat16()
-            found = []
-            for count in sorted({1, 2, most_threads}):
+            alone: list[torch.Tensor] = []
+            for count in sorted({*_COUNTS, threads}):
                 torch.set_num_threads(count)
-                found.append((_multiply(x, factors.t()), _multiply(grad, factors), _multiply(grad.t(), x)))
-            if any(not torch.equal(a, b) for other in found[1:] for a, b in zip(found[0], other, strict=True)):
-                return True
+                found = [_multiply(grad.t(), x), _multiply(x, factors.t()), _multiply(grad, factors)]
+                alone = alone or found
+                if not all(map(torch.equal, found, alone)):
+                    return True
     finally:
         torch.set_num_threads(before)
     return False
