@@ -69,6 +69,27 @@ def test_a_ground_that_somebody_moves_in_one_simulation_is_cast_there(engines):
     assert not torch.equal(far, BatchEngine(whole.model, 5, 1).ray(*rays(), (0,)))
 
 
+def test_of_a_ground_of_many_geoms_each_ray_is_shown_the_near_ones_and_goes_as_far_to_the_bit():
+    tiles = "".join(
+        f'<geom name="ground/{x}_{y}" type="box" size=".12 .12 {0.05 + 0.03 * ((x + y) % 3)}" '
+        f'pos="{x / 4} {y / 4} 0" euler="{2 * x} {3 * y} {x * y}"/>'
+        for x in range(-4, 5)
+        for y in range(-4, 5)
+    )
+    whole, apart = (BatchEngine(model(GROUND, tiles, ROBOT), 5, 2) for _ in range(2))
+    apart.cast_alone(0, lambda: model(GROUND, tiles))
+    origins, ways = rays(999)
+    ways[:, :100] = torch.eye(3).repeat(34, 1)[:100] * torch.tensor([1.0, 1.0, -1.0])
+    far = whole.ray(origins, ways, (0,))
+    assert torch.equal(apart.ray(origins, ways, (0,)), far)
+    assert 0.2 < float((far < 0).float().mean()) < 0.8
+    shown = (apart._still[(0,)]._groups == 0).mean()  # of the last rows that were cast
+    assert 0.0 < shown < 1.0
+    ids = torch.tensor([3])
+    assert torch.equal(apart.ray(origins[ids, :1], ways[ids, :1], (0,), ids), far[ids, :1])
+    assert apart.ray(origins[:0], ways[:0], (0,), ids[:0]).shape == (0, 999)
+
+
 @pytest.mark.parametrize(
     "alone", [GROUND.replace('pos="1 0 .2"', 'pos="1 0 .3"'), GROUND.splitlines()[1], GROUND + "<geom size='1'/>"]
 )
