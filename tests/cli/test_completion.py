@@ -23,9 +23,15 @@ from wheelleg_exp.paths import configs_dir
 pytestmark = pytest.mark.slow
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory) -> str:
+    return str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
+def cache(shared, monkeypatch):
+    """Keep what was composed for all tests, as for a person who types on."""
+    monkeypatch.setenv("WHEELLEG_CACHE", shared)
 
 
 def _rewards() -> list[str]:
@@ -197,7 +203,8 @@ def _type(terminal: int, text: str, until: str) -> None:
             seen += os.read(terminal, 4096).decode(errors="replace")
 
 
-def test_the_answer_needs_neither_torch_nor_mujoco_nor_when_kept_hydra(tmp_path):
+def test_the_answer_needs_neither_torch_nor_mujoco_nor_when_kept_hydra(tmp_path, monkeypatch):
+    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
     code = (
         "import os, sys; from wheelleg_exp.cli.main import main; status = main(['completion', 'query']);"
         "print(status, [m for m in ('torch', 'mujoco', 'rsl_rl', 'hydra') if m in sys.modules])"

@@ -11,42 +11,44 @@ import pytest
 from wheelleg_exp.paths import configs_dir
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
-HEAVY = ("torch", "mujoco", "rsl_rl", "pxr", "rerun", "tensordict")
+HEAVY = {"torch", "mujoco", "rsl_rl", "pxr", "rerun", "tensordict"}
+
+COMMANDS = [
+    *(
+        ["compose", f"task={task}", *options]
+        for task in TASKS
+        for options in (["--resolve", "--json"], ["--provenance"])
+    ),
+    ["list", "options"],
+    ["diff", "stand", "stand"],
+]
+# One process carries out all of them: what any imports stays.
+CODE = f"""
+import contextlib, io, sys
+from wheelleg_exp.cli.main import main
+
+for words in {COMMANDS!r}:
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        status = main(words)
+    heavy = sorted({HEAVY!r} & sys.modules.keys())
+    if status != 0 or not out.getvalue() or heavy:
+        sys.exit(f"{{words}}: {{status}}, {{heavy}}")
+"""
 
 
-def _loaded(*words: str) -> list[str]:
-    code = (
-        "import contextlib, io, sys\n"
-        "from wheelleg_exp.cli.main import main\n"
-        "with contextlib.redirect_stdout(io.StringIO()) as out:\n"
-        f"    status = main({list(words)!r})\n"
-        f"print(status, bool(out.getvalue()), *[name for name in {HEAVY} if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return done.stdout.split()
-
-
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("options", [["--resolve", "--json"], ["--provenance"]])
-def test_composing_a_stock_task_imports_nothing_heavy(task, options):
-    assert _loaded("compose", f"task={task}", *options) == ["0", "True"]
-
-
-@pytest.mark.parametrize("words", [["list", "options"], ["diff", "stand", "stand"]])
-def test_nor_do_the_other_commands_that_only_read_files(words):
-    assert _loaded(*words) == ["0", "True"]
+def test_commands_that_only_read_files_import_nothing_heavy():
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_composing_takes_less_than_a_second_of_a_processor(task):
     def spent() -> float:
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return usage.ru_utime + usage.ru_stime
+        before = usage.ru_utime + usage.ru_stime
+        subprocess.run(words, capture_output=True, check=True)
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime - before
 
     words = [sys.executable, "-m", "wheelleg_exp.cli.main", "compose", f"task={task}"]
-    times = []
-    for _ in range(2):
-        before = spent()
-        subprocess.run(words, capture_output=True, check=True)
-        times.append(spent() - before)
-    assert min(times) < 1.0
+    assert spent() < 1.0 or spent() < 1.0  # another try on a machine that is busy

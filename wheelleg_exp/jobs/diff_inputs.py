@@ -11,7 +11,7 @@ from typing import Any
 
 from wheelleg_exp.config.composing.amend import amend
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.config.composing.mounts import Mount, find_mounts
+from wheelleg_exp.config.composing.mounts import Mount
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.difference import Side
 from wheelleg_exp.config.tree import dotted, line_table, split_path
@@ -106,7 +106,7 @@ def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
 
 def _composed(label: str, composed: Composed) -> Side:
     tree = {section: composed.config[section] for section in SECTIONS if section in composed.config}
-    return Side(label, tree, partial(_who, composed, find_mounts(composed)))
+    return Side(label, tree, partial(_who, composed, composed.mounts))
 
 
 def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:

@@ -76,9 +76,7 @@ def differences(subject: Subject, default: Composed, again: Composed | None) -> 
         default: the task without any override.
         again: the task with the run's overrides, composed here; it tells who set a value when it has the same.
     """
-    from wheelleg_exp.config.composing.mounts import find_mounts
-
-    mounts = find_mounts(again) if again else ()
+    mounts = again.mounts if again else ()
     for part in _PARTS:
         if subject.config.get(part):
             for change in changes(default.config.get(part), subject.config[part], same, (part,)):

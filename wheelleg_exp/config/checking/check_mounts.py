@@ -13,7 +13,6 @@ from wheelleg_exp.config.checking.diagnose_groups import place_of_option, where_
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.composing.headers import missing_headers, package_header
 from wheelleg_exp.config.composing.loader import hydra_globals
-from wheelleg_exp.config.composing.mounts import find_mounts
 from wheelleg_exp.config.tree import at, line_table, section_at, self_before_others, show_file
 from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
 from wheelleg_exp.terms.binding import RESERVED, TARGET, NotSelected, split_node
@@ -241,7 +240,7 @@ def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list
 
 def _last_choice(composed: Composed, file: MountedFile) -> str:
     """Return the override, or the file and line, of the list that names a file last."""
-    mounts = [mount for mount in find_mounts(composed) if (mount.group, mount.package) == (file.group, file.package)]
+    mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
     choices = [choice for mount in mounts for choice in mount.choices]
     lists = [
         choice

@@ -18,6 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from wheelleg_exp.config.checking.diagnose import explain, nearest_path
 from wheelleg_exp.config.composing.hydra_keys import unread_overrides
 from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
+from wheelleg_exp.config.composing.mounts import Mount, find_mounts
 from wheelleg_exp.config.composing.provenance import MISSING, Provenance, trace
 from wheelleg_exp.config.problems import Mistakes, UnknownName, join, raise_all
 from wheelleg_exp.config.tree import dotted, leaves, node_paths
@@ -57,8 +58,14 @@ class Composed:
         """Where each leaf comes from, worked out when it is first asked for."""
         return trace(self.loader, self.primary, self.parsed)
 
+    @cached_property
+    def mounts(self) -> list[Mount]:
+        """The groups that the composition mounts, without Hydra's own, found when they are first asked for."""
+        return find_mounts(self.loader, self.primary, self.parsed)
+
+    @cached_property
     def raw_tree(self) -> dict[str, Any]:
-        """Return the raw tree as plain mappings."""
+        """The raw tree as plain mappings, for reading."""
         tree = OmegaConf.to_container(self.raw, resolve=False)
         return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
 

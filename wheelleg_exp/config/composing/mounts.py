@@ -9,8 +9,7 @@ from typing import Any
 
 from hydra.core.override_parser.types import Override
 
-from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.config.composing.loader import hydra_globals
+from wheelleg_exp.config.composing.loader import Loader, hydra_globals
 from wheelleg_exp.config.tree import Keys, defaults_entries, dotted, show_file, split_path
 
 
@@ -53,14 +52,20 @@ class Mount:
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
-def find_mounts(composed: Composed) -> list[Mount]:
-    """Return the groups that the composition mounts, without Hydra's own."""
+def find_mounts(loader: Loader, primary: str, parsed: Sequence[Override]) -> list[Mount]:
+    """Return the groups that a composition mounts, without Hydra's own.
+
+    Args:
+        loader: the loader that has composed it.
+        primary: name of the primary config.
+        parsed: the overrides.
+    """
     with hydra_globals():
-        found = composed.loader.defaults(composed.primary, composed.parsed).defaults
-        return [_mount(composed, name, choices, found) for name, choices in _written(composed, found).items()]
+        found = loader.defaults(primary, parsed).defaults
+        return [_mount(loader, name, choices, found) for name, choices in _written(loader, parsed, found).items()]
 
 
-def _mount(composed: Composed, name: str, choices: list[Choice], found: Sequence[Any]) -> Mount:
+def _mount(loader: Loader, name: str, choices: list[Choice], found: Sequence[Any]) -> Mount:
     group, _, package = name.partition("@")
     mine = [d for d in found if str(d.config_path).rpartition("/")[0] == group and not _nested(d, group)]
     if package:
@@ -68,7 +73,7 @@ def _mount(composed: Composed, name: str, choices: list[Choice], found: Sequence
     elif mine:
         package = mine[0].package or ""
     selected = tuple(str(d.config_path).rpartition("/")[2] for d in mine)
-    return Mount(name, group, package, selected, tuple(composed.loader.options(group)), tuple(choices))
+    return Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices))
 
 
 def _nested(default: Any, group: str) -> bool:
@@ -76,19 +81,19 @@ def _nested(default: Any, group: str) -> bool:
     return str(default.parent).rpartition("/")[0] == group
 
 
-def _written(composed: Composed, defaults: Sequence[Any]) -> dict[str, list[Choice]]:
+def _written(loader: Loader, parsed: Sequence[Override], defaults: Sequence[Any]) -> dict[str, list[Choice]]:
     """Return every selection by mount name: the files', then ``override`` from the inside out, then typed ones."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
-    loaded = composed.loader.repository_used.loaded
+    loaded = loader.repository_used.loaded
     # The order of the defaults list is the one in which files act: parents first.
     for path in dict.fromkeys(str(default.config_path) for default in defaults):
         for name, choice, override in _in_file(path, loaded[path].file) if path in loaded else ():
             (replacing if override else plain).setdefault(name, []).append(choice)
     found = {name: [*plain.get(name, []), *replacing.get(name, [])] for name in {**plain, **replacing}}
-    for override in composed.parsed:
+    for override in parsed:
         name = override.get_key_element().lstrip("+~")
-        if name in found or _is_group(composed, override):
+        if name in found or _is_group(loader, override):
             found.setdefault(name, []).append(Choice(override.value(), f"override {override.input_line}"))
     return {name: choices for name, choices in found.items() if not name.startswith("hydra/")}
 
@@ -101,8 +106,8 @@ def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]
         yield f"{absolute}{at}{package}", Choice(entry.value, show_file(file, entry.line)), entry.override
 
 
-def _is_group(composed: Composed, override: Override) -> bool:
-    return bool(composed.loader.repository_used.group_exists(override.key_or_group))
+def _is_group(loader: Loader, override: Override) -> bool:
+    return bool(loader.repository_used.group_exists(override.key_or_group))
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:

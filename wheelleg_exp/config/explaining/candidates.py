@@ -64,7 +64,6 @@ def _digest(before: Sequence[str], config_dirs: Sequence[Path], primary: str) ->
 
 def _make(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> View | None:
     from wheelleg_exp.config.composing.compose import compose
-    from wheelleg_exp.config.composing.mounts import find_mounts
 
     for words in (list(before), [word for word in before if word.startswith("task=")], []):
         try:
@@ -72,7 +71,7 @@ def _make(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> V
         except WheellegError:
             continue
         groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
-        return View(composed.raw_tree(), {mount.name: mount.several for mount in find_mounts(composed)}, groups)
+        return View(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
     return None
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from wheelleg_exp.config import keys as known
 from wheelleg_exp.config.checking.diagnose import nearest_path
 from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.config.composing.mounts import Mount, find_mounts, mount_of, option_of
+from wheelleg_exp.config.composing.mounts import Mount, mount_of, option_of
 from wheelleg_exp.config.composing.provenance import Source
 from wheelleg_exp.config.explaining.alternatives import Alternatives, alternatives
 from wheelleg_exp.config.explaining.meanings import Meaning, meanings, unit_of
@@ -40,7 +40,7 @@ class Reference:
 
 def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
     """Yield what a raw value refers to, and what those refer to in turn."""
-    tree = composed.raw_tree()
+    tree = composed.raw_tree
     waiting, seen = [(keys, raw)], {keys}
     while waiting:
         here, text = waiting.pop(0)
@@ -113,8 +113,8 @@ def explain_key(composed: Composed, key: str) -> Explanation:
     Raises:
         ConfigError: there is no such key and nothing reads one of that name, with the nearest there is.
     """
-    tree = composed.raw_tree()
-    keys, found = split_path(key), find_mounts(composed)
+    tree = composed.raw_tree
+    keys, found = split_path(key), composed.mounts
     explained = keys and (
         _removed(composed, tree, keys)
         or _present(composed, tree, keys, found)

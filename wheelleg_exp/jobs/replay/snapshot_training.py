@@ -246,7 +246,7 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
     if composed.hydra_files()["config.yaml"] != (run.hydra / "config.yaml").read_text(encoding="utf-8"):
         return {
             "equal": False,
-            "difference": _first_difference(read_yaml(run.hydra / "config.yaml"), composed.raw_tree(), ""),
+            "difference": _first_difference(read_yaml(run.hydra / "config.yaml"), composed.raw_tree, ""),
         }
     return {"equal": True, "difference": None}
 
