@@ -1,8 +1,10 @@
 """Whether mujoco-warp repeats: the same steps from the same state, by its modes and numbers of worlds.
 
-    python benchmarks/gpu_repeat.py [--device cuda:0] [--num-envs 1 64 4096] [-- overrides ...]
+    python benchmarks/gpu_repeat.py [--device cuda:0] [--num-envs 1 64 4096] [--modes none atomics all]
+        [-- overrides ...]
 
-For each mode of ``opt.deterministic``, three runs of 100 physics steps from a state in which robots stand, fall
+For each mode of ``opt.deterministic``, and with sorts that mujoco-warp has not (``gpu_sorted.py``: ``sorted`` without
+exact sums, ``exact`` with them; both launch kernel by kernel), three runs of 100 physics steps from a state in which robots stand, fall
 and lie. Prints after 1, 2, 10 and 100 steps in how many worlds two runs differ to the bit, and by how much.
 """
 
@@ -16,6 +18,7 @@ from wheelleg_exp.threads import prepare_threads
 prepare_threads()
 
 import torch  # noqa: E402  (thread variables come first)
+from gpu_sorted import fill_the_sorts  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
@@ -23,21 +26,29 @@ from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
 
 LOOKS = (1, 2, 10, 100)
 RUNS = 3
+MODES = ("none", "atomics", "all", "sorted", "exact")  # in this order: sorts stay
 
 
 def runs(num_envs: int, device: str, mode: str, overrides: list[str]) -> tuple[list[list[torch.Tensor]], float]:
     """Return the states of each run at each look, and milliseconds a step."""
     words = [*overrides, "env.sim.engine=warp", f"env.sim.device={device}", f"env.num_envs={num_envs}"]
+    if mode in ("sorted", "exact"):
+        words.append("env.sim.graph=false")
     composed = compose(words)
     env = build_env(composed.config, asset_roots=composed.asset_roots)
     env.reset()
     engine = env.scene.sim
     assert isinstance(engine, WarpEngine)
     kinds = engine._mjw.DeterminismType
+    sorts = kinds.CONTACTS | kinds.CONSTRAINT
+    if mode in ("sorted", "exact"):
+        fill_the_sorts(engine._wp)
     engine._m.opt.deterministic = {
         "none": 0,
         "atomics": int(kinds.ATOMICS),
-        "all": int(kinds.ATOMICS | kinds.CONTACTS | kinds.CONSTRAINT),
+        "all": int(kinds.ATOMICS | sorts),
+        "sorted": int(sorts),
+        "exact": int(kinds.ATOMICS | sorts),
     }[mode]
     generator = torch.Generator().manual_seed(0)
     for _ in range(60):
@@ -64,9 +75,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cuda:0")
     parser.add_argument("--num-envs", type=int, nargs="+", default=[1, 64, 4096])
+    parser.add_argument("--modes", nargs="+", default=["none", "atomics", "all"], choices=MODES)
     parser.add_argument("overrides", nargs="*", default=["task=stand"])
     args = parser.parse_args()
-    for mode in ("none", "atomics", "all"):
+    for mode in args.modes:
         for num_envs in args.num_envs:
             found, ms = runs(num_envs, args.device, mode, args.overrides)
             print(f"deterministic={mode}, {num_envs} worlds, {ms:.3f} ms a step")

@@ -1,0 +1,43 @@
+"""A step of CUDA graphs is the step itself: from one state, with one action, on a GPU."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from sim.small_envs import ASSETS
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+
+ENVS, STEPS = 64, 40
+
+
+def stand(device: str, graph_step: bool) -> ManagerBasedRLEnv:
+    words = ["task=stand", "env.sim.engine=warp", f"env.sim.device={device}", f"env.num_envs={ENVS}"]
+    short = ["env.episode_length_s=0.3", f"env.sim.graph_step={str(graph_step).lower()}"]
+    env = ManagerBasedRLEnv(compose([*words, *short]).config["env"], ASSETS / "legged.xml", 0)
+    env.reset(seed=0)
+    return env
+
+
+def test_a_captured_step_is_the_step_itself_through_resets_and_a_changed_weight(device):
+    """Each step begins from the other environment's state, since a GPU's contacts come in any order."""
+    if not device.startswith("cuda"):
+        pytest.skip("CUDA graphs need a GPU")
+    plain, captured = stand(device, False), stand(device, True)
+    assert captured._captured is not None
+    gen = torch.Generator().manual_seed(1)
+    ended = 0
+    for index in range(STEPS):
+        if index == STEPS // 2:
+            for env in (plain, captured):
+                env.reward_manager.get_term_cfg("alive").weight = 3.0
+        captured.load_state_dict(plain.state_dict())
+        action = 0.4 * torch.randn(ENVS, plain.action_manager.total_action_dim, generator=gen).to(plain.device)
+        theirs, ours = plain.step(action), captured.step(action)
+        for group, value in theirs[0].items():
+            torch.testing.assert_close(ours[0][group], value, atol=2e-2, rtol=2e-2, msg=lambda m: f"{index}: {m}")
+        torch.testing.assert_close(ours[1], theirs[1], atol=2e-2, rtol=2e-2)
+        assert torch.equal(ours[3], theirs[3])
+        ended += int(theirs[3].sum())
+    assert ended > 0
