@@ -307,3 +307,39 @@ def test_a_changed_gate_is_held_against_what_is_measured_before_the_record_chang
         go_on(index, ["pipeline.phases.second.gate.at_least={stand/drft:0.5}"], [])
     assert told.value.nearest == "stand/drift"
     assert index.path.read_bytes() == before
+
+
+@pytest.mark.parametrize("command", ["evaluate", "play", "report", "verify"])
+def test_a_pipeline_where_a_run_is_expected_is_told_with_its_runs(whole: PipelineIndex, command):
+    root = whole.root
+    for named in (whole.folder, whole.folder.name, whole.path):
+        said = wheelleg(command, named, "--root", root)
+        assert said.status == 2
+        assert f"'{whole.folder.name}' is a pipeline, and each of its phases is a run" in said.err
+        for phase in whole.phases:
+            assert f"{whole.run_of(phase)} (phase '{phase['name']}')" in said.err
+
+
+def test_one_gate_that_is_not_passed_is_told_once(tmp_path):
+    """Among the notes on the way stands that it was not passed; why stands in the record, and so in the table."""
+    index = begin(tmp_path)
+    display = Quiet()
+    Here.values = [0.2]
+    with StopRequest() as stop:
+        assert runner.PipelineRunner(index, read(index.data["config"]), display, stop).run() == "stopped"
+    assert [note for note in display.notes if "passed" in note] == ["first: gate after 2 iterations not passed"]
+    assert index.phases[0]["why"] == (
+        "the gate is not passed after 2 iterations: stand/survival is 0.2, and at least 0.5 is asked for"
+    )
+
+
+def test_a_gate_on_the_way_tells_what_is_missing(tmp_path):
+    index = begin(tmp_path, every=1)
+    display = Quiet()
+    Here.values = [1.0, 0.2, 1.0]
+    with StopRequest() as stop:
+        assert runner.PipelineRunner(index, read(index.data["config"]), display, stop).run() == "finished"
+    assert [note for note in display.notes if "second: gate" in note] == [
+        "second: gate after 1 iterations not passed: stand/survival is 0.2, and at least 0.5 is asked for",
+        "second: gate after 2 iterations passed",
+    ]

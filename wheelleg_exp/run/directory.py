@@ -14,6 +14,7 @@ from wheelleg_exp.files import for_people
 from wheelleg_exp.run.inventory import MANIFEST_NAME, is_inside, odd_entries
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.options import NAME, NAME_WORDS
+from wheelleg_exp.run.pipeline_runs import no_run_but
 from wheelleg_exp.run.source.secrecy import secret_content
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
@@ -290,7 +291,9 @@ def _by_id(run: str, root: Path) -> Path:
 
 def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
     expected = f"a path, an id below '{root}', or '{LATEST}'"
-    for place in (Path(run), root / run):
+    for place in (Path(run), root / run, root / PIPELINES / run):
+        if pipeline := no_run_but(place):
+            return pipeline
         if place.exists():
             holder = next((p for p in place.resolve().parents if (p / MANIFEST_NAME).is_file()), None)
             message = f"'{place}' is not a run directory: it has no {MANIFEST_NAME}"

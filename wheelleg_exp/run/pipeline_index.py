@@ -12,10 +12,10 @@ from typing import Any, Literal
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import json_plain, read_json, write_json
 from wheelleg_exp.run.directory import PIPELINES, create_exclusively
+from wheelleg_exp.run.pipeline_runs import PIPELINE_NAME
 from wheelleg_exp.run.process import this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
 
-PIPELINE_NAME = "pipeline.json"
 FORMAT = 1
 
 PhaseStatus = Literal["waiting", "training", "passed", "failed"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import io
-import socket
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -18,6 +17,7 @@ from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.jobs.drive import figures_html as html
 from wheelleg_exp.jobs.drive.controls import Choose, Controls, Finish, Push, Reset
 from wheelleg_exp.jobs.drive.hands import SLOW, Hands
+from wheelleg_exp.jobs.drive.ports import require_free, taken
 from wheelleg_exp.jobs.drive.session import DriveSession, Status
 from wheelleg_exp.recording.writing.feed import LOOPBACK
 
@@ -45,13 +45,13 @@ class DrivePage:
 
     def __enter__(self) -> Self:
         keys = self._port + 1 if self._port else 0
-        for port in (self._port, keys):
-            _require_free(port)
+        require_free(self._port, "the page")
+        require_free(keys, "the page's keys and gamepads")
         with _silent():
             self._server = self._server_class(host=LOOPBACK, port=self._port, label="wheelleg", verbose=False)
         self._stack.callback(self._stop)
         if self._port not in (0, self._server.get_port()):
-            raise _taken(self._port)
+            raise taken(self._port, "the page")
         origins = [f"http://{host}:{self._server.get_port()}" for host in (LOOPBACK, "localhost")]
         _refuse_strangers(self._server, origins)
         self._hands = Hands(Controls([]), origins, keys)
@@ -213,20 +213,6 @@ def _refuse_strangers(server: Any, origins: Sequence[str]) -> None:
             await connection.close(1008, "another page")
 
     own.on_client_connect(check)
-
-
-def _require_free(port: int) -> None:
-    try:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((LOOPBACK, port))
-    except (OSError, OverflowError) as error:
-        raise _taken(port, error) from error
-
-
-def _taken(port: int, error: BaseException | None = None) -> WheellegError:
-    told = f"port {port} cannot be listened on" + (f": {error}" if error else "")
-    return WheellegError(told, key="--port", expected="a free port, or 0 for any that is")
 
 
 @contextmanager

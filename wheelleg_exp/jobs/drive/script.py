@@ -181,10 +181,11 @@ def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
     if _flag(item, "reset", place):
         yield Reset()
     if "push" in item:
-        parts = item["push"] if isinstance(item["push"], list) else [item["push"]]
-        if len(parts) not in (1, 2) or not all(map(_is_number, parts)):
+        push = item["push"]
+        parts = push if isinstance(push, list) and len(push) == 2 else [push]
+        if not all(map(_is_number, parts)):
             expected = "m/s forwards, or [forwards, to the left]"
-            raise ConfigError(f"{item['push']!r} is no push", key="push", where=place.of("push"), expected=expected)
+            raise ConfigError(f"{push!r} is no push", key="push", where=place.of("push"), expected=expected)
         yield Push(*map(float, parts))
 
 

@@ -97,7 +97,7 @@ class PipelineRunner:
             if phase.gate is None:
                 return self._end(entry, passed=True, why=f"trained {target} iterations; there is no gate")
             if not any(found["iteration"] == target for found in entry["gates"]):
-                self._judge(entry, phase.gate, target)
+                self._judge(entry, phase.gate, target, last=target >= phase.max_iterations)
             verdicts = [bool(found["passed"]) for found in entry["gates"]]
             in_a_row, last = streak(verdicts), target >= phase.max_iterations
             times = "once" if in_a_row == 1 else f"{in_a_row} times in a row"
@@ -111,7 +111,6 @@ class PipelineRunner:
 
     def _end(self, entry: dict[str, Any], *, passed: bool, why: str) -> str | None:
         self._index.update(entry, status="passed" if passed else "failed", why=why)
-        self._display.note(f"{entry['name']}: {why}")
         return None if passed else why
 
     def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
@@ -152,7 +151,7 @@ class PipelineRunner:
 
     # --- judging ---
 
-    def _judge(self, entry: dict[str, Any], gate: Gate, iteration: int) -> None:
+    def _judge(self, entry: dict[str, Any], gate: Gate, iteration: int, *, last: bool) -> None:
         run = self._index.run_of(entry)
         assert run is not None
         name = f"model_{iteration - 1}.pt"
@@ -167,7 +166,9 @@ class PipelineRunner:
         facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
         kept = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
         self._index.update(entry, gates=[*entry["gates"], {**facts, **kept}])
-        says = "passed" if verdict.passed else f"not passed: {'; '.join(verdict.why)}"
+        # Why the last one is not passed is why the pipeline stops, and told with that.
+        why = "" if verdict.passed or last else f": {'; '.join(verdict.why)}"
+        says = ("passed" if verdict.passed else "not passed") + why
         self._display.note(f"{entry['name']}: gate after {iteration} iterations {says}")
 
     # --- steps ---
