@@ -67,6 +67,8 @@ OFFERED = {
     "wheelleg explain env.sim.d": ["env.sim.device", "env.sim.dt"],
     "wheelleg explain robo": ["robot"],
     "wheelleg list r": ["runs"],
+    "wheelleg list p": ["pipelines"],
+    "wheelleg explain pipeline.phases.st": ["pipeline.phases.stand", "pipeline.phases.stand."],
     "wheelleg list options ro": ["robot"],
     "wheelleg play lat": ["latest"],
     "wheelleg diff sta": ["stand"],

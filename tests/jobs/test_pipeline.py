@@ -343,3 +343,48 @@ def test_a_gate_on_the_way_tells_what_is_missing(tmp_path):
         "second: gate after 1 iterations not passed: stand/survival is 0.2, and at least 0.5 is asked for",
         "second: gate after 2 iterations passed",
     ]
+
+
+@pytest.fixture
+def declared_two(tmp_path) -> list[str]:
+    """The words that choose a pipeline of the user's own."""
+    (tmp_path / "pipeline").mkdir()
+    text = "# @package pipeline\n# Two of a kind.\n" + yaml.safe_dump(tree(), sort_keys=False)
+    (tmp_path / "pipeline" / "two.yaml").write_text(text)
+    return ["pipeline=two", "--config-dir", str(tmp_path)]
+
+
+def test_a_pipeline_is_checked_as_training_it_would(declared_two):
+    said = wheelleg("check", *declared_two)
+    assert (said.status, said.out) == (
+        0,
+        "no mistakes in the pipeline 'two': first (task 'stand'), second (task 'stand')\n",
+    )
+    said = wheelleg("check", *declared_two, "env.num_envs=0", "--json")
+    assert said.status == 2
+    mistakes = json.loads(said.out)["mistakes"]
+    assert [mistake["message"].partition(":")[0] for mistake in mistakes] == ["phase 'first'", "phase 'second'"]
+    assert {mistake["key"] for mistake in mistakes} == {"env.num_envs"}
+    said = wheelleg("check", *declared_two, "pipeline.phases.first.gate.protocol=walk")
+    assert said.status == 2
+    assert "protocol 'walk' has no such metric" in said.err
+
+
+def test_pipelines_are_explained_and_composed_without_naming_their_primary_config(declared_two):
+    said = wheelleg("explain", "pipeline.phases.second.max_iterations", *declared_two)
+    assert said.status == 0
+    assert said.out.startswith("pipeline.phases.second.max_iterations = 3\n")
+    said = wheelleg("explain", "pipeline.phases.walk.gate.protocol")
+    assert "stand_to_terrain.yaml:" in said.out
+    said = wheelleg("compose", *declared_two)
+    assert yaml.safe_load(said.out)["pipeline"] == tree()
+
+
+def test_pipelines_are_listed_those_declared_and_those_begun(whole: PipelineIndex, declared_two):
+    said = wheelleg("list", "pipelines", *declared_two[1:], "--root", whole.root, "--json")
+    rows = {(row["pipeline"], row["status"]): row for row in json.loads(said.out)}
+    assert set(rows) == {("stand_to_terrain", "declared"), ("two", "declared"), ("two", "finished")}
+    assert rows["stand_to_terrain", "declared"]["phases"] == "stand, walk, velocity, terrain"
+    assert rows["two", "declared"]["help"] == "Two of a kind."
+    assert rows["two", "finished"]["phases"] == "first passed, second passed"
+    assert rows["two", "finished"]["file"] == str(whole.folder)

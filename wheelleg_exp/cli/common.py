@@ -88,6 +88,21 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
     add_config_dir(parser)
 
 
+def add_primary(parser: argparse.ArgumentParser) -> None:
+    """Add ``--primary``."""
+    parser.add_argument(
+        "--primary", metavar="NAME", help="the primary config (default: train, or pipeline where one is named)"
+    )
+
+
+def primary_of(args: argparse.Namespace, key: str = "") -> str:
+    """Return the primary config that a command composes: the one asked for, or that of its overrides or its key."""
+    from wheelleg_exp.config.composing.compose import PIPELINE, names_pipeline
+
+    named = any(map(names_pipeline, [*args.overrides, key]))
+    return args.primary or (PIPELINE if named else "train")
+
+
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
     """Add ``--config-dir``, which may be given several times."""
     parser.add_argument(

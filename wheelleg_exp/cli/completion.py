@@ -138,7 +138,7 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
     name = str(action.metavar or action.dest)
     before = given.get("overrides", [])
     folders = with_current([Path(text) for text in given.get("config_dirs", [])])
-    primary = given.get("primary", ["train"])[-1]
+    primary = given.get("primary", [_primary([*before, word])])[-1]
     if name.startswith("{"):
         return name.strip("{}").split(",")
     if action.choices is not None:
@@ -159,6 +159,13 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
     if action.dest == "primary":
         return _primaries()
     return _files(word) if isinstance(action.type, type) and issubclass(action.type, Path) else []
+
+
+def _primary(words: list[str]) -> str:
+    """Return the primary config of words that name none: a pipeline's where they are of one."""
+    from wheelleg_exp.config.composing.compose import PIPELINE, names_pipeline
+
+    return PIPELINE if any("." in word and names_pipeline(word) for word in words) else "train"
 
 
 def _tasks(folders: list[Path]) -> list[str]:

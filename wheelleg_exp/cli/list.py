@@ -12,7 +12,7 @@ from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry
 from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
 
-KINDS = ("tasks", "terms", "groups", "options", "runs", "sweeps")
+KINDS = ("tasks", "terms", "groups", "options", "pipelines", "runs", "sweeps")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -151,4 +151,23 @@ def _entries(columns: list[str], entries: list[Entry]) -> Table:
     return columns, [[getattr(entry, fields.get(column, column)) for column in columns] for entry in entries]
 
 
-_LISTS = {"tasks": _tasks, "groups": _groups, "options": _options, "terms": _terms}
+def _pipelines(args: argparse.Namespace) -> Table:
+    """Return the declared pipelines, and those that were begun, the newest first."""
+    from wheelleg_exp.cli.list_runs import runs_folder
+    from wheelleg_exp.jobs.pipeline.settings import PRIMARY, declared
+    from wheelleg_exp.run.pipeline_index import pipelines_below
+
+    rows: list[list[Any]] = []
+    for entry in catalog.options(PRIMARY, args.config_dirs):
+        try:
+            phases = ", ".join(declared([f"{PRIMARY}={entry.name}"], args.config_dirs).phases)
+        except WheellegError as error:  # told in full when it is used
+            phases = f"wrong: {error.message}"
+        rows.append([entry.name, "declared", phases, entry.help, entry.file])
+    for index in pipelines_below(runs_folder(args.root)):
+        phases = ", ".join(f"{phase['name']} {phase['status']}" for phase in index.phases)
+        rows.append([index.data["name"], index.data["status"], phases, index.data["why"], index.folder])
+    return ["pipeline", "status", "phases", "help", "file"], rows
+
+
+_LISTS = {"tasks": _tasks, "groups": _groups, "options": _options, "pipelines": _pipelines, "terms": _terms}

@@ -55,7 +55,7 @@ def runs(
     Raises:
         WheellegError: there is no such folder or sweep, or a condition or key is wrong.
     """
-    folder = _folder(root)
+    folder = runs_folder(root)
     swept = choosing.swept_runs(folder)
     found = choosing.chosen(_of_sweep(list_runs(folder), sweep, folder), conditions)
     if sort is not None:
@@ -80,7 +80,7 @@ def _told(columns: list[str], rows: list[list[Any]]) -> tuple[list[str], list[li
 
 def no_match(root: Path | None, sweep: str | None) -> str:
     """Return what is said where no run matches the conditions."""
-    folder = _folder(root)
+    folder = runs_folder(root)
     return f"no run of {len(_of_sweep(list_runs(folder), sweep, folder))} matches"
 
 
@@ -128,7 +128,7 @@ def _swept_document(own: choosing.Swept | None) -> dict[str, Any]:
 
 def sweeps(root: Path | None) -> Listed:
     """Do the same for the sweeps."""
-    found = list_sweeps(_folder(root))
+    found = list_sweeps(runs_folder(root))
     return SWEEP_COLUMNS, [_sweep_row(sweep) for sweep in found], [_document(sweep) for sweep in found]
 
 
@@ -148,7 +148,8 @@ def problems(documents: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines[:_PROBLEMS_SHOWN] + ([f"and {more} more with a problem; --json tells them"] if more > 0 else [])
 
 
-def _folder(root: Path | None) -> Path:
+def runs_folder(root: Path | None) -> Path:
+    """Return the folder of all runs; WheellegError when one is given that is not there."""
     if root is not None and not root.is_dir():
         raise WheellegError(
             "there is no such folder",

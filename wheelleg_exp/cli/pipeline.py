@@ -10,32 +10,26 @@ from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import print_json
 from wheelleg_exp.cli.printing.tables import print_table
+from wheelleg_exp.config.composing.compose import names_pipeline
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INTERRUPTED, EXIT_OK, ConfigError
 
 if TYPE_CHECKING:
+    from wheelleg_exp.config.composing.compose import Composed
     from wheelleg_exp.jobs.pipeline.settings import Declared
     from wheelleg_exp.jobs.stop import StopRequest
     from wheelleg_exp.run.pipeline_index import PipelineIndex, PipelineStatus
 
 
-def train_pipeline(args: argparse.Namespace, piped: Sequence[str], stop: StopRequest) -> int:
+def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
     """Compose and check every phase, run them, and say what was made."""
     if args.multirun:
         raise ConfigError("a pipeline is no job of a sweep", key="-m", expected="one pipeline after the other")
 
-    from wheelleg_exp.jobs.pipeline.settings import compose_phases, declared
     from wheelleg_exp.run.begin import refuse_secrets
     from wheelleg_exp.run.pipeline_index import PipelineIndex
 
-    pipeline = declared(piped, args.config_dirs)
-    overrides = [word for word in args.overrides if word not in piped]
-    phases = compose_phases(pipeline.phases, overrides, args.config_dirs)
-    stop.check()
-
-    from wheelleg_exp.jobs.pipeline.metric_names import require_metrics
-
-    with nullcontext() if pipeline.composed is None else pipeline.composed.placing():
-        require_metrics(pipeline.phases, phases, args.config_dirs)
+    overrides = [word for word in args.overrides if not names_pipeline(word)]
+    pipeline, phases = composed_phases(args.overrides, args.config_dirs)
     stop.check()
     refuse_secrets(args.command, {"the overrides": "\n".join(args.overrides)}, pipeline.tree)
 
@@ -50,6 +44,29 @@ def train_pipeline(args: argparse.Namespace, piped: Sequence[str], stop: StopReq
         digests={name: digest_of(composed) for name, composed in phases.items()},
     )
     return _run(args, index, pipeline, stop)
+
+
+def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[Declared, dict[str, Composed]]:
+    """Return a pipeline and the config of each phase, checked and held against each other and against the gates.
+
+    Args:
+        words: the overrides, those of the pipeline and those of all phases.
+        config_dirs: the user's config folders.
+
+    Raises:
+        ConfigError: all mistakes that are known before the first phase begins.
+    """
+    from wheelleg_exp.jobs.pipeline.settings import compose_phases, declared
+
+    pipeline = declared([word for word in words if names_pipeline(word)], config_dirs)
+    overrides = [word for word in words if not names_pipeline(word)]
+    phases = compose_phases(pipeline.phases, overrides, config_dirs)
+
+    from wheelleg_exp.jobs.pipeline.metric_names import require_metrics
+
+    with nullcontext() if pipeline.composed is None else pipeline.composed.placing():
+        require_metrics(pipeline.phases, phases, config_dirs)
+    return pipeline, phases
 
 
 def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -> int:

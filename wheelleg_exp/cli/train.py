@@ -31,16 +31,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compose, check, train, and say what was made."""
+    from wheelleg_exp.config.composing.compose import names_pipeline
     from wheelleg_exp.jobs.stop import StopRequest
 
-    piped = [word for word in args.overrides if word.lstrip("+~").startswith(("pipeline=", "pipeline."))]
     # From the first moment on: an interrupt inside the import of a C++ library may be lost or become another error.
     with StopRequest() as stop:
-        if piped:
+        if any(map(names_pipeline, args.overrides)):
             from wheelleg_exp.cli.pipeline import train_pipeline
 
             require_alone("pipeline")
-            return train_pipeline(args, piped, stop)
+            return train_pipeline(args, stop)
         if args.multirun:
             from wheelleg_exp.cli.sweep import train_all
 

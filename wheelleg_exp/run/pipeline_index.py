@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -157,6 +158,15 @@ def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
             return folder.resolve()
     path = Path(named)
     return path.parent.resolve() if path.name == PIPELINE_NAME and path.is_file() else None
+
+
+def pipelines_below(root: Path) -> list[PipelineIndex]:
+    """Return the pipelines that were begun below a folder of runs, the newest first; damaged records are left out."""
+    found = []
+    for path in sorted((root / PIPELINES).glob(f"*/{PIPELINE_NAME}"), reverse=True):
+        with suppress(RunDirectoryError):
+            found.append(PipelineIndex.load(path.parent))
+    return found
 
 
 def _waiting(name: str, digest: str) -> dict[str, Any]:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json
+from wheelleg_exp.cli.common import UsageError, add_json, add_overrides, print_json
 from wheelleg_exp.cli.printing.tables import print_blocks, print_table
-from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK
+from wheelleg_exp.config.composing.compose import Composed, names_pipeline
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK, ConfigError
 
 if TYPE_CHECKING:
     from wheelleg_exp.lint.examine import PhysicsReport
@@ -30,15 +30,13 @@ def run(args: argparse.Namespace) -> int:
     """Print the mistakes, or the findings; 0 without either, 1 with findings, 2 with mistakes."""
     if args.list:
         return _list(as_json=args.json)
+    if any(map(names_pipeline, args.overrides)):
+        return _check_pipeline(args)
     from wheelleg_exp.config.checking.collect import find_mistakes
-    from wheelleg_exp.config.problems import document, raise_all
 
     composed, mistakes = find_mistakes(args.overrides, config_dirs=args.config_dirs)
     if mistakes:
-        if not args.json:
-            raise_all(mistakes)
-        print_json({"mistakes": [document(error) for error in mistakes]})
-        return EXIT_INPUT
+        return _wrong(mistakes, as_json=args.json)
     assert composed is not None
     if args.physics:
         return _physics(composed, show_all=args.all, as_json=args.json)
@@ -46,6 +44,34 @@ def run(args: argparse.Namespace) -> int:
         print_json({"mistakes": []})
     else:
         print(f"no mistakes in the task '{composed.config['task']['name']}'")
+    return EXIT_OK
+
+
+def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
+    from wheelleg_exp.config.problems import document, raise_all
+
+    if not as_json:
+        raise_all(mistakes)
+    print_json({"mistakes": [document(error) for error in mistakes]})
+    return EXIT_INPUT
+
+
+def _check_pipeline(args: argparse.Namespace) -> int:
+    """Check every phase of a pipeline, what each begins with and what its gate asks for, as training it would."""
+    if args.physics or args.all:
+        raise UsageError("is for one task", key="--physics", expected="task=... and the overrides of one phase")
+    from wheelleg_exp.cli.pipeline import composed_phases
+    from wheelleg_exp.config.problems import parts
+
+    try:
+        pipeline, _ = composed_phases(args.overrides, args.config_dirs)
+    except ConfigError as error:
+        return _wrong(parts(error), as_json=args.json)
+    if args.json:
+        print_json({"mistakes": []})
+    else:
+        phases = ", ".join(f"{name} (task '{phase.task}')" for name, phase in pipeline.phases.items())
+        print(f"no mistakes in the pipeline '{pipeline.tree['name']}': {phases}")
     return EXIT_OK
 
 

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json, source_document
+from wheelleg_exp.cli.common import add_json, add_overrides, add_primary, primary_of, print_json, source_document
 from wheelleg_exp.cli.printing.tables import hanging, print_table, screen_width
 from wheelleg_exp.config.checking.diagnose import nearest_path
 from wheelleg_exp.config.composing.compose import Composed, compose
@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     add_overrides(parser)
     add_json(parser)
-    parser.add_argument("--primary", default="train", metavar="NAME", help="the primary config (default: train)")
+    add_primary(parser)
     parser.add_argument("--package", metavar="KEY", help="print only the part below this key")
     parser.add_argument("--resolve", action="store_true", help="replace ${...} by what it stands for")
     parser.add_argument("--provenance", action="store_true", help="say where each leaf comes from, and what it hides")
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         raise WheellegError(
             "stands alone", key="--shapes", expected="no --package, --resolve or --provenance beside it"
         )
-    composed = compose(args.overrides, primary=args.primary, config_dirs=args.config_dirs)
+    composed = compose(args.overrides, primary=primary_of(args), config_dirs=args.config_dirs)
     if args.shapes:
         _print_shapes(composed, as_json=args.json)
         return EXIT_OK

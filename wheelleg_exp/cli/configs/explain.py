@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, print_json, source_document
+from wheelleg_exp.cli.common import add_json, add_overrides, add_primary, primary_of, print_json, source_document
 from wheelleg_exp.cli.printing.tables import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.mounts import Mount
@@ -26,12 +26,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("key", metavar="KEY", help="a key, set or not (env.sim.dt), or a group (robot)")
     add_overrides(parser)
     add_json(parser)
-    parser.add_argument("--primary", default="train", metavar="NAME", help="the primary config (default: train)")
+    add_primary(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Explain the key."""
-    composed = compose(args.overrides, primary=args.primary, config_dirs=args.config_dirs)
+    composed = compose(args.overrides, primary=primary_of(args, args.key), config_dirs=args.config_dirs)
     explained = explain_key(composed, args.key)
     if args.json:
         print_json(document(explained))

@@ -9,8 +9,9 @@ from typing import Any
 from wheelleg_exp.config.changes import Change, changes, same
 from wheelleg_exp.config.checking.collect import compose_valid
 from wheelleg_exp.config.composing.amend import amend, placing
+from wheelleg_exp.config.composing.compose import names_pipeline
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, Phase, is_of_pipeline, read, words_of
+from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, Phase, read, words_of
 from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.pipeline_index import PipelineIndex
 from wheelleg_exp.run.process import is_alive
@@ -39,7 +40,7 @@ def go_on(
     if index.data["status"] == "finished":
         raise RunDirectoryError("this pipeline is finished", key=str(index.path), expected="one that was stopped")
     for text in overrides:
-        if not is_of_pipeline(text):
+        if not names_pipeline(text):
             raise ConfigError(
                 "a pipeline goes on with the settings that it began with",
                 key=text.lstrip("+~").partition("=")[0],

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.collect import compose_valid
+from wheelleg_exp.config.composing.compose import PIPELINE as PRIMARY
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.sweep import digest_of
 from wheelleg_exp.config.problems import parts, raise_all
@@ -18,7 +19,6 @@ from wheelleg_exp.jobs.train.initial import PARTS
 from wheelleg_exp.jobs.train.policy_fit import fit
 from wheelleg_exp.terms.sections import Section, read_section
 
-PRIMARY = "pipeline"
 _GATED = ("init_from", "agent.max_iterations", "task")  # what a pipeline sets itself
 
 
@@ -86,11 +86,6 @@ class Declared:
     tree: dict[str, Any]
     phases: dict[str, Phase]
     composed: Composed | None = None
-
-
-def is_of_pipeline(override: str) -> bool:
-    """Return whether an override chooses or changes the pipeline, and not what its phases train."""
-    return override.lstrip("+~").partition("=")[0].split(".")[0] == PRIMARY
 
 
 def declared(overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> Declared:
