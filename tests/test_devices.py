@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "wheelleg_exp"
 FILES = sorted(path for part in ("sim", "managers", "mdp", "env") for path in (PACKAGE / part).rglob("*.py"))
 WARP = {f"sim/warp/{name}.py" for name in ("engine", "fields", "graphs", "library", "room")}
-ENGINES = {"sim/batch.py", "sim/still_geoms.py", *WARP}  # an engine knows its own device
+ENGINES = {"sim/batch.py", "sim/rays/reach.py", "sim/rays/still_geoms.py", *WARP}  # an engine knows its own device
 
 FACTORIES = frozenset(
     """arange as_tensor empty eye full linspace logspace normal ones rand randint randn randperm tensor

@@ -14,7 +14,7 @@ from mujoco.batch import Batch, SimulationError
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import not_finite
-from wheelleg_exp.sim.still_geoms import StillGeoms
+from wheelleg_exp.sim.rays.still_geoms import StillGeoms
 from wheelleg_exp.state import cloned
 from wheelleg_exp.threads import usable_cores
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from wheelleg_exp.sim.ray_reach import RayReach
+from wheelleg_exp.sim.rays.reach import RayReach
 
 ROW = "".join(f'<geom type="box" size=".5 .5 .5" pos="{2 * x} 0 0"/>' for x in range(10))
 MIXED = """

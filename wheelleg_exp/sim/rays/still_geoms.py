@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from wheelleg_exp.sim.ray_reach import Floats, RayReach
+from wheelleg_exp.sim.rays.reach import Floats, RayReach
 
 _PLACES = ("geom_type", "geom_size", "geom_pos", "geom_quat")
 _ROWS = 32  # a thread: how finely rays are shared out
