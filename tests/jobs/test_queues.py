@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -136,6 +137,29 @@ def test_a_job_that_its_queue_loses_has_failed(stop):
     queue.submit = losing
     assert runner.run() == "failed"
     assert "ended from outside, as the test's job" in index()["jobs"][0]["error"]["message"]
+
+
+def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
+    def refuse(jobs):
+        raise ConfigError("the jobs were not taken", key="hydra.launcher")
+
+    runner, queue = swept(["finish1", "finish2"], stop)
+    monkeypatch.setattr(queue, "submit", refuse)
+    begun = time.monotonic()
+    with pytest.raises(ConfigError, match="not taken"):
+        runner.run()
+    assert time.monotonic() - begun < 5.0
+    assert index()["status"] == "failed"
+    assert [job["status"] for job in index()["jobs"]] == ["failed", "failed"]
+
+
+def test_a_stop_before_jobs_are_handed_in_hands_in_none(stop):
+    runner, queue = swept(["finish"], stop)
+    start = queue.start
+    queue.start = lambda *args: (start(*args), os.kill(os.getpid(), signal.SIGINT))[0]
+    assert runner.run() == "interrupted"
+    assert queue.handed_in == []
+    assert [job["status"] for job in index()["jobs"]] == ["waiting"]
 
 
 def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):

@@ -80,8 +80,10 @@ class QueuedJob:
             yield told
 
     def over(self) -> bool:
-        """Return whether the queue is done with it, or it was taken out before it began."""
-        return self.ticket is not None and (self.ended is not None or self.ticket.gone())
+        """Return whether the queue is done with it, or it was stopped before it was handed in."""
+        if self.ticket is None:
+            return self._stopped
+        return self.ended is not None or self.ticket.gone()
 
     def ask_to_stop(self) -> None:
         """Let it stop at its next whole iteration; one that waits is taken out of the queue."""
@@ -110,7 +112,7 @@ class QueuedJob:
 
     def how_it_died(self) -> str:
         """Return what the queue says of it."""
-        return "is gone" if self.ticket is None else self.ticket.why()
+        return "was never handed in" if self.ticket is None else self.ticket.why()
 
 
 class Queue:
@@ -138,8 +140,8 @@ class Queue:
 
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
         """Yield what the jobs have written."""
-        if self._pending:
-            waiting, self._pending = self._pending, []
+        waiting, self._pending = [job for job in self._pending if not job.over()], []
+        if waiting:
             for job, ticket in zip(waiting, self.submit(waiting), strict=True):
                 job.ticket = ticket
         until = time.monotonic() + wait_s
