@@ -41,7 +41,7 @@ TRAIN = ["train", *FEW, *NORMALISED]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Four commands of two processes: three iterations, two, one gradient step, and a third after the two."""
+    """Five commands of two processes: three iterations, two, one gradient step, a third after the two, and a mistake."""
     folder = tmp_path_factory.mktemp("ranks")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
@@ -50,9 +50,10 @@ def folder(tmp_path_factory) -> Path:
             [*TRAIN, "agent.max_iterations=2", "run.root=parts"],
             ["train", *DESCENT, "run.root=descent"],
             ["resume", "latest", "agent.max_iterations=3", "--root", "parts", "--json"],
+            ["resume", "none", "--root", "parts"],
         ]
         found = end(start(commands, folder))
-    assert [statuses for statuses, _, _ in found] == [[0] * len(commands)] * SIZE, found
+    assert [statuses for statuses, _, _ in found] == [[0, 0, 0, 0, 2], [0, 0, 0, 0, 3]], found
     (folder / "said.json").write_text(json.dumps(found))
     return folder
 
@@ -144,6 +145,7 @@ def test_the_manifest_says_who_trained(folder):
 def test_what_one_process_says_and_writes_is_all(folder):
     first, other = json.loads((folder / "said.json").read_text())
     assert json.loads(first[1][first[1].index("\n{") :])["results"]["iterations"] == 3
+    assert "there is no run 'none'" in first[2]
     assert other[1:] == ["", ""]
     names = {path.name for path in only(folder / "descent").iterdir()}
     assert not [name for name in names if "rank" in name]

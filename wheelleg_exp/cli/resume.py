@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, together
@@ -40,13 +41,16 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
     from wheelleg_exp.run.directory import RunDirectory
     from wheelleg_exp.run.pipeline_index import find_pipeline
 
-    pipeline = find_pipeline(args.run, args.root)
+    with ranks.agreed() if ranks else nullcontext():
+        pipeline = find_pipeline(args.run, args.root)
+        if pipeline is not None:
+            require_alone("pipeline")
+        else:
+            directory = RunDirectory.open(args.run, args.root)
     if pipeline is not None:
         from wheelleg_exp.cli.pipeline import resume_pipeline
 
-        require_alone("pipeline")
         return resume_pipeline(args, pipeline, stop)
-    directory = RunDirectory.open(args.run, args.root)
 
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import shown
@@ -66,5 +70,7 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
     from wheelleg_exp.jobs.resume.others import follow
     from wheelleg_exp.jobs.train.follow import run
 
+    with ranks.agreed():
+        pass  # the first one finds the run
     stop.check(ranks.any(stop.requested))
     run(*follow(ranks, args.config_dirs), stop)

@@ -205,7 +205,7 @@ class Ranks:
         """
         if not self.together:
             return dict(scalars)
-        told = self.tell_all(dict(scalars)) if self.together else []
+        told = self.tell_all(dict(scalars))
         if not self.first:
             return dict(scalars)
         keys = dict.fromkeys(key for one in told for key in one)

@@ -64,7 +64,6 @@ def prepare(
     """
     refuse_secrets(command, {"the overrides": "\n".join(overrides)})
     lock = RunLock(run)
-    lock.acquire()
     try:
         return _prepare(run, overrides, command, display, config_dirs, lock, ranks)
     except BaseException:
@@ -82,6 +81,7 @@ def _prepare(
     ranks: Ranks,
 ) -> Training:
     with ranks.agreed():
+        lock.acquire()
         manifest = run.manifest()
         _require_ended(manifest, display)
         manifest.settle()
