@@ -4,8 +4,9 @@
         [-- overrides ...]
 
 For each mode of ``opt.deterministic``, and with sorts that mujoco-warp has not (``gpu_sorted.py``: ``sorted`` without
-exact sums, ``exact`` with them; both launch kernel by kernel), three runs of 100 physics steps from a state in which robots stand, fall
-and lie. Prints after 1, 2, 10 and 100 steps in how many worlds two runs differ to the bit, and by how much.
+exact sums, ``exact`` with them; both launch kernel by kernel), three runs of 100 physics steps from a state in which
+robots stand, fall and lie. Prints after 1, 2, 10 and 100 steps in how many worlds two runs differ to the bit, and by
+how much.
 """
 
 from __future__ import annotations

@@ -159,12 +159,19 @@ def test_without_onednn_there_are_no_units(units, monkeypatch):
     assert chosen_matmul(AGENT) == "float32"
 
 
-@pytest.mark.parametrize("other", [{"device": "cuda"}, {"torch_compile_mode": "default"}])
-def test_other_devices_and_compiled_networks_keep_float32(units, other):
+@pytest.mark.parametrize(
+    ("other", "found"), [({"device": "cuda"}, "tf32"), ({"torch_compile_mode": "default"}, "float32")]
+)
+def test_gpus_take_tf32_and_compiled_networks_keep_float32(units, other, found):
     units(True)
-    assert chosen_matmul({**AGENT, **other}) == "float32"
+    assert chosen_matmul({**AGENT, **other}) == found
     with pytest.raises(ConfigError, match=r"agent\.matmul"):
         chosen_matmul({**AGENT, **other, "matmul": "bfloat16"})
+
+
+def test_tf32_is_for_gpus():
+    with pytest.raises(ConfigError, match=r"agent\.matmul"):
+        chosen_matmul({**AGENT, "matmul": "tf32"})
 
 
 def test_a_run_of_before_the_key_had_float32(units):

@@ -1,9 +1,9 @@
-"""Matrix products of the update in bfloat16, on CPUs that have units for them.
+"""Matrix products of the update in bfloat16, on CPUs that have units for them, or in TF32 on GPUs.
 
 Weights, biases, activations' derivatives, losses, gradients' sums and the optimiser stay float32: only the factors of a
 product, and what one layer hands to the next, have bfloat16's 8 bits (mixed precision, Micikevicius et al. 2018, with
 the format of Kalamkar et al. 2019, whose range needs no scaling of the loss). oneDNN adds the products up in float32.
-Acting, evaluation and export know nothing of it.
+Acting, evaluation and export know nothing of it. TF32, whose factors have 10 bits, is what Isaac Lab trains in.
 """
 
 from __future__ import annotations
@@ -34,18 +34,25 @@ _COUNTS = (1, 2, 3, 4, 8, 16)  # of threads that products are tried with: those 
 
 
 def chosen_matmul(agent: Mapping[str, Any]) -> str:
-    """Return what ``agent.matmul`` comes to here: ``float32`` or ``bfloat16``.
+    """Return what ``agent.matmul`` comes to here: ``float32``, ``bfloat16`` or ``tf32``.
 
     A run of before there was such a key had float32. ``auto`` decides by the CPU and by what is trained, never by a
     measurement, so that it comes to the same at each start.
 
     Raises:
-        ConfigError: bfloat16 is asked for where this does not make it.
+        ConfigError: bfloat16 or TF32 is asked for where this does not make it.
     """
     wanted = str(agent.get("matmul", "float32"))
     why_not = _why_not(agent)
     if wanted == "bfloat16" and why_not:
         raise ConfigError(f"bfloat16 is for CPUs, and {why_not}", key=KEY, expected="auto or float32")
+    on_gpu = torch.device(str(agent["device"])).type == "cuda"
+    if wanted == "tf32" and not on_gpu:
+        raise ConfigError(
+            f"tf32 is for GPUs, and agent.device is {agent['device']}", key=KEY, expected="auto or float32"
+        )
+    if wanted == "auto" and on_gpu:
+        return "tf32"
     if wanted == "auto":
         return "bfloat16" if not why_not and has_units() else "float32"
     return wanted
@@ -122,6 +129,17 @@ def bfloat16_products(networks: Iterable[nn.Module]) -> Iterator[None]:
     finally:
         for perceptron in perceptrons:
             del perceptron.forward
+
+
+@contextmanager
+def tf32_products() -> Iterator[None]:
+    """Let a GPU multiply float32 in TF32 in the body."""
+    before = torch.backends.cuda.matmul.allow_tf32
+    torch.backends.cuda.matmul.allow_tf32 = True
+    try:
+        yield
+    finally:
+        torch.backends.cuda.matmul.allow_tf32 = before
 
 
 def _forward_of(layers: list[nn.Module]) -> Callable[[torch.Tensor], torch.Tensor]:

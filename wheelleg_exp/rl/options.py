@@ -46,8 +46,11 @@ class Learning:
     Attributes:
         max_non_finite: episodes that may end in one iteration because a number was not finite, as a share of the
             environments; one always may. It changes no number of a training, only whether it has failed.
-        matmul: in what the networks' products are taken in the update: `float32`, `bfloat16` (weights and sums stay
-            float32), or `auto`: bfloat16 where the CPU has units for it. Acting is float32 in any case.
+        matmul: in what the networks' products are taken in the update: `float32`, `bfloat16` (on CPUs; weights and sums
+            stay float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 where the CPU has units for it,
+            tf32 on a GPU. Acting is float32 in any case.
+        graph_update: on a GPU, whether PPO's update is CUDA graphs with the learning rate kept on the GPU; what
+            rsl_rl's PPO has beside it (RND, symmetry, recurrent networks, several GPUs) is updated by rsl_rl itself.
     """
 
     algorithm: Section
@@ -61,7 +64,8 @@ class Learning:
     logger: Literal["tensorboard", "wandb"] | None = "tensorboard"
     torch_compile_mode: str | None = None
     max_non_finite: NonNegative = 0.1
-    matmul: Literal["auto", "float32", "bfloat16"] = "float32"
+    matmul: Literal["auto", "float32", "bfloat16", "tf32"] = "float32"
+    graph_update: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,8 @@ from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
-from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul
+from wheelleg_exp.rl.graphed_update import GraphedUpdate, can
+from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
 from wheelleg_exp.rl.one_thread import one_thread
 from wheelleg_exp.rl.options import require_agent
 from wheelleg_exp.rl.rank_errors import communicating, is_communication, left
@@ -41,6 +42,7 @@ OWN_KEYS = (
     "device",
     "torch_threads",
     "matmul",
+    "graph_update",
     "max_iterations",
     "save_interval",
     "clip_actions",
@@ -123,6 +125,8 @@ class Trainer:
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
         self._matmul = chosen_matmul(agent)
+        graphs = bool(agent.get("graph_update")) and can(self.algorithm)
+        self._graphed = GraphedUpdate(self.algorithm) if graphs else None
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.
@@ -143,7 +147,7 @@ class Trainer:
                 self._collect()
             collected = time.perf_counter()
             with self._told(), self._products():
-                losses = self.algorithm.update()
+                losses = self._graphed() if self._graphed else self.algorithm.update()
             with self.ranks.agreed():
                 self._require_sane(losses)
             if self.ranks.together:
@@ -196,6 +200,8 @@ class Trainer:
         """Return in what an update multiplies."""
         if self._matmul == "float32":
             return nullcontext()
+        if self._matmul == "tf32":
+            return tf32_products()
         return bfloat16_products(self.networks())
 
     @contextmanager

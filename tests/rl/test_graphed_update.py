@@ -1,0 +1,69 @@
+"""The update that a GPU does as graphs is rsl_rl's own: here minibatch by minibatch, on a GPU captured as well."""
+
+from __future__ import annotations
+
+import copy
+import os
+
+import pytest
+import torch
+
+from wheelleg_exp.rl.graphed_update import GraphedUpdate, can, is_plain
+
+DEVICE = os.environ.get("WHEELLEG_TEST_DEVICE", "cpu")
+UPDATES = 4
+
+
+def updated(trainer, update) -> tuple[list[dict], list[float]]:
+    """Return losses and learning rates of some iterations."""
+    losses, rates = [], []
+    for _ in range(UPDATES):
+        trainer._collect()
+        losses.append(update())
+        rates.append(trainer.algorithm.learning_rate)
+    return losses, rates
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [(), ("agent.algorithm.normalize_advantage_per_mini_batch=true", "agent.algorithm.use_clipped_value_loss=false")],
+)
+def test_an_update_is_that_of_rsl_rl(make_trainer, changes):
+    words = (*changes, f"agent.device={DEVICE}", "agent.algorithm.desired_kl=0.002")
+    ours, theirs = make_trainer(*words), make_trainer(*words)
+    assert is_plain(ours.algorithm)
+    torch.manual_seed(3)
+    found = updated(ours, GraphedUpdate(ours.algorithm))
+    torch.manual_seed(3)
+    expected = updated(theirs, theirs.algorithm.update)
+    near = 1e-5 if DEVICE == "cpu" else 1e-3
+    for mine, others in zip(found[0], expected[0], strict=True):
+        assert mine == pytest.approx(others, rel=near, abs=near)
+    assert found[1] == pytest.approx(expected[1], rel=1e-6)
+    assert len(set(found[1])) > 1  # the learning rate has changed
+    for mine, others in zip(ours.networks(), theirs.networks(), strict=True):
+        for name, value in mine.state_dict().items():
+            torch.testing.assert_close(value, others.state_dict()[name], atol=near, rtol=near)
+    assert ours.algorithm.optimizer.param_groups[0]["lr"] == ours.algorithm.learning_rate
+    assert ours.algorithm.optimizer.param_groups[0]["fused"] is theirs.algorithm.optimizer.param_groups[0]["fused"]
+
+
+def test_a_loaded_state_goes_on(make_trainer):
+    trainer = make_trainer(f"agent.device={DEVICE}")
+    update = GraphedUpdate(trainer.algorithm)
+    updated(trainer, update)
+    saved, rng = copy.deepcopy(trainer.algorithm.save()), torch.get_rng_state()
+    env, first = trainer.env.env.state_dict(), []
+    for _ in range(2):
+        trainer.algorithm.load(copy.deepcopy(saved), None, True)
+        trainer.env.env.load_state_dict(env)
+        torch.set_rng_state(rng)
+        torch.manual_seed(0)
+        first.append(updated(trainer, update)[0][0]["value"])
+    assert first[0] == pytest.approx(first[1], rel=1e-5)
+
+
+def test_what_it_does_not_do_is_rsl_rls(make_trainer):
+    trainer = make_trainer()
+    assert not can(trainer.algorithm)  # on a CPU
+    assert not is_plain(make_trainer("agent.algorithm.optimizer=sgd").algorithm)
