@@ -90,7 +90,8 @@ def results(session: nox.Session) -> None:
 
 @nox.session
 def repro(session: nox.Session) -> None:
-    """Prove that runs repeat to the bit, on small sizes: one named check a line; `-- full` adds full trainings."""
+    """Prove that runs repeat to the bit, on small sizes: one named check a line; `-- full` adds full trainings and other long proofs."""
     words = [word for word in session.posargs if word != "full"]
     marks = "repro or full" if "full" in session.posargs else "repro"
-    _python(session, "pytest", "-n", "logical", "-m", marks, "--no-header", "-vv", "tests/repro", *words)
+    where = "tests" if "full" in session.posargs else "tests/repro"
+    _python(session, "pytest", "-n", "logical", "-m", marks, "--no-header", "-vv", where, *words)

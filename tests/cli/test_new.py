@@ -66,22 +66,27 @@ def robot_of(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> list[
 # --- it works at once ---
 
 
-@pytest.mark.train
-@pytest.mark.parametrize("robot", ["stock", "urdf", "wf_tron2a_isaac/robot.usd", "upkie/upkie.usda"])
-def test_a_new_project_checks_steps_tests_and_trains(robot, request, tmp_path, monkeypatch):
-    said = wheelleg("new", "myrobot", *robot_of(robot, request, tmp_path))
-    assert said.status == 0, said.err
-    monkeypatch.chdir(tmp_path / "myrobot")
+@pytest.mark.slow
+@pytest.mark.usefixtures("made")
+def test_the_tests_of_a_new_project_pass():
     tests = run("pytest", "-q", "-p", "no:cacheprovider")
     assert tests.returncode == 0, tests.stdout
     assert "4 passed" in tests.stdout
+
+
+@pytest.mark.train
+@pytest.mark.parametrize("robot", ["stock", "urdf", "wf_tron2a_isaac/robot.usd"])
+def test_a_new_project_checks_and_trains(robot, request, tmp_path, monkeypatch):
+    said = wheelleg("new", "myrobot", *robot_of(robot, request, tmp_path))
+    assert said.status == 0, said.err
+    monkeypatch.chdir(tmp_path / "myrobot")
     assert wheelleg("check", "task=myrobot").out == "no mistakes in the task 'myrobot'\n"
     words = [word for word in TINY if "episode_length" not in word]
-    trained = wheelleg("train", "task=myrobot", *words, "agent.max_iterations=5", "recording.enabled=false")
+    trained = wheelleg("train", "task=myrobot", *words, "agent.max_iterations=2", "recording.enabled=false")
     assert trained.status == 0, trained.err
-    assert trained.out.startswith("trained 5 iterations")
+    assert trained.out.startswith("trained 2 iterations")
     (found,) = (tmp_path / "myrobot" / "runs" / "myrobot").iterdir()
-    assert (found / "model_4.pt").is_file()
+    assert (found / "model_1.pt").is_file()
     played = wheelleg("play", "latest", "env.num_envs=4")
     assert played.status == 0, played.err
 

@@ -8,7 +8,7 @@ import pytest
 
 from wheelleg_exp.config import keys as known
 from wheelleg_exp.config import schema
-from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.explaining import fixed_keys as fixed
 from wheelleg_exp.config.explaining.docstrings import parameters_in, unit_in
 from wheelleg_exp.config.explaining.explanation import explain_key
@@ -21,6 +21,11 @@ from wheelleg_exp.terms.sections import Env, keys_of
 pytestmark = pytest.mark.slow
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def stand() -> Composed:
+    return compose(["task=stand"])
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -55,8 +60,8 @@ UNITS = {
 
 
 @pytest.mark.parametrize("key", UNITS)
-def test_the_unit_of_a_stock_leaf(key):
-    assert explain_key(compose(["task=stand"]), key).unit == UNITS[key]
+def test_the_unit_of_a_stock_leaf(stand, key):
+    assert explain_key(stand, key).unit == UNITS[key]
 
 
 @pytest.mark.parametrize(
@@ -84,29 +89,26 @@ def test_parameters_of_a_docstring_end_with_their_section():
     assert parameters_in(text) == {"a": "one, and more.", "b": "two."}
 
 
-def test_rsl_rls_own_parameters_have_their_defaults_words_and_lines():
-    composed = compose(["task=stand"])
-    rnd = explain_key(composed, "agent.algorithm.rnd_cfg")
+def test_rsl_rls_own_parameters_have_their_defaults_words_and_lines(stand):
+    rnd = explain_key(stand, "agent.algorithm.rnd_cfg")
     assert (rnd.kind, rnd.value) == ("not set", None)
-    activation = explain_key(composed, "agent.actor.activation")
+    activation = explain_key(stand, "agent.actor.activation")
     assert {"elu", "relu", "tanh"} <= set(activation.alternatives.values)
     assert activation.alternatives.default == "elu"
     assert any("ctivation function" in note.text for note in activation.meanings)
-    assert explain_key(composed, "agent.obs_groups.actor").alternatives.values == ("policy", "critic")
+    assert explain_key(stand, "agent.obs_groups.actor").alternatives.values == ("policy", "critic")
 
 
-def test_terms_by_name_are_counted_up():
-    composed = compose(["task=stand"])
-    assert explain_key(composed, "env.rewards.track_ang_vel_z.command_name").alternatives.values == ("base_velocity",)
-    entity = explain_key(composed, "env.rewards.wheel_air.sensor_cfg.name")
+def test_terms_by_name_are_counted_up(stand):
+    assert explain_key(stand, "env.rewards.track_ang_vel_z.command_name").alternatives.values == ("base_velocity",)
+    entity = explain_key(stand, "env.rewards.wheel_air.sensor_cfg.name")
     assert entity.alternatives.values == ("robot", "contact_forces")
 
 
-def test_what_is_inside_a_default_object_is_known():
-    composed = compose(["task=stand"])
-    name = explain_key(composed, "env.events.reset_base.asset_cfg.name")
+def test_what_is_inside_a_default_object_is_known(stand):
+    name = explain_key(stand, "env.events.reset_base.asset_cfg.name")
     assert (name.kind, name.value) == ("not set", "robot")
-    joints = explain_key(composed, "env.events.reset_base.asset_cfg.joint_names")
+    joints = explain_key(stand, "env.events.reset_base.asset_cfg.joint_names")
     assert (joints.value, joints.meanings[0].text) == (
         None,
         "joint expressions; null is all. Once resolved, the names.",

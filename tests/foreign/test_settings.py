@@ -186,7 +186,7 @@ def test_interpolations_that_double_each_other_come_to_an_end(trial):
     trial.yaml(CONFIG, lambda config: config["run"].update(bomb))
     trial.record()
     trial.try_("resume", 2, CONFIG, "more than 10000 interpolations")
-    for command in ("diff", "verify", "report"):
+    for command in ("diff", "report"):  # which verifies as well
         trial.try_(command, (0, 1))
 
 

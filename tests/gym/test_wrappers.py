@@ -144,10 +144,10 @@ def test_observations_of_a_batch_are_transformed():
 
 def test_gymnasiums_own_batches_hold_our_single_environments():
     env = gymnasium.make_vec(
-        ENV_ID, num_envs=2, vectorization_mode="async", overrides=OVERRIDES, vector_kwargs={"context": "spawn"}
+        ENV_ID, num_envs=1, vectorization_mode="async", overrides=OVERRIDES, vector_kwargs={"context": "spawn"}
     )
     try:
-        assert env.reset(seed=0)[0]["policy"].shape == (2, 135)
-        assert env.step(np.zeros((2, 6), np.float32))[1].shape == (2,)
+        assert env.reset(seed=0)[0]["policy"].shape == (1, 135)
+        assert env.step(np.zeros((1, 6), np.float32))[1].shape == (1,)
     finally:
         env.close()

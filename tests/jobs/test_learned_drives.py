@@ -58,6 +58,7 @@ def alone(*words):
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
 
 
+@pytest.mark.full
 def test_a_run_is_resumed_and_replayed_with_the_network_that_it_has_kept(project):
     network = project / "assets" / "nets" / "leg.pt"
     words = ("--config-dir", project / "configs", "robot=learned", *TINY, f"run.root={project / 'runs'}")

@@ -126,7 +126,7 @@ def events_left(run: Path) -> list[int]:
 # --- stopped anywhere ---
 
 
-@pytest.mark.parametrize("stops", [[1], [2], [3], [1, 2, 3]])
+@pytest.mark.parametrize("stops", [[2], [1, 2, 3]])
 def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
     said = wheelleg("train", *SMALL, f"agent.max_iterations={stops[0]}", f"run.root={tmp_path}")
     assert said.status == 0, said.err
