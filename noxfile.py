@@ -90,7 +90,7 @@ def results(session: nox.Session) -> None:
 
 @nox.session
 def repro(session: nox.Session) -> None:
-    """Prove that runs repeat to the bit, on small sizes: one named check a line; `-- full` adds full trainings and other long proofs."""
+    """Prove that runs repeat to the bit, on small sizes: one named check a line; `-- full` adds the long proofs."""
     words = [word for word in session.posargs if word != "full"]
     marks = "repro or full" if "full" in session.posargs else "repro"
     where = "tests" if "full" in session.posargs else "tests/repro"
