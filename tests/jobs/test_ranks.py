@@ -41,7 +41,7 @@ TRAIN = ["train", *FEW, *NORMALISED]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Five commands of two processes: three iterations, two, one gradient step, a third after the two, and a mistake."""
+    """Five commands of two processes: three iterations, two, one gradient step, a third after the two, a mistake."""
     folder = tmp_path_factory.mktemp("ranks")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
