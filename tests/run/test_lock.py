@@ -9,7 +9,6 @@ import pytest
 from patience import PATIENCE_S
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run import lock
 from wheelleg_exp.run.lock import RunLock
 
 HOLD = """
@@ -33,13 +32,6 @@ def holder(tmp_path):
     process.stdout.close()
 
 
-@pytest.fixture(params=["flock", "existence"])
-def kind(request, monkeypatch):
-    if request.param == "existence":
-        monkeypatch.setattr(lock, "fcntl", None)
-    return request.param
-
-
 def test_a_second_process_is_refused_with_the_pid_of_the_first(tmp_path, holder):
     with (
         pytest.raises(RunDirectoryError, match=f"is being written by process {holder.pid} "),
@@ -48,14 +40,14 @@ def test_a_second_process_is_refused_with_the_pid_of_the_first(tmp_path, holder)
         pass
 
 
-def test_a_killed_process_leaves_no_lock_behind(tmp_path, holder, kind):
+def test_a_killed_process_leaves_no_lock_behind(tmp_path, holder):
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     with RunLock(tmp_path, timeout_s=PATIENCE_S):
         pass
 
 
-def test_one_process_cannot_take_it_twice(tmp_path, kind):
+def test_one_process_cannot_take_it_twice(tmp_path):
     with RunLock(tmp_path):
         with pytest.raises(RunDirectoryError, match=f"process {os.getpid()} "):
             RunLock(tmp_path).acquire()
@@ -63,7 +55,7 @@ def test_one_process_cannot_take_it_twice(tmp_path, kind):
             RunLock(tmp_path, timeout_s=0.05).acquire()
 
 
-def test_it_can_be_taken_again_after_release(tmp_path, kind):
+def test_it_can_be_taken_again_after_release(tmp_path):
     held = RunLock(tmp_path)
     for _ in range(2):
         with held:
@@ -72,7 +64,7 @@ def test_it_can_be_taken_again_after_release(tmp_path, kind):
         pass
 
 
-def test_two_names_are_two_locks(tmp_path, kind):
+def test_two_names_are_two_locks(tmp_path):
     with RunLock(tmp_path), RunLock(tmp_path, name=".manifest.lock"):
         pass
 

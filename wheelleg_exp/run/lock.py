@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import TracebackType
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import file_error, read_json
-from wheelleg_exp.run.process import is_alive, this_process
-
-fcntl: ModuleType | None
-try:
-    import fcntl
-except ImportError:  # not every system has it
-    fcntl = None
+from wheelleg_exp.run.process import this_process
 
 RUN_LOCK = ".lock"
 MANIFEST_LOCK = ".manifest.lock"
@@ -29,7 +24,6 @@ class RunLock:
     """Hold a run directory for writing, as a context manager.
 
     The kernel's lock (``flock``) goes with its process, so nothing is left behind by one that was killed.
-    Where there is none, the lock is the file's existence, and a dead process's file is taken over.
 
     Args:
         directory: the run directory.
@@ -60,11 +54,8 @@ class RunLock:
         """Give the lock back; nothing happens when it is not held."""
         if self._descriptor is None:
             return
-        if fcntl is None:
-            self.path.unlink(missing_ok=True)
-        else:
-            # The file stays: unlinking it would let two processes lock two files of one name.
-            os.ftruncate(self._descriptor, 0)
+        # The file stays: unlinking it would let two processes lock two files of one name.
+        os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)
         self._descriptor = None
 
@@ -89,7 +80,7 @@ class RunLock:
 
     def _try(self) -> bool:
         try:
-            descriptor = self._open_exclusively() if fcntl is None else self._open_and_flock()
+            descriptor = self._open_and_flock()
             if descriptor is None:
                 return False
             os.ftruncate(descriptor, 0)
@@ -100,7 +91,6 @@ class RunLock:
         return True
 
     def _open_and_flock(self) -> int | None:
-        assert fcntl is not None
         # Never through a link: what it leads to would be emptied.
         descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
         try:
@@ -112,14 +102,6 @@ class RunLock:
             os.close(descriptor)
             raise
         return descriptor
-
-    def _open_exclusively(self) -> int | None:
-        try:
-            return os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-        except FileExistsError:
-            if is_alive(self._holder()) is False:
-                self.path.unlink(missing_ok=True)
-            return None
 
     def _holder(self) -> dict[str, Any]:
         with contextlib.suppress(RunDirectoryError):

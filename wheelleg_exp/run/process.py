@@ -37,9 +37,7 @@ def is_alive(recorded: Mapping[str, Any]) -> bool | None:
     return _answers_signal(pid)
 
 
-def _answers_signal(pid: int) -> bool | None:
-    if os.name != "posix":  # elsewhere signal 0 is not a question
-        return None
+def _answers_signal(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
