@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 from packaging.requirements import Requirement
 
+from wheelleg_exp import threads
 from wheelleg_exp.run import environment
 
 CPUINFO = """processor\t: 0
@@ -96,13 +97,13 @@ def test_what_a_config_asks_for_counts_and_a_secret_never_does():
     assert environment.variables(values, also=asked) == {"SPEED": "3"}
 
 
-@pytest.mark.parametrize("key", ["cpu_quota", "cores_usable", "cpu", "cpu_flags", "torch_cpu_capability"])
-def test_another_processor_or_container_shows(key, monkeypatch):
+@pytest.mark.parametrize("key", ["cores_usable", "cpu", "cpu_flags", "torch_cpu_capability"])
+def test_another_processor_or_container_shows(key, tmp_path, monkeypatch):
     before = environment.hardware()
     info = CPUINFO.replace("AMD EPYC", "Another").replace("avx512_bf16", "amx_tile")
-    monkeypatch.setattr(environment, "_read", lambda _path: info)
-    monkeypatch.setattr(environment, "cpu_quota", lambda: 1.5)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: {0, 1, 2, 3, 4, 5, 6}, raising=False)
+    (tmp_path / "cpuinfo").write_text(info)
+    monkeypatch.setattr(threads, "_CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr(environment, "usable_cores", lambda: 1000)
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(backends=Backends))
     assert environment.hardware().get(key) != before.get(key)
 
@@ -121,12 +122,16 @@ def test_hardware_comes_from_the_system():
     json.dumps(facts)
 
 
-def test_the_cpu_is_read_from_the_first_block():
-    facts = environment.parse_cpuinfo(CPUINFO)
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file")
+def test_the_cpu_is_read_from_the_first_block(tmp_path, monkeypatch):
+    monkeypatch.setattr(threads, "_CPUINFO", tmp_path / "cpuinfo")
+    before = environment.hardware()
+    assert not {"cpu_family", "cpu_flags"} & before.keys()
+    (tmp_path / "cpuinfo").write_text(CPUINFO)
+    facts = environment.hardware()
     assert facts["cpu"] == "AMD EPYC"
     assert (facts["cpu_family"], facts["cpu_model"], facts["cpu_stepping"]) == ("26", "2", "1")
     assert facts["cpu_flags"] == ["avx", "avx2", "avx512_bf16", "fma"]
-    assert environment.parse_cpuinfo("") == {}
 
 
 def test_an_absent_distribution_has_no_version(monkeypatch):

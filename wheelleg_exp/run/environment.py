@@ -18,7 +18,7 @@ from typing import Any
 
 import wheelleg_exp
 from wheelleg_exp.run.source.secrecy import is_secret_variable, secret_content, without_credentials
-from wheelleg_exp.threads import cpu_quota
+from wheelleg_exp.threads import first_processor, usable_cores
 
 # The distributions whose version can change a number or a file of a run.
 _DISTRIBUTIONS = (
@@ -71,14 +71,13 @@ def versions() -> dict[str, str | None]:
 def hardware() -> dict[str, Any]:
     """Return the CPU's model, its vector instructions, cores and memory, and the platform.
 
-    ``cores_usable`` are those that this process may run on, ``cpu_quota`` is how many of them a container's limit pays
-    (None: no limit). ``torch_cpu_capability`` is there only when torch has been imported already.
+    ``cores_usable`` are those that this process may run on, no more than a container's limit pays.
+    ``torch_cpu_capability`` is there only when torch has been imported already.
     """
     facts: dict[str, Any] = {
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
-        "cores_usable": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "cpu_quota": cpu_quota(),
+        "cores_usable": usable_cores(),
         "memory_gib": _memory_gib(),
         "machine": platform.machine(),
         "platform": platform.platform(),
@@ -198,18 +197,11 @@ def _origin(distribution: metadata.Distribution) -> str:
 
 
 def _cpu_facts() -> dict[str, Any]:
+    """Return model, family, stepping and vector instructions of the CPU."""
     if sys.platform == "darwin":
         name = _output("sysctl", "-n", "machdep.cpu.brand_string")
         return {"cpu": name} if name else {}
-    return parse_cpuinfo(_read("/proc/cpuinfo"))
-
-
-def parse_cpuinfo(text: str) -> dict[str, Any]:
-    """Return model, family, stepping and vector instructions of the first CPU in ``/proc/cpuinfo``."""
-    block: dict[str, str] = {}
-    for line in text.strip().split("\n\n")[0].splitlines():
-        key, _, value = line.partition(":")
-        block[key.strip()] = value.strip()
+    block = first_processor()
     facts: dict[str, Any] = {}
     names = {
         "model name": "cpu",
