@@ -20,8 +20,8 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.sweep import carrier
 from wheelleg_exp.jobs.sweep.carrier import Carrier
+from wheelleg_exp.jobs.sweep.choosing import launcher_of
 from wheelleg_exp.jobs.sweep.job import Request
-from wheelleg_exp.jobs.sweep.launchers import launcher_of
 from wheelleg_exp.jobs.sweep.queued import Queue
 from wheelleg_exp.jobs.sweep.sweep import SweepRunner
 from wheelleg_exp.run.manifest import Manifest

@@ -41,7 +41,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         display.checked()
 
         from wheelleg_exp.cli.printing.figures import shown
-        from wheelleg_exp.jobs.sweep.launchers import launcher_of
+        from wheelleg_exp.jobs.sweep.choosing import launcher_of
         from wheelleg_exp.jobs.sweep.sweep import SweepRunner
         from wheelleg_exp.run.begin import refuse_secrets
 

@@ -1,13 +1,13 @@
-"""Where the jobs of a sweep run: what a launcher is, the one of this machine's processes, and which is asked for."""
+"""Where the jobs of a sweep run: what a launcher is, and the one of this machine's processes."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 from wheelleg_exp.jobs.processes import Child, Event, listen
 from wheelleg_exp.jobs.sweep.job import Request
@@ -97,28 +97,6 @@ class LocalLauncher:
     def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
         """Yield what the processes have written to their pipes."""
         return listen(cast(Collection[Child], jobs), wait_s)
-
-
-def launcher_of(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
-    """Return the launcher that Hydra's group ``hydra/launcher`` names.
-
-    Args:
-        name: the group's option.
-        settings: its settings, plain.
-        folder: the sweep's folder, which all machines must see.
-
-    Raises:
-        WheellegError: what it works with is not installed, or cannot be reached.
-    """
-    if name.startswith("submitit"):
-        from wheelleg_exp.jobs.sweep.submitit_launcher import SubmititLauncher  # a queue's library may not be there
-
-        return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)
-    if name == "ray":
-        from wheelleg_exp.jobs.sweep.ray_launcher import RayLauncher
-
-        return RayLauncher(settings, folder)
-    return LocalLauncher()
 
 
 def program_here(path: Sequence[str] | None = None) -> tuple[str, ...]:
