@@ -13,8 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections import defaultdict
-from collections.abc import Callable
 from typing import Any
 
 from wheelleg_exp.sim.batch import BatchEngine
@@ -24,6 +22,7 @@ prepare_threads()
 
 import torch  # noqa: E402  (thread variables come first)
 from mujoco.batch import Batch  # noqa: E402
+from step_parts import time_parts  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
@@ -68,32 +67,7 @@ def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
 
 def breakdown(env: ManagerBasedRLEnv, steps: int) -> dict[str, float]:
     """Return milliseconds per step by part of the step."""
-    spent: dict[str, float] = defaultdict(float)
-
-    def timed(owner: Any, name: str, label: str) -> None:
-        function: Callable[..., Any] = getattr(owner, name)
-
-        def wrapper(*args: Any, **kwargs: Any) -> Any:
-            start = time.perf_counter()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                spent[label] += time.perf_counter() - start
-
-        setattr(owner, name, wrapper)
-
-    timed(env.scene.sim, "step", "physics")
-    timed(env.scene, "update", "contact sensors")
-    timed(env.scene, "write_data_to_sim", "actuators and wrenches")
-    timed(env.action_manager, "process_action", "actions")
-    timed(env.action_manager, "apply_action", "actions")
-    timed(env.termination_manager, "compute", "terminations")
-    timed(env.reward_manager, "compute", "rewards")
-    timed(env, "_reset_idx", "resets")
-    timed(env.command_manager, "compute", "commands")
-    timed(env.event_manager, "apply_interval", "interval events")
-    timed(env.scene, "refresh", "refresh after resets")
-    timed(env.observation_manager, "compute", "observations")
+    spent = time_parts(env, time.perf_counter)
     start = time.perf_counter()
     with torch.inference_mode():
         for action in actions(env, steps):

@@ -16,6 +16,7 @@ import json
 import platform
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from wheelleg_exp.threads import prepare_threads
 prepare_threads()
 
 import torch  # noqa: E402  (thread variables come first)
+from step_parts import time_parts  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
@@ -112,32 +114,7 @@ def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
 
 def parts(env: ManagerBasedRLEnv, steps: int) -> dict[str, float]:
     """Return milliseconds a step by part; the device is waited for behind each, so the sum is more than a step."""
-    spent: dict[str, float] = {}
-
-    def timed(owner: Any, name: str, label: str) -> None:
-        function = getattr(owner, name)
-
-        def wrapper(*args: Any, **kwargs: Any) -> Any:
-            start = now(env.device)
-            try:
-                return function(*args, **kwargs)
-            finally:
-                spent[label] = spent.get(label, 0.0) + now(env.device) - start
-
-        setattr(owner, name, wrapper)
-
-    timed(env.scene.sim, "step", "physics")
-    timed(env.scene, "update", "sensors")
-    timed(env.scene, "write_data_to_sim", "actuators")
-    timed(env.action_manager, "process_action", "actions")
-    timed(env.action_manager, "apply_action", "actions")
-    timed(env.termination_manager, "compute", "terminations")
-    timed(env.reward_manager, "compute", "rewards")
-    timed(env, "_reset_idx", "resets")
-    timed(env.command_manager, "compute", "commands")
-    timed(env.event_manager, "apply_interval", "interval events")
-    timed(env.scene, "refresh", "refresh after resets")
-    timed(env.observation_manager, "compute", "observations")
+    spent = time_parts(env, partial(now, env.device))
     todo = actions(env, steps)
     with torch.inference_mode():
         for index in range(steps):

@@ -73,6 +73,7 @@ def summary(scalars: Sequence[dict[str, Any]], longest: float) -> dict[str, Any]
 
 
 def main() -> None:
+    """Measure and print, or write a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--num-envs", type=int, default=4096, help="of one process, of the training that is wide")

@@ -3,6 +3,7 @@
 | module | what it offers |
 |---|---|
 | `trainer` | one iteration: a rollout and an update |
+| `algorithm`, `initial` | the algorithm and its networks, and what they begin with |
 | `vec_env` | the environment as rsl_rl expects it |
 | `options` | what may stand under `agent` |
 | `checkpoint`, `digests` | the whole state in a file, and short digests of it |

@@ -10,7 +10,7 @@ from rsl_rl.models import MLPModel
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.trainer import build_algorithm
+from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 

@@ -2,55 +2,33 @@
 
 from __future__ import annotations
 
-import copy
-import io
-import itertools
 import math
-import re
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from rsl_rl.utils import resolve_callable
 
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError, nearest_name
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.managers.finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
-from wheelleg_exp.memory import require_memory
-from wheelleg_exp.packages import make_classes_importable
 from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
 from wheelleg_exp.rl.graphed_update import GraphedUpdate, can
+from wheelleg_exp.rl.initial import Initial, load_initial, load_teacher
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
 from wheelleg_exp.rl.one_thread import one_thread
-from wheelleg_exp.rl.options import require_agent
 from wheelleg_exp.rl.rank_errors import communicating, is_communication, left
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.step_means import StepMeans
-from wheelleg_exp.rl.symmetry.mirror import Mirror, options_of
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.state import cloned
-from wheelleg_exp.user_code import ending_as, in_words, place
-
-# Keys of the agent section that are this program's, not rsl_rl's.
-OWN_KEYS = (
-    "device",
-    "torch_threads",
-    "matmul",
-    "graph_update",
-    "max_iterations",
-    "save_interval",
-    "clip_actions",
-    "logger",
-    "max_non_finite",
-    "symmetry",
-    "teacher_checkpoint",
-)
+from wheelleg_exp.user_code import in_words, place
 
 
 @dataclass(frozen=True)
@@ -66,21 +44,6 @@ class Iteration:
     index: int
     scalars: dict[str, float]
     env_steps: int
-
-
-@dataclass(frozen=True)
-class Initial:
-    """What a training begins with in place of networks that were drawn.
-
-    Attributes:
-        state: a checkpoint, or a part of one.
-        parts: what is loaded of it: ``actor``, ``critic``, ``optimizer``.
-        facts: whose it is, plain.
-    """
-
-    state: Mapping[str, Any]
-    parts: tuple[str, ...]
-    facts: Mapping[str, Any]
 
 
 class Trainer:
@@ -119,9 +82,9 @@ class Trainer:
         torch.manual_seed(stream_seed(ranks.seed(seed), "agent"))
         self.algorithm = build_algorithm(env, agent, ranks)
         if teacher is not None:
-            _load_teacher(self.algorithm, teacher)
+            load_teacher(self.algorithm, teacher)
         if initial is not None:
-            _load_initial(self.algorithm, initial)
+            load_initial(self.algorithm, initial)
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
         self._matmul = chosen_matmul(agent)
@@ -294,117 +257,3 @@ class Trainer:
         if torch.device(self.device).type not in ("cpu", "meta"):
             state["device"] = torch.get_device_module(self.device).get_rng_state(self.device)
         return state
-
-
-def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = ALONE) -> Any:
-    """Build rsl_rl's algorithm from the ``agent`` section.
-
-    Raises:
-        ConfigError: an observation group is missing, or rsl_rl refuses a value.
-    """
-    observations = env.get_observations()
-    for role, groups in agent["obs_groups"].items():
-        for group in groups:
-            if group not in observations:
-                raise ConfigError(
-                    f"there is no observation group '{group}'",
-                    key=f"agent.obs_groups.{role}",
-                    expected="some of " + ", ".join(observations.keys()),
-                    nearest=nearest_name(group, observations.keys()),
-                )
-            found = observations[group]
-            if not isinstance(found, torch.Tensor) or found.ndim != 2:
-                name = "flatten_history_dim" if isinstance(found, torch.Tensor) else "concatenate_terms"
-                message, key = "a network takes one flat vector a group", f"env.observations.{group}.{name}"
-                raise ConfigError(message, key=key, expected=f"{name}: true")
-    if env.num_actions == 0:
-        raise ConfigError("there are no actions to learn", key="env.actions", expected="at least one action term")
-    _require_device(str(agent["device"]))
-    require_agent(agent, env.num_envs)
-    if torch.device(agent["device"]).type == "cpu":
-        _require_memory(env, observations, agent)
-    options = options_of(agent)
-    if options is not None:
-        groups = [group for role in ("actor", "critic") for group in agent["obs_groups"].get(role, [])]
-        env.mirror = Mirror(env.env, options, groups, str(agent["device"]))
-    # rsl_rl changes the dictionary that it is given, and prints the networks.
-    config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
-    config["multi_gpu"] = ranks.for_rsl_rl()
-    make_classes_importable(config)
-    try:
-        with redirect_stdout(io.StringIO()), ending_as(ConfigError):
-            kind = resolve_callable(config["algorithm"]["class_name"])
-            return kind.construct_algorithm(observations, env, config, str(agent["device"]))
-    except Exception as error:  # its classes may be a user's own
-        raise ConfigError(
-            f"rsl_rl refuses it: {in_words(error).splitlines()[0]}",
-            key="agent",
-            expected="rsl_rl's own configuration",
-        ) from error
-
-
-def _load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
-    """Give the teacher what a checkpoint's policy has learned."""
-    try:
-        algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
-    except RuntimeError as error:
-        raise ConfigError(
-            "the teacher's network is not the one of this checkpoint",
-            key="agent.teacher_checkpoint",
-            expected="agent.teacher and agent.obs_groups.teacher as the actor and its groups that were trained",
-        ) from error
-
-
-def _load_initial(algorithm: Any, initial: Initial) -> None:
-    """Give the networks what a checkpoint's have learned; nothing is drawn, so that all else begins as without."""
-    whose = initial.facts.get("named") or initial.facts.get("checkpoint")
-    wrong = []
-    for role in (part for part in initial.parts if part in checkpoint.ROLES):
-        has = {name: list(value.shape) for name, value in initial.state[f"{role}_state_dict"].items()}
-        needs = {name: list(value.shape) for name, value in getattr(algorithm, role).state_dict().items()}
-        name = next((name for name in dict.fromkeys([*needs, *has]) if needs.get(name) != has.get(name)), None)
-        if name is not None:
-            wrong.append(f"the {role}'s {name} is {has.get(name, 'absent')} there and {needs.get(name, 'absent')} here")
-    if wrong:
-        raise ConfigError(
-            f"the networks of '{whose}' do not fit: {'; '.join(wrong)}",
-            key="init_from",
-            expected="the observations, actions and networks that it was trained with, or null",
-        )
-    try:
-        algorithm.load(dict(initial.state), dict.fromkeys(initial.parts, True), True)
-    except (RuntimeError, LookupError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}",
-            key="init_from_what",
-            expected="networks, or the algorithm and the optimiser that it was trained with",
-        ) from error
-
-
-def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
-    """Refuse rollouts and networks that do not fit into memory: numbers of four bytes."""
-    steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
-    samples = env.num_envs * steps
-    numbers = sum(widths.values()) + 3 * env.num_actions + 6
-    what = f"rollouts of {env.num_envs} environments times {steps} steps"
-    require_memory(4 * samples * numbers, "agent.num_steps_per_env", what)
-    for role in (role for role in checkpoint.ROLES if role in agent):
-        hidden = agent[role].get("hidden_dims") or []
-        layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
-        weights = sum(a * b for a, b in itertools.pairwise(layers))
-        # Beside each weight its gradient, and the two means of Adam.
-        require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
-
-
-def _require_device(name: str) -> None:
-    try:
-        torch.zeros(1, device=name)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        known = re.match(r"Expected one of (.+) device type", reason)
-        raise ConfigError(
-            f"torch cannot use '{name}'" + ("" if known else f": {reason}"),
-            key="agent.device",
-            expected="cpu, or a device that this torch and this machine have",
-            nearest=nearest_name(name, known.group(1).split(", ")) if known else None,
-        ) from error

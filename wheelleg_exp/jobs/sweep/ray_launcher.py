@@ -61,13 +61,16 @@ class _Ticket:
         self._reference = reference
 
     def gone(self) -> bool:
+        """Return whether the task has ended, in whatever way."""
         done, _ = ray.wait([self._reference], timeout=0)
         return bool(done)
 
     def cancel(self) -> None:
+        """End the task's worker, or take the task out of the queue."""
         ray.cancel(self._reference, force=True)
 
     def why(self) -> str:
+        """Return what Ray says of the end of a task that told nothing itself, to follow its name."""
         try:
             ray.get(self._reference, timeout=1)
         except ray.exceptions.RayError as error:

@@ -69,12 +69,15 @@ class _Ticket:
         self._job = job
 
     def gone(self) -> bool:
+        """Return whether the job has ended, in whatever way."""
         return bool(self._job.done())
 
     def cancel(self) -> None:
+        """End the job, or take it out of the queue."""
         self._job.cancel(check=False)
 
     def why(self) -> str:
+        """Return what submitit says of the end of a job that told nothing itself, to follow its name."""
         words = [line.strip() for line in (self._job.stderr() or "").splitlines() if line.strip()]
         last = f": {words[-1][:300]}" if words else ""
         state = "" if self._job.state == "FINISHED" else f" ({self._job.state})"  # which submitit says of any end here

@@ -19,7 +19,7 @@ from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train.policy_fit import fit
 from wheelleg_exp.paths import INITIAL
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.trainer import Initial
+from wheelleg_exp.rl.initial import Initial
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.params import load_params, present_form

@@ -58,6 +58,13 @@ class Term:
         self.memory: dict[int, list[np.ndarray]] = {}
 
     def value(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
+        """Return what the term's function gives, before anything is done to it.
+
+        Args:
+            readings: what was measured and commanded, by name, SI.
+            action: the last action of the policy.
+            steps: control steps since the reset.
+        """
         spec, kind, time = self.spec, self.spec["function"], F(steps) * F(self.dt)
         if kind == "last_action":
             return action[self.columns]
@@ -96,6 +103,7 @@ class Term:
         return total
 
     def modified(self, number: int, spec: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
+        """Return a value after the modifier of this number; what it remembers is kept for the next step."""
         kind = spec["kind"]
         if kind == "scale":
             return x * F(spec["multiplier"])
@@ -117,6 +125,7 @@ class Term:
         return y
 
     def sample(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
+        """Return the term's part of the observation, its history included, flat; takes what ``value`` takes."""
         x = self.value(readings, action, steps)
         for number, spec in enumerate(self.spec["modifiers"]):
             x = self.modified(number, spec, x)

@@ -1,0 +1,115 @@
+"""rsl_rl's algorithm and networks, built from the ``agent`` section, and what they cannot be built from."""
+
+from __future__ import annotations
+
+import copy
+import io
+import itertools
+import re
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from typing import Any
+
+import torch
+from rsl_rl.utils import resolve_callable
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.memory import require_memory
+from wheelleg_exp.packages import make_classes_importable
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.options import require_agent
+from wheelleg_exp.rl.ranks import ALONE, Ranks
+from wheelleg_exp.rl.symmetry.mirror import Mirror, options_of
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.user_code import ending_as, in_words
+
+# Keys of the agent section that are this program's, not rsl_rl's.
+OWN_KEYS = (
+    "device",
+    "torch_threads",
+    "matmul",
+    "graph_update",
+    "max_iterations",
+    "save_interval",
+    "clip_actions",
+    "logger",
+    "max_non_finite",
+    "symmetry",
+    "teacher_checkpoint",
+)
+
+
+def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = ALONE) -> Any:
+    """Build rsl_rl's algorithm from the ``agent`` section.
+
+    Raises:
+        ConfigError: an observation group is missing, or rsl_rl refuses a value.
+    """
+    observations = env.get_observations()
+    for role, groups in agent["obs_groups"].items():
+        for group in groups:
+            if group not in observations:
+                raise ConfigError(
+                    f"there is no observation group '{group}'",
+                    key=f"agent.obs_groups.{role}",
+                    expected="some of " + ", ".join(observations.keys()),
+                    nearest=nearest_name(group, observations.keys()),
+                )
+            found = observations[group]
+            if not isinstance(found, torch.Tensor) or found.ndim != 2:
+                name = "flatten_history_dim" if isinstance(found, torch.Tensor) else "concatenate_terms"
+                message, key = "a network takes one flat vector a group", f"env.observations.{group}.{name}"
+                raise ConfigError(message, key=key, expected=f"{name}: true")
+    if env.num_actions == 0:
+        raise ConfigError("there are no actions to learn", key="env.actions", expected="at least one action term")
+    _require_device(str(agent["device"]))
+    require_agent(agent, env.num_envs)
+    if torch.device(agent["device"]).type == "cpu":
+        _require_memory(env, observations, agent)
+    options = options_of(agent)
+    if options is not None:
+        groups = [group for role in ("actor", "critic") for group in agent["obs_groups"].get(role, [])]
+        env.mirror = Mirror(env.env, options, groups, str(agent["device"]))
+    # rsl_rl changes the dictionary that it is given, and prints the networks.
+    config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
+    config["multi_gpu"] = ranks.for_rsl_rl()
+    make_classes_importable(config)
+    try:
+        with redirect_stdout(io.StringIO()), ending_as(ConfigError):
+            kind = resolve_callable(config["algorithm"]["class_name"])
+            return kind.construct_algorithm(observations, env, config, str(agent["device"]))
+    except Exception as error:  # its classes may be a user's own
+        raise ConfigError(
+            f"rsl_rl refuses it: {in_words(error).splitlines()[0]}",
+            key="agent",
+            expected="rsl_rl's own configuration",
+        ) from error
+
+
+def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
+    """Refuse rollouts and networks that do not fit into memory: numbers of four bytes."""
+    steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
+    samples = env.num_envs * steps
+    numbers = sum(widths.values()) + 3 * env.num_actions + 6
+    what = f"rollouts of {env.num_envs} environments times {steps} steps"
+    require_memory(4 * samples * numbers, "agent.num_steps_per_env", what)
+    for role in (role for role in checkpoint.ROLES if role in agent):
+        hidden = agent[role].get("hidden_dims") or []
+        layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
+        weights = sum(a * b for a, b in itertools.pairwise(layers))
+        # Beside each weight its gradient, and the two means of Adam.
+        require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
+
+
+def _require_device(name: str) -> None:
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        known = re.match(r"Expected one of (.+) device type", reason)
+        raise ConfigError(
+            f"torch cannot use '{name}'" + ("" if known else f": {reason}"),
+            key="agent.device",
+            expected="cpu, or a device that this torch and this machine have",
+            nearest=nearest_name(name, known.group(1).split(", ")) if known else None,
+        ) from error
