@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
+from sim.small_envs import env_config
 from wheelleg_exp.sim.options import SimOptions
 
 XML = """
@@ -34,18 +35,5 @@ def model(xml: str = XML) -> mujoco.MjModel:
 
 def options(device: str = "cpu", **changes) -> SimOptions:
     """Return an ``env.sim`` section of the engine on mujoco-warp."""
-    section = {
-        "engine": "warp",
-        "device": device,
-        "dt": 0.005,
-        "gravity": (0.0, 0.0, -9.81),
-        "integrator": "implicitfast",
-        "solver": "newton",
-        "cone": "pyramidal",
-        "iterations": 100,
-        "ls_iterations": 50,
-        "tolerance": 1e-8,
-        "impratio": 1.0,
-        "nthread": 1,
-    }
-    return SimOptions(**{**section, **changes})
+    section = env_config(sim={"engine": "warp", "device": device, "dt": 0.005, **changes})["sim"]
+    return SimOptions(**{**section, "gravity": tuple(section["gravity"])})

@@ -60,6 +60,16 @@ def close(ours: torch.Tensor, theirs: torch.Tensor, rtol: float, atol: float) ->
     torch.testing.assert_close(ours.double().cpu(), theirs.double(), rtol=rtol, atol=atol)
 
 
+def require_equal_motion(ours: WarpEngine, theirs: BatchEngine, of_qpos: float, of_qvel: float) -> None:
+    """Let both move from the same states for three steps, and hold positions and velocities together."""
+    scatter(ours, theirs)
+    for _ in range(3):
+        ours.step()
+        theirs.step()
+    close(ours.view("qpos"), theirs.view("qpos"), 0, of_qpos)
+    close(ours.view("qvel"), theirs.view("qvel"), of_qvel, of_qvel)
+
+
 def steps(engine: WarpEngine, count: int) -> None:
     """Step, and look at the outcome as an environment does."""
     for _ in range(count):
@@ -79,12 +89,7 @@ def test_one_step_agrees_with_mujoco_to_single_precision(sim):
         for name in ("xpos", "xquat", "xmat", "xipos", "cvel", "subtree_com"):
             engine.derived(name)
         engine.view("actuator_force"), engine.view("sensordata")  # MuJoCo's keeps what was asked for before
-    scatter(sim, batch)
-    for _ in range(3):
-        sim.step()
-        batch.step()
-    close(sim.view("qpos"), batch.view("qpos"), 0, 2e-6)
-    close(sim.view("qvel"), batch.view("qvel"), 1e-4, 1e-4)
+    require_equal_motion(sim, batch, 2e-6, 1e-4)
     close(sim.view("actuator_force"), batch.view("actuator_force"), 1e-4, 1e-5)
     assert batch.view("sensordata").abs().max() > 10.0  # somebody touches the ground
     close(contacts(sim), contacts(batch), 1e-3, 1e-2)
@@ -127,12 +132,7 @@ def test_fields_of_the_model_act_on_their_own_simulation_as_mujocos_do(device):
                 getattr(own, field)[:] = batch.expanded[field][i].numpy()
             mujoco.mj_setConst(own, mujoco.MjData(own))
             np.testing.assert_allclose(each[i].cpu(), getattr(own, name), rtol=1e-4, atol=1e-6)
-    scatter(ours, batch)
-    for _ in range(3):
-        ours.step()
-        batch.step()
-    close(ours.view("qpos"), batch.view("qpos"), 0, 5e-6)
-    close(ours.view("qvel"), batch.view("qvel"), 3e-4, 3e-4)
+    require_equal_motion(ours, batch, 5e-6, 3e-4)
 
 
 def test_a_field_that_all_simulations_share_is_refused_by_name(sim):
