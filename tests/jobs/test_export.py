@@ -333,6 +333,7 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
         (term,) = (t for t in spec["observations"][0]["terms"] if t["name"] == "travel_error")
         assert (term["joint_names"], term["wheel_radius"]) == (["l03", "r03"], pytest.approx(0.02, rel=0.05))
         assert term["needs"] == ["joint_vel", "base_ang_vel", "commands.base_velocity"]
+        assert term["signs"] == [1.0, 1.0]
     else:
         assert spec["actions"][0]["alpha"] == pytest.approx([0.3] * 4)
 

@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from sim.small_envs import ASSETS, env_config
 
+from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.terrain import Plane
 
@@ -129,6 +131,51 @@ def test_travel_is_what_wheels_and_gyroscope_add_up_to_beyond_the_command(make_e
         expected += torch.stack((rolled - 0.3, turned - 0.5), dim=1) * env.step_dt
     torch.testing.assert_close(term.travel_error, expected)
     assert (expected.std(dim=0) > 1e-3).all()  # they do not all do the same
+
+
+def _rover(tmp_path, axis):
+    """A rover whose right wheel turns about another axis."""
+    text = (ASSETS / "rover.xml").read_text()
+    own = '<joint name="right_axle" axis="0 1 0"/>'
+    assert own in text
+    path = tmp_path / "mirrored.xml"
+    path.write_text(text.replace(own, f'<joint name="right_axle" axis="{axis}"/>'))
+    return path
+
+
+def _travel_of(path):
+    ranges = {"lin_vel_x": [0.3, 0.3], "ang_vel_z": [0.0, 0.0]}
+    node = {"_target_": C + "UniformVelocityTravelCommand", "resampling_time_range": [9.0, 9.0], "ranges": ranges}
+    node |= {"wheel_cfg": WHEELS, "wheel_radius": 0.04, "max_travel_error": 10.0, "max_heading_error": 10.0}
+    env = ManagerBasedRLEnv(env_config("rover", commands={"c": node}, num_envs=2), path, 0)
+    env.reset()
+    return env, env.command_manager.get_term("c")
+
+
+@pytest.mark.parametrize(("axis", "sign"), [("0 1 0", 1.0), ("0 -1 0", -1.0), ("0 -.8 .6", -1.0)])
+def test_travel_of_wheels_whose_axes_are_mirrored_is_forwards_for_both(tmp_path, axis, sign):
+    """The rim's lowest point goes backwards on a wheel that rolls forwards, whatever sign its joint's speed has."""
+    env, term = _travel_of(_rover(tmp_path, axis))
+    assert term.wheel_signs == (1.0, sign)
+    model, data = env.scene.sim.model, mujoco.MjData(env.scene.sim.model)
+    data.qvel[[model.joint(name).dofadr[0] for name in AXLES]] = [2.0, 2.0 * sign]
+    mujoco.mj_forward(model, data)
+    turning = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, model.body("right_wheel").id, turning, 0)
+    assert np.cross(turning[:3], [0.0, 0.0, -0.04])[0] < 0.0
+    columns = [env.scene.robot.joint_names.index(name) for name in AXLES]
+    expected = torch.zeros(2)
+    for push in ([0.0, 0.0, 1.0, -2.0], [0.0, 0.0, 3.0, 3.0]):
+        env.step(torch.tensor([push, push]))
+        left, right = env.scene.robot.data.joint_vel[:, columns].unbind(dim=1)
+        expected += (0.04 * (left + sign * right) / 2 - 0.3) * env.step_dt
+    torch.testing.assert_close(term.travel_error[:, 0], expected)
+
+
+def test_a_wheel_that_rolls_sideways_is_named(tmp_path):
+    with pytest.raises(ConfigError, match="joint 'right_axle' does not roll the robot forwards") as told:
+        _travel_of(_rover(tmp_path, "1 0 0"))
+    assert told.value.key == "env.commands.c.wheel_cfg.joint_names"
 
 
 def test_travel_is_summed_up_to_a_bound_and_anew_in_each_episode(make_env):

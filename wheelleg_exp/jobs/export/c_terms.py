@@ -125,7 +125,8 @@ def _gait(term: Spec, dt: float) -> Iterator[str]:
 
 
 def _travelled(name: str, term: Spec, dt: float) -> Iterator[str]:
-    wheels = " + ".join(f"r->joint_vel[{column}]" for column in term["columns"])
+    pairs = zip(term["columns"], term["signs"], strict=True)
+    wheels = " ".join(f"{'+' if sign > 0 else '-'} r->joint_vel[{column}]" for column, sign in pairs)
     rates = (f"({wheels}) / {len(term['columns'])}.0f * {number(term['wheel_radius'])}", "r->base_ang_vel[2]")
     most, command = (term["max_travel_error"], term["max_heading_error"]), f"r->{identifier(term['command'])}"
     for i, (rate, bound, column) in enumerate(zip(rates, most, (0, 2), strict=True)):

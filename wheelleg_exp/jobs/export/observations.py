@@ -159,6 +159,7 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
         "columns": ids,
         "joint_names": [env.scene.robot.joint_names[i] for i in ids],
         "command": f"{COMMANDS}{name}",
+        "signs": list(command.wheel_signs),
         "wheel_radius": command._radius,
         "max_travel_error": most[0],
         "max_heading_error": most[1],

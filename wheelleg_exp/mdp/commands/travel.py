@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
+import mujoco
 import torch
 
 from wheelleg_exp.constraints import Interval, NonNegative, Positive, PositiveInterval, Share
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, member
 from wheelleg_exp.mdp.commands.velocity import UniformVelocityCommand, VelocityAxis
+
+_ROLLS = 0.5  # part of a wheel's axis along the base's y, from which on it rolls forwards or backwards
 
 
 class UniformVelocityTravelCommand(UniformVelocityCommand):
@@ -29,7 +33,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
         resampling_time_range: shortest and longest time between two draws, s.
         generator: the term's random stream.
-        wheel_cfg: joints of the wheels; each drives forwards when it turns positively.
+        wheel_cfg: joints of the wheels. Which way each has to turn to roll forwards follows from its axis in the
+            model, so that the wheels of mirrored halves add up as well.
         wheel_radius: of the wheels, m.
         max_travel_error: up to which travel is summed up, m: what is lost beyond it is not made good.
         max_heading_error: the same for the heading, rad.
@@ -44,6 +49,10 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
     Attributes:
         max_acceleration: by which each component changes at most, m/s², m/s², rad/s²; None lets it jump.
         travel_error: how far the robot has gone too far, m, and turned too far, rad, (N, 2).
+        wheel_signs: of each wheel, 1 where positive speed rolls it forwards, -1 where backwards.
+
+    Raises:
+        ConfigError: a wheel does not roll along the base's x.
     """
 
     def __init__(
@@ -77,6 +86,9 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         )
         self._wheels = member(env.scene, wheel_cfg.name, "wheel_cfg.name")
         self._wheel_ids, self._radius = wheel_cfg.joint_ids, wheel_radius
+        signs = rolling_signs(env.scene.sim.model, self._wheels, wheel_cfg.joint_ids)
+        self.wheel_signs = tuple(signs)
+        self._signs = (torch.tensor(signs, device=env.device),)
         self.travel_error = torch.zeros(env.num_envs, 2, device=env.device)
         self._asked = torch.zeros(env.num_envs, 3, device=env.device)
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
@@ -87,7 +99,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
     def compute(self, dt: float) -> torch.Tensor:
         """Add this step's error to the sum, then advance the command."""
-        rolled = self._wheels.data.joint_vel[:, self._wheel_ids].mean(dim=1) * self._radius
+        (signs,) = self._signs
+        rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * signs).mean(dim=1) * self._radius
         turned = self.robot.data.root_ang_vel_b[:, 2]
         missed = torch.stack((rolled - self._command[:, 0], turned - self._command[:, 2]), dim=1)
         (most,) = self._most
@@ -112,6 +125,38 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         (most,) = self._fastest
         self._command[env_ids] = self._asked[env_ids].clamp(-most, most)
         return log
+
+
+def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | slice) -> list[float]:
+    """Return for each of a robot's wheels 1 where positive speed rolls it along the base's x, -1 where against it.
+
+    A wheel that turns about an axis a rolls along a x up, which is forwards for the part of a along the base's y.
+
+    Args:
+        model: the compiled model.
+        robot: the robot, in whose default pose the axes are looked at.
+        joint_ids: the wheels, columns of ``robot.joint_names``.
+
+    Raises:
+        ConfigError: a wheel rolls sideways, or is no hinge.
+    """
+    data = mujoco.MjData(model)
+    for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
+        data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_kinematics(model, data)
+    left = data.xmat[int(robot.body_ids[0])].reshape(3, 3)[:, 1]
+    signs = []
+    for index in torch.arange(len(robot.joint_names))[joint_ids].tolist():
+        joint = model.joint(robot.joint_names[index])
+        along = float(data.xaxis[joint.id] @ left) if joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE else 0.0
+        if abs(along) < _ROLLS:
+            raise ConfigError(
+                f"joint '{joint.name}' does not roll the robot forwards or backwards",
+                key="wheel_cfg.joint_names",
+                expected="wheels, hinges whose axis lies along the base's y",
+            )
+        signs.append(math.copysign(1.0, along))
+    return signs
 
 
 def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:

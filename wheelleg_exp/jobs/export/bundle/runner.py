@@ -95,7 +95,8 @@ class Term:
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
         if -1 in self.memory:  # nothing is missed before the first step
-            rolled = np.mean(readings["joint_vel"][self.columns]) * F(self.spec["wheel_radius"])
+            forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
+            rolled = np.mean(forwards) * F(self.spec["wheel_radius"])
             missed = array([rolled, readings["base_ang_vel"][2]]) - before
             most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
             total = np.clip(total + missed * F(self.dt), -most, most)
