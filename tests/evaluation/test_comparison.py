@@ -9,9 +9,10 @@ import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.evaluation.catalogue import metrics_of
-from wheelleg_exp.evaluation.comparison import differences, over_seeds, verdict
+from wheelleg_exp.evaluation.comparison import differences, over_seeds
 from wheelleg_exp.evaluation.metrics import figure
 from wheelleg_exp.evaluation.result import Evaluation
+from wheelleg_exp.evaluation.verdicts import push_verdict, verdict
 
 N = 64
 
@@ -78,8 +79,66 @@ def test_who_falls_more_is_worse_and_the_words_say_in_what():
 def test_one_is_better_in_this_and_worse_in_that():
     found = differences([made(1.0, 1e-3, 0.5)], [made(1.0, 2e-3, 0.1)])
     said = verdict(found, "A", "B", (3, 3))
-    assert said.startswith("A is better than B in 1 metric of 5 (stand/height_rmse), and worse in 2 metrics (")
-    assert said.endswith("(stand/drift, stand/drift_worst).")
+    assert said.startswith("A is better than B in 1 metric of 4 (stand/height_rmse), and worse in 1 metric (")
+    assert said.endswith("(stand/drift).")
+
+
+def test_a_worst_value_is_told_and_not_judged():
+    """The largest of 64 says nothing of the 65th: a test of all 64 would judge another thing than it names."""
+    drifts = np.linspace(0.01, 0.02, N)
+    first, second = drifts.copy(), drifts + 1e-3
+    first[-1] = 0.05  # by far the worst, of the method that drifts less in every other episode
+    rows = by_name(differences([made(1.0, 1e-3, first)], [made(1.0, 1e-3, second)]))
+    assert rows["stand/drift"].outcome == "better"
+    worst = rows["stand/drift_worst"]
+    assert (worst.first, worst.second) == (0.05, pytest.approx(0.021))
+    assert (worst.test, worst.p, worst.outcome) == (None, None, "")
+    assert np.isnan(worst.interval.low)
+
+
+def test_where_most_episodes_differ_one_way_and_the_means_the_other_there_is_no_verdict():
+    drifts = np.linspace(0.01, 0.02, N)
+    first = drifts - 1e-3
+    first[-1] = 0.5
+    row = by_name(differences([made(1.0, 1e-3, first)], [made(1.0, 1e-3, drifts)]))["stand/drift"]
+    assert row.p < 0.05
+    assert row.first > row.second
+    assert row.outcome == ""
+
+
+def pushed(kick, pulse) -> Evaluation:
+    """Return an evaluation of ``push`` in which both kinds come from two directions."""
+    names = np.array(["0° over 0 s", "90° over 0 s", "0° over 0.15 s", "90° over 0.15 s"])
+    cell = np.repeat(np.arange(4), N // 4)
+    limit = np.where(cell < 2, kick, pulse)
+    columns = {"test": np.full(N, "push"), "cell": cell, "cell_name": names[cell], "limit_m_s": limit}
+    metrics = {m.name: figure(m, columns, 1, 400) for m in metrics_of("push", columns, {})}
+    return Evaluation({"name": "push", "resamples": 400}, 1, "s", {"push": "a"}, columns, metrics)
+
+
+@pytest.mark.parametrize(
+    ("kick", "pulse", "said"),
+    [
+        (0.6, 0.7, "A is better in push recovery than B: it survives a kick of 0."),
+        (0.2, 0.1, "A is worse in push recovery than B: "),
+        (0.6, 0.1, "A is no match in every push for B: "),
+        (0.6, 0.3, "A is better in some pushes, not in all, than B: "),
+        (0.3, 0.3, "A is neither better nor worse in push recovery than B: "),
+    ],
+)
+def test_push_recovery_has_one_line(kick, pulse, said):
+    scatter = 1e-4 * (noise(1) - 1.0)
+    found = differences([pushed(kick + scatter, pulse + scatter)], [pushed(0.3 + scatter, 0.3 + scatter)])
+    line = push_verdict(found, "A", "B")
+    assert line.startswith(said)
+    assert f"a push over 0.15 s of {pulse:g}" in line
+    assert " m/s (" in line
+    assert "95 % interval" in line
+
+
+def test_where_no_pushes_were_measured_there_is_no_line():
+    one = made(1.0, 1e-3)
+    assert push_verdict(differences([one], [one]), "A", "B") == ""
 
 
 def test_seeds_that_scatter_more_than_methods_differ_leave_the_interval_about_zero():

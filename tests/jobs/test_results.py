@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import write_json
-from wheelleg_exp.jobs.results.record import read_record, recipe
+from wheelleg_exp.files import write_json, write_text
+from wheelleg_exp.jobs.results import again as again_of
+from wheelleg_exp.jobs.results.page import page
+from wheelleg_exp.jobs.results.record import read_manifests, recipe
+from wheelleg_exp.verify import FactDifference
 
 pytestmark = pytest.mark.train
 
@@ -26,19 +33,114 @@ def written(run, tmp_path, capsys):
     return folder
 
 
-def test_a_result_comes_out_again_to_the_bit_and_what_was_changed_is_told(written, capsys):
-    """Then one digit of one number is changed, as a result of another program would be."""
-    assert main(["results", "small", "--again", "--into", str(written)]) == 0
-    assert capsys.readouterr().out.endswith("small: reproduced to the bit\n")
-    record = read_record(written / "small.json")
-    record["reference"]["metrics"]["stand/time_to_failure"]["value"] *= 1 + 1e-12
-    record["runs"] = record["runs"][:1]
-    write_json(written / "small.json", record)
-    assert main(["results", "small", "--again", "--into", str(written)]) == 1
-    told = capsys.readouterr().out
-    assert "reference: stand/time_to_failure is" in told
-    assert "run 1: stand" not in told
-    assert told.endswith("small: not reproduced to the bit\n")
+def rewritten(folder, record) -> None:
+    """Put down a record, and the page that it makes."""
+    write_json(folder / "small.json", record)
+    write_text(folder / "small.md", page(record, read_manifests(record, folder)))
+
+
+@pytest.fixture(scope="module")
+def made_again() -> Iterator[dict[str, Any]]:
+    with tempfile.TemporaryDirectory() as folder:
+        yield {"root": Path(folder)}
+
+
+@pytest.fixture
+def once(monkeypatch, made_again):
+    """Train and evaluate once for all comparisons: what is got again does not change with the record."""
+
+    def first(kind, make):
+        return lambda *args: made_again.get(kind) or made_again.setdefault(kind, make(*args))
+
+    train = again_of._trained
+    monkeypatch.setattr(again_of, "_trained", first("run", lambda how, *_: train(how, made_again["root"], {}, print)))
+    for name in ("evaluate_run", "evaluate_reference"):
+        monkeypatch.setattr(again_of, name, first(name, getattr(again_of, name)))
+
+
+def again(written, capsys) -> tuple[int, str]:
+    status = main(["results", "small", "--again", "--into", str(written)])
+    said = capsys.readouterr()
+    return status, said.out + said.err
+
+
+def leaves(value, keys=()):
+    """Yield the keys of every number of a plain tree."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from leaves(inner, (*keys, key))
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from leaves(inner, (*keys, index))
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield keys
+
+
+ALTERED = {
+    ("runs", 0, "evaluation", "metrics", "stand/time_to_failure", "value"): "run 1: stand/time_to_failure is",
+    ("runs", 0, "evaluation", "metrics", "stand/time_to_failure", "low"): "run 1: stand/time_to_failure is",
+    ("reference", "metrics", "stand/height_rmse", "high"): "reference: stand/height_rmse is",
+    ("over_seeds", "stand/time_to_failure", "mean", "value"): "over_seeds.stand/time_to_failure.mean.value is",
+    ("differences", "stand/time_to_failure", "second"): "differences.stand/time_to_failure.second is",
+    ("about", "physics_dt_s"): "about.physics_dt_s is",
+}
+
+
+def test_a_result_comes_out_again_to_the_bit_and_whatever_is_changed_in_it_is_told(written, once, capsys):
+    """A last digit here and there, as a result of another program would have it, with the page to match."""
+    status, told = again(written, capsys)
+    assert (status, told.splitlines()[-1]) == (0, "small: reproduced to the bit")
+    whole = (written / "small.json").read_text()
+    for keys, words in ALTERED.items():
+        record = json.loads(whole)
+        assert keys in set(leaves(record))
+        node = record
+        for key in keys[:-1]:
+            node = node[key]
+        node[keys[-1]] *= 1 + 1e-12
+        rewritten(written, record)
+        status, told = again(written, capsys)
+        assert status == 1
+        assert [line for line in told.splitlines() if line.startswith(words)], (keys, told)
+        assert told.splitlines()[-1].startswith("small: not reproduced to the bit")
+
+
+def test_other_networks_are_told(written, once, capsys):
+    record = json.loads((written / "small.json").read_text())
+    record["runs"][0]["parameters"] = "0" * 16
+    rewritten(written, record)
+    status, told = again(written, capsys)
+    assert status == 1
+    assert "run 1: the networks are " in told
+
+
+def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(written, capsys):
+    page = written / "small.md"
+    page.write_text(page.read_text().replace("| survival |", "| Survival |"))
+    status, told = again(written, capsys)
+    assert status == 2
+    assert "small.md: is not the page of its record" in told
+    assert "wheelleg train" not in told
+
+
+def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, once, capsys):
+    """Made on another CPU: told at once; equal bits are still equal, others are nothing against the result."""
+    record = json.loads((written / "small.json").read_text())
+    path = written / "small" / f"{record['runs'][0]['id']}.json"
+    manifest = json.loads(path.read_text())
+    manifest["hardware"] |= {"cpu": "AMD Other"}
+    write_json(path, manifest)
+    rewritten(written, record)
+    status, told = again(written, capsys)
+    assert status == 0
+    assert "differs: cpu was AMD Other, is " in told
+    assert told.endswith("small: reproduced to the bit, on another machine\n")
+    record["reference"]["metrics"]["stand/height_rmse"]["value"] *= 2.0
+    rewritten(written, record)
+    status, told = again(written, capsys)
+    assert status == 1
+    assert "where hardware were otherwise (cpu was AMD Other, is " in told
+    assert told.endswith("on the same kind of machine with the same versions and source alone\n")
 
 
 def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
@@ -76,3 +178,13 @@ def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
     assert main(["results", name, str(run.path), *SHORT, "--into", str(tmp_path / "results")]) == 2
     assert "is no name of a page" in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.md"))
+
+
+def test_the_verdict_says_where_equal_bits_are_promised():
+    cpu = FactDifference("hardware", "cpu", "AMD", "Intel", "another CPU")
+    assert again_of.Again([], [], False).verdict == "reproduced to the bit"
+    same = again_of.Again(["a is 1, and was 2"], [], False).verdict
+    assert same == "not reproduced to the bit, with the same source, on the same kind of machine"
+    other = again_of.Again(["a is 1, and was 2"], [cpu], True).verdict
+    assert "it was made with other source files; where hardware were otherwise (cpu was AMD, is Intel)" in other
+    assert "on the same kind of machine" in other

@@ -47,8 +47,7 @@ def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import evaluated, found, is_run, reference_of
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import shown, tool
-    from wheelleg_exp.jobs.evaluate.compare import compare
-    from wheelleg_exp.jobs.results.record import recipe, write_results
+    from wheelleg_exp.jobs.results.record import compared_with, recipe, write_results
 
     names = [word for word in args.runs if is_run(word)]
     words = [word for word in args.runs if not is_run(word)]
@@ -60,8 +59,7 @@ def _write(args: argparse.Namespace) -> int:
     with ConsoleDisplay(quiet=True) as display:
         made = [evaluated(args, *one, words, display) for one in chosen]
         reference = reference_of(args, made[0], words, display) if args.reference else None
-    against = [] if reference is None else [reference]
-    compared = compare(made, against, reference, args.command)
+    compared = compared_with(args.name, made, reference, args.command)
     for path in write_results(args.name, args.into, compared, made, reference, words):
         print(shown(path.absolute()))
     print(f"again: {tool('wheelleg')} results {args.name} --again" + _told_into(args.into))
@@ -74,12 +72,13 @@ def _told_into(folder: Path) -> str:
 
 def _again(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs.results.again import again
-    from wheelleg_exp.jobs.results.record import read_record
+    from wheelleg_exp.jobs.results.record import read_manifests, read_record, require_own_page
 
     record = read_record(args.into / f"{args.name}.json")
+    manifests = read_manifests(record, args.into)
+    require_own_page(record, manifests, args.into)
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
-        found = again(record, Path(folder), lambda text: print(text, flush=True))
-    for line in found:
+        found = again(record, manifests, Path(folder), lambda text: print(text, flush=True))
+    for line in (*found.differences, f"{args.name}: {found.verdict}"):
         print(line)
-    print(f"{args.name}: {'not ' if found else ''}reproduced to the bit")
-    return EXIT_FINDING if found else EXIT_OK
+    return EXIT_FINDING if found.differences else EXIT_OK

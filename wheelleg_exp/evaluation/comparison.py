@@ -12,7 +12,7 @@ import numpy as np
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.evaluation import statistics
 from wheelleg_exp.evaluation.catalogue import metrics_of
-from wheelleg_exp.evaluation.metrics import Array, Metric, resampled
+from wheelleg_exp.evaluation.metrics import Array, Metric, resampled, worst
 from wheelleg_exp.evaluation.result import Evaluation
 from wheelleg_exp.evaluation.statistics import ALPHA, Interval, Test
 from wheelleg_exp.managers.streams import stream_seed
@@ -46,7 +46,7 @@ class Difference:
     Attributes:
         metric: ``group/metric``.
         unit: of all numbers.
-        better: ``higher``, ``lower``, or empty.
+        better: ``higher``, ``lower``, or empty: of worst values too, in which nothing tells more from chance.
         first: of the method in question: the mean over its trainings.
         second: of the one that it is held against.
         interval: first minus second, with its bootstrap interval.
@@ -67,12 +67,15 @@ class Difference:
     def outcome(self) -> str:
         """``better`` or ``worse`` where the first method is so beyond chance, else empty.
 
-        The corrected test has to say so; where there is none, the interval has to leave out 0.
+        The corrected test has to say so, in the direction of the means; where there is none, the interval has to leave
+        out 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
+        if self.test is not None and self.test.difference * value < 0.0:
+            return ""  # most episodes differ one way, the means, by a few, the other
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
     def as_dict(self) -> dict[str, Any]:
@@ -124,31 +127,6 @@ def paired(evaluations: Sequence[Evaluation], test: str) -> bool:
     return len({evaluation.starts_sha256.get(test) for evaluation in evaluations}) == 1
 
 
-def verdict(found: Sequence[Difference], first: str, second: str, seeds: tuple[int, int]) -> str:
-    """Return in words what the differences come to.
-
-    Args:
-        found: the differences.
-        first: what the method in question is called.
-        second: what the other is called.
-        seeds: of how many trainings each is.
-    """
-    tested = [row for row in found if row.better and math.isfinite(row.interval.value)]
-    better = [row.metric for row in tested if row.outcome == "better"]
-    worse = [row.metric for row in tested if row.outcome == "worse"]
-    if not better and not worse:
-        said = f"No difference between {first} and {second} is beyond chance in any of {len(tested)} metrics."
-    elif not worse:
-        said = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in none."
-    elif not better:
-        said = f"{first} is worse than {second} in {_listed(worse, len(tested))}, and better in none."
-    else:
-        said = f"{first} is better than {second} in {_listed(better, len(tested))}, and worse in {_listed(worse)}."
-    if min(seeds) == 1:
-        said += " One training of a method alone tells policies apart, not methods: another seed may train another."
-    return said
-
-
 def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
     """Raise RunDirectoryError unless all evaluations are of the same scenarios."""
     digests = list(dict.fromkeys(evaluation.scenarios_sha256 for evaluation in evaluations))
@@ -197,6 +175,9 @@ def _difference(
     drawn = [statistics.clustered_means(_draws(metric, group), generator) for group in (first, second)]
     count = min(map(len, drawn))
     interval = statistics.interval(means[0] - means[1], drawn[0][:count] - drawn[1][:count], generator)
+    if metric.reduce is worst:  # the largest of a sample is no sample: neither a test nor a bootstrap tells of it
+        beside = Interval(interval.value, math.nan, math.nan, math.nan)
+        return Difference(metric.name, metric.unit, "", means[0], means[1], beside, None, None)
     test = _test(metric, first, second, are_pairs) if len(metric.columns) == 1 else None
     return Difference(metric.name, metric.unit, metric.better, means[0], means[1], interval, test, None)
 
@@ -217,8 +198,3 @@ def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluati
     if are_pairs:
         return statistics.mcnemar(other, one) if outcomes else statistics.wilcoxon(other, one)
     return statistics.fisher(other, one) if outcomes else statistics.mann_whitney(other, one)
-
-
-def _listed(names: Sequence[str], of: int | None = None) -> str:
-    counted = f"{len(names)} metric" + ("s" if len(names) > 1 else "")
-    return f"{counted}{'' if of is None else f' of {of}'} ({', '.join(names)})"

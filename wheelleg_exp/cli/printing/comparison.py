@@ -50,7 +50,8 @@ def print_differences(made: Compared) -> None:
     print()
     print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)
     print(hanging("p: two-sided, of paired episodes where they began alike, corrected for all tests (Holm)", 0))
-    print(f"\n{hanging(made.verdict, 0)}")
+    for said in filter(None, (made.push_verdict, made.verdict)):
+        print(f"\n{hanging(said, 0)}")
 
 
 def _difference(row: Difference) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.evaluation.comparison import Difference, OverSeeds, differences, over_seeds, plain, verdict
+from wheelleg_exp.evaluation.comparison import Difference, OverSeeds, differences, over_seeds, plain
+from wheelleg_exp.evaluation.verdicts import push_verdict, verdict
 from wheelleg_exp.files import while_running, write_json
 from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
 from wheelleg_exp.run.directory import create_exclusively
@@ -27,6 +28,7 @@ class Compared:
         seeds: every metric over the runs.
         differences: how they differ from those that they are held against; empty when they are against none.
         verdict: what that comes to, in words; empty likewise.
+        push_verdict: what it comes to in push recovery; empty likewise, and where no pushes were measured.
         content: what stands in ``comparison.json``.
     """
 
@@ -34,11 +36,16 @@ class Compared:
     seeds: list[OverSeeds]
     differences: list[Difference]
     verdict: str
+    push_verdict: str
     content: dict[str, Any]
 
 
 def compare(
-    runs: Sequence[Evaluated], against: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
+    runs: Sequence[Evaluated],
+    against: Sequence[Evaluated],
+    reference: Evaluated | None,
+    command: Sequence[str],
+    name: str | None = None,
 ) -> Compared:
     """Compare evaluated runs and keep what was found under the first of them.
 
@@ -47,14 +54,18 @@ def compare(
         against: of another; may be empty.
         reference: the reference controller; told beside them.
         command: the command line, for the manifest.
+        name: what the runs are called together; by default by the id of the first.
 
     Raises:
         RunDirectoryError: they are of different scenarios.
     """
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
-    names = called(runs), called(against) if against else ""
-    said = verdict(found, *names, (len(runs), len(against))) if against else ""
+    names = name or called(runs), called(against) if against else ""
+    # The reference was not trained.
+    trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
+    said = verdict(found, *names, trainings) if against else ""
+    pushed = push_verdict(found, *names)
     evaluation = runs[0].evaluation
     content: dict[str, Any] = {
         "format": FORMAT,
@@ -66,18 +77,19 @@ def compare(
         "over_seeds": {row.metric: plain(asdict(row)) for row in seeds},
         "differences": {row.metric: row.as_dict() for row in found},
         "verdict": said,
+        "push_verdict": pushed,
     }
     run = runs[0].run
     folder = create_exclusively(run.evaluation, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + "_comparison")
     try:
         with while_running():
             write_json(folder / COMPARISON, content)
-            results = {"protocol": content["protocol"], "verdict": said}
+            results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
             run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Compared(folder, seeds, found, said, content)
+    return Compared(folder, seeds, found, said, pushed, content)
 
 
 def called(made: Sequence[Evaluated]) -> str:

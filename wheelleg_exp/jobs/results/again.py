@@ -5,57 +5,137 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.files import json_plain
 from wheelleg_exp.jobs.evaluate.evaluate import Evaluated, evaluate_reference, evaluate_run
-from wheelleg_exp.jobs.results.record import numbers, parameters
+from wheelleg_exp.jobs.results.record import compared_with, numbers, parameters, record_of
+from wheelleg_exp.jobs.resume.differences import brief
 from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.environment import hardware, versions
+from wheelleg_exp.verify.made_with import FactDifference, allowing, environment_differences
 
+_COMMAND = ("wheelleg", "results")
 _LAST_WORDS = 4  # lines
 _MAIN = "from wheelleg_exp.cli.main import main; import sys; sys.exit(main())"
 
 
-def again(record: Mapping[str, Any], root: Path, say: Callable[[str], None]) -> list[str]:
-    """Train and evaluate what a record names; return in words what came out otherwise, nothing when all is equal.
+@dataclass(frozen=True)
+class Again:
+    """What came of getting a result again.
+
+    Attributes:
+        differences: in words what came out otherwise; empty when all is equal to the bit.
+        machine: how this machine, its versions and threads differ from those of the result where that may change bits.
+        other_code: whether the runs were trained by other source files.
+    """
+
+    differences: list[str]
+    machine: list[FactDifference]
+    other_code: bool
+
+    @property
+    def verdict(self) -> str:
+        """What it comes to, in words."""
+        if not self.differences:
+            return "reproduced to the bit" + (", on another machine" if self.machine else "")
+        why = ["with other source files"] if self.other_code else []
+        why += [f"where {fact.section} were otherwise ({', '.join(_told([fact]))})" for fact in self.machine]
+        if not why:
+            return "not reproduced to the bit, with the same source, on the same kind of machine"
+        judged = "equal bits are promised on the same kind of machine with the same versions and source alone"
+        return f"not reproduced to the bit; it was made {'; '.join(why)}, and {judged}"
+
+
+def again(
+    record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], root: Path, say: Callable[[str], None]
+) -> Again:
+    """Train and evaluate what a record names, and compare every number of the record.
 
     Args:
         record: of the result.
+        manifests: of its runs.
         root: an empty folder for the runs.
         say: told what is being done.
 
     Raises:
         SimulationFailure: a training ended with an error.
     """
+    for line in _told(_machine(manifests[:1], [{"versions": versions(), "hardware": hardware()}], early=True)):
+        say(f"differs: {line}: equal bits are promised on the same kind of machine alone")
     trained: dict[str, RunDirectory] = {}
-    found: list[str] = []
-    first = None
+    runs: list[Evaluated] = []
     for number, kept in enumerate(record["runs"], start=1):
         run = _trained(kept["train"], root, trained, say)
-        first = first or run
-        if parameters(run) != kept["parameters"]:
-            found.append(f"run {number}: the networks are {parameters(run)}, and were {kept['parameters']}")
         say(f"run {number}: evaluating")
-        made = evaluate_run(run, None, record["words"], ["wheelleg", "results"])
-        found += [f"run {number}: {line}" for line in differing(kept["evaluation"], made)]
-    if record["reference"] is not None and first is not None:
+        runs.append(evaluate_run(run, None, record["words"], _COMMAND))
+    reference = None
+    if record["reference"] is not None:
         say("reference: evaluating")
-        made = evaluate_reference(first, record["words"], ["wheelleg", "results"])
-        found += [f"reference: {line}" for line in differing(record["reference"], made)]
-    return found
+        reference = evaluate_reference(runs[0].run, record["words"], _COMMAND)
+    made = [run.run.manifest().data for run in runs]
+    trees = [[one["source"].get("tree") for one in side] for side in (manifests, made)]
+    found = list(_differences(record, runs, reference))
+    return Again(found, _machine(manifests, made), trees[0] != trees[1])
 
 
 def differing(kept: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
     """Yield in words what of an evaluation is not as it was."""
     now = numbers(made)
-    for key in ("scenarios_sha256", "starts_sha256"):
+    for key in ("seed", "scenarios_sha256", "starts_sha256"):
         if now[key] != kept[key]:
             yield f"{key} is {now[key]}, and was {kept[key]}"
     for name in dict.fromkeys([*kept["metrics"], *now["metrics"]]):
         was, is_now = kept["metrics"].get(name), now["metrics"].get(name)
         if was != is_now:
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
+
+
+def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
+    """Yield what came out otherwise: networks and evaluations; where these are equal, what was computed from them."""
+    equal = True
+    for number, (kept, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
+        now = parameters(made.run)
+        lines = [f"the networks are {now}, and were {kept['parameters']}"] if now != kept["parameters"] else []
+        for line in (*lines, *differing(kept["evaluation"], made)):
+            equal = False
+            yield f"run {number}: {line}"
+    if reference is not None:
+        for line in differing(record["reference"], reference):
+            equal = False
+            yield f"reference: {line}"
+    if equal:
+        compared = compared_with(record["name"], runs, reference, _COMMAND)
+        now = json_plain(record_of(record["name"], compared, runs, reference, record["words"]))
+        rest = [key for key in dict.fromkeys([*record, *now]) if key not in ("runs", "reference")]
+        yield from _unequal({key: record.get(key) for key in rest}, {key: now.get(key) for key in rest})
+
+
+def _unequal(was: Any, now: Any, where: str = "") -> Iterator[str]:
+    """Yield every leaf in which two plain values differ."""
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for key in dict.fromkeys([*was, *now]):
+            yield from _unequal(was.get(key), now.get(key), f"{where}.{key}" if where else str(key))
+    elif was != now:
+        yield f"{where} is {brief(now)}, and was {brief(was)}"
+
+
+def _machine(
+    was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
+) -> list[FactDifference]:
+    """Return in what runs were made otherwise that may change bits; ``early`` what is not known yet is left out."""
+    facts = [
+        fact for one, other in zip(was, now, strict=True) for fact in allowing(environment_differences(one, other))
+    ]
+    known = [fact for fact in facts if not (early and fact.name == "torch_cpu_capability")]
+    return [fact for number, fact in enumerate(known) if fact not in known[:number]]
+
+
+def _told(facts: Sequence[FactDifference]) -> list[str]:
+    return [f"{fact.name} was {brief(fact.a)}, is {brief(fact.b)}" for fact in facts]
 
 
 def _value(figure: Mapping[str, Any] | None) -> str:

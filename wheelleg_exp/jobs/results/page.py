@@ -41,6 +41,8 @@ def _about(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) ->
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     yield f"Trained in {times} on {hardware.get('cpu')}, {hardware.get('cores_usable')} cores.\n"
+    if record["push_verdict"]:
+        yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:
         yield f"{record['verdict']}\n"
 

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import for_people, write_json, write_text
-from wheelleg_exp.jobs.evaluate.compare import Compared
+from wheelleg_exp.files import for_people, read_json, read_text, write_json, write_text
+from wheelleg_exp.jobs.evaluate.compare import Compared, compare
 from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
 from wheelleg_exp.jobs.results.page import page
 from wheelleg_exp.reading import Unreadable, json_value, yaml_value
 from wheelleg_exp.run.directory import RunDirectory
 
-FORMAT = 1
+FORMAT = 2
 # What a manifest tells of a run, without what belongs to the machine's folders and processes.
 _OF_MANIFEST = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _OF_MANIFEST_TOO = ("init_from", "files", "sha256", "last_ended_by")
@@ -44,23 +44,7 @@ def write_results(
     Raises:
         RunDirectoryError: a run was not trained in one go, or began with another that is not there any more.
     """
-    record = {
-        "format": FORMAT,
-        "name": name,
-        "words": list(words),
-        "protocol": compared.content["protocol"],
-        "about": dict(runs[0].evaluation.about),
-        "scenarios_sha256": compared.content["scenarios_sha256"],
-        "against": "reference" if compared.differences else None,
-        "runs": [
-            {"train": recipe(made.run), "parameters": parameters(made.run), "evaluation": numbers(made)}
-            for made in runs
-        ],
-        "reference": None if reference is None else numbers(reference),
-        "over_seeds": compared.content["over_seeds"],
-        "differences": compared.content["differences"],
-        "verdict": compared.verdict,
-    }
+    record = record_of(name, compared, runs, reference, words)
     manifests = [_manifest(made.run) for made in runs]
     files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
     with for_people(folder, "written to"):
@@ -70,6 +54,42 @@ def write_results(
     write_json(folder / f"{name}.json", record)
     write_text(folder / f"{name}.md", page(record, manifests))
     return [folder / f"{name}.md", folder / f"{name}.json", *files]
+
+
+def compared_with(
+    name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
+) -> Compared:
+    """Return the runs of a result side by side, against the reference where there is one."""
+    return compare(runs, [] if reference is None else [reference], reference, command, name)
+
+
+def record_of(
+    name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
+) -> dict[str, Any]:
+    """Return the record of a result; arguments and errors are those of ``write_results``."""
+    return {
+        "format": FORMAT,
+        "name": name,
+        "words": list(words),
+        "protocol": compared.content["protocol"],
+        "about": dict(runs[0].evaluation.about),
+        "scenarios_sha256": compared.content["scenarios_sha256"],
+        "against": "reference" if compared.differences else None,
+        "runs": [
+            {
+                "id": str(made.run.manifest().data["id"]),
+                "train": recipe(made.run),
+                "parameters": parameters(made.run),
+                "evaluation": numbers(made),
+            }
+            for made in runs
+        ],
+        "reference": None if reference is None else numbers(reference),
+        "over_seeds": compared.content["over_seeds"],
+        "differences": compared.content["differences"],
+        "verdict": compared.verdict,
+        "push_verdict": compared.push_verdict,
+    }
 
 
 def read_record(path: Path) -> dict[str, Any]:
@@ -86,6 +106,26 @@ def read_record(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise RunDirectoryError("is no result's record", key=str(path), expected="what wheelleg results has written")
     return record
+
+
+def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
+    """Return the manifests of a record's runs, which stand in a folder of its name.
+
+    Raises:
+        RunDirectoryError: one is missing or damaged.
+    """
+    return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
+
+
+def require_own_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Raise RunDirectoryError unless a record's page says what the record says."""
+    path = folder / f"{record['name']}.md"
+    if read_text(path) != page(record, manifests):
+        raise RunDirectoryError(
+            "is not the page of its record",
+            key=str(path),
+            expected="what wheelleg results has written: the page or the record was changed by itself",
+        )
 
 
 def recipe(run: RunDirectory) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -127,7 +127,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         return log
 
 
-def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | slice) -> list[float]:
+def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | Sequence[int] | slice) -> list[float]:
     """Return for each of a robot's wheels 1 where positive speed rolls it along the base's x, -1 where against it.
 
     A wheel that turns about an axis a rolls along a x up, which is forwards for the part of a along the base's y.
