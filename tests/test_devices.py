@@ -25,7 +25,7 @@ DTYPES = frozenset(["double", "float64"])
 NOT_IN_A_STEP = frozenset(
     """__init__ __str__ resolve connect bind exclude _end_failed failures evidence failure _tell_writes
     load_state_dict state_dict restore save shape_ids set_external_force_and_torque get_active_iterable_terms
-    model_digest constant _plain _number set_permanent_body_wrench _read_limits
+    model_digest checked_rays constant _plain _number set_permanent_body_wrench _read_limits
     _require_order _judge _endings _finish_episodes in_world_convention opengl_quat""".split()  # noqa: SIM905
 )
 HOST = {

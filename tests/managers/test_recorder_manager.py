@@ -225,7 +225,10 @@ def test_a_reset_of_what_has_made_no_step_is_no_episode(make):
     [
         (("k", torch.zeros(3, 1)), "a tensor of shape (3, 1)"),
         (("k", 1.0), "float 1.0"),
-        ((None, torch.zeros(4, 1)), "NoneType None"),
+        ((None, torch.zeros(4, 1)), "returns None and a tensor"),
+        (None, "returns None ("),
+        (torch.zeros(4, 1), "returns a tensor of shape (4, 1) ("),
+        (("k", torch.zeros(4).numpy()), "a numpy array of shape (4,)"),
         (("k", {"a": [1.0]}), "'k/a'"),
         (("episode/env", torch.zeros(4)), "the episodes themselves"),
         (("after", torch.zeros(4)), "is noted by"),

@@ -6,7 +6,7 @@
 | `manager_base`, `term` | binding, listing, printing and state of terms |
 | `environment` | what terms may ask of the environment |
 | `entity` | members of the scene, and named ranges, as terms take them |
-| `returned`, `finite`, `failures` | what terms return and raise, told by the key of the term |
+| `returned`, `finite` | what terms return, told by the key of the term |
 | `recorded_rows` | what recorders note, cut into episodes |
 | `streams` | random draws, a stream for each term |
 | `buffers`, `observation_term` | history of samples, and what becomes of one |

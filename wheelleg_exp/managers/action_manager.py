@@ -10,11 +10,11 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.buffers import made_delay
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.failures import code_place, require_form
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import row_form
+from wheelleg_exp.managers.returned import require_form, row_form
 from wheelleg_exp.managers.term import Term, TermBase
 from wheelleg_exp.sim.names import shared_errors
+from wheelleg_exp.terms.failures import code_place
 
 
 class ActionTerm(TermBase):

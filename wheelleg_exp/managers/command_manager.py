@@ -10,9 +10,8 @@ import torch
 from wheelleg_exp.constraints import PositiveInterval
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.failures import require_form
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import described, row_form
+from wheelleg_exp.managers.returned import described, require_form, row_form
 from wheelleg_exp.managers.term import TermBase
 from wheelleg_exp.sim.ids import ids_where
 

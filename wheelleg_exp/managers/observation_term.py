@@ -14,11 +14,11 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistoryPart, made_delay
 from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.failures import failure, require_form
-from wheelleg_exp.managers.returned import row_form
+from wheelleg_exp.managers.returned import require_form, row_form
 from wheelleg_exp.managers.term import Term, TermBase
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.state import Kept, made, stateful
+from wheelleg_exp.terms.failures import failure
 
 
 @dataclass

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.returned import described
+from wheelleg_exp.terms.failures import code_place, described
 
 _FIRST_ROOM = 64
 
@@ -68,19 +68,37 @@ class Rows:
         self._starts -= first
 
 
-def named(key: Any, value: Any, rows: int, source: str) -> Iterator[tuple[str, np.ndarray]]:
+def noted(returned: Any, rows: int, source: str, code: Any) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the arrays (rows, …) that a hook returned, by key; those of mappings within it by ``key/name``.
+
+    Args:
+        returned: a key and a tensor or a mapping; or None and None.
+        rows: how many rows there have to be.
+        source: the hook, in words.
+        code: the hook.
 
     Raises:
         ConfigError: it returned something else.
     """
-    if isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from named(f"{key}/{name}", item, rows, source)
+    found = described(returned)
+    if isinstance(returned, tuple) and len(returned) == 2:
+        arrays = {} if returned[1] is None else dict(_flat(*returned))
+        wrong = next((item for item in arrays.items() if not _is_noted(*item, rows)), None)
+        if wrong is None:
+            yield from ((key, value.detach().cpu().numpy()) for key, value in arrays.items())
+            return
+        found = " and ".join(map(described, wrong))
+    expected = f"a key, and a tensor of shape ({rows}, ...) or such tensors by name; or None, None"
+    raise ConfigError(f"{source} returns {found}", where=code_place(code), expected=expected)
+
+
+def _is_noted(key: Any, value: Any, rows: int) -> bool:
+    return isinstance(key, str) and isinstance(value, torch.Tensor) and value.shape[:1] == (rows,)
+
+
+def _flat(key: Any, value: Any) -> Iterator[tuple[str, Any]]:
+    if not isinstance(value, Mapping):
+        yield key, value
         return
-    if not isinstance(key, str) or not isinstance(value, torch.Tensor) or value.ndim < 1 or len(value) != rows:
-        raise ConfigError(
-            f"{source} returns {described(key)} and {described(value)}",
-            expected=f"a key, and a tensor of shape ({rows}, ...) or such tensors by name; or None, None",
-        )
-    yield key, value.detach().cpu().numpy()
+    for name, item in value.items():
+        yield from _flat(f"{key}/{name}", item)

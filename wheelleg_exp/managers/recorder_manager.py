@@ -11,7 +11,7 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.recorded_rows import Rows, named
+from wheelleg_exp.managers.recorded_rows import Rows, noted
 from wheelleg_exp.managers.term import Term, TermBase
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.terms.sections import Dataset
@@ -178,8 +178,7 @@ class RecorderManager(ManagerBase):
     def _noted(self, hook: str, rows: int, *args: torch.Tensor) -> Iterator[tuple[str, np.ndarray]]:
         for term, recorder in self._hooks[hook]:
             with term.blamed():
-                key, value = getattr(recorder, hook)(*args)
-                found = [] if value is None else list(named(key, value, rows, f"{hook} of '{term.target}'"))
+                found = list(noted(getattr(recorder, hook)(*args), rows, f"'{term.target}.{hook}'", recorder))
                 for name, _ in found:
                     self._require_own(name, term.path)
             yield from found

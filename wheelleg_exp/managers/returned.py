@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.terms.failures import code_place, described
 
 
 class Form(Protocol):
@@ -24,6 +25,25 @@ class Form(Protocol):
 
     def check(self, value: Any, source: str) -> None:
         """Raise ConfigError, without a key, unless ``value`` is what is needed; ``source`` names who returned it."""
+
+
+def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
+    """Hold what code returned against a form.
+
+    Args:
+        form: what is needed.
+        value: what was returned.
+        source: who returned it, in words.
+        path: its config key.
+        code: the function or object, whose definition is where the mistake is mended.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    try:
+        form.check(value, source)
+    except ConfigError as error:
+        raise ConfigError(error.message, key=path, where=code_place(code), expected=error.expected) from None
 
 
 @dataclass
@@ -152,14 +172,6 @@ def _no_tensor(value: Any) -> tuple[str, str]:
     if isinstance(value, (bool, int, float, np.generic)):
         return described(value), "torch.full((env.num_envs,), value)"
     return described(value), "torch.tensor(value)" if isinstance(value, list) else ""
-
-
-def described(value: Any) -> str:
-    """Return in words what a value is."""
-    if isinstance(value, (torch.Tensor, np.ndarray)):
-        return f"a tensor of shape {tuple(value.shape)}"
-    text = repr(value)
-    return f"{type(value).__name__} {text}" if len(text) <= 40 else f"a {type(value).__name__}"
 
 
 def _name(dtype: torch.dtype) -> str:

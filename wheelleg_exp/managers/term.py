@@ -14,8 +14,7 @@ import torch
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.failures import failure, placed, require_form
-from wheelleg_exp.managers.returned import Form
+from wheelleg_exp.managers.returned import Form, require_form
 from wheelleg_exp.managers.streams import lent
 from wheelleg_exp.state import Kept, Settings, Stateful, adopt, made
 from wheelleg_exp.terms.binding import (
@@ -31,6 +30,7 @@ from wheelleg_exp.terms.binding import (
     walk_nodes,
     written_for_isaac_lab,
 )
+from wheelleg_exp.terms.failures import failure, placed
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 from wheelleg_exp.user_code import ending_as, in_words
 

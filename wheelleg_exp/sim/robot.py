@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -19,8 +20,9 @@ from wheelleg_exp.sim.names import shared_errors
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.robot_parameters import RobotParameters
 from wheelleg_exp.state import cloned, made, same
+from wheelleg_exp.terms.failures import blamed
 
-_ACTUATORS = "env.robot.actuators"
+ACTUATORS_KEY = "env.robot.actuators"
 
 
 class Robot(RobotParameters):
@@ -46,10 +48,15 @@ class Robot(RobotParameters):
         self.layout = RobotLayout(options, spec, root_name, device)
         self.actuators = dict(actuators)
         for name, actuator in self.actuators.items():
-            actuator.resolve(self.joint_names, f"{_ACTUATORS}.{name}", device)
+            with self._blamed(name):
+                actuator.resolve(self.joint_names, f"{ACTUATORS_KEY}.{name}", device)
         self._require_disjoint()
-        for actuator in self.actuators.values():
-            actuator.add_to(spec)
+        for name, actuator in self.actuators.items():
+            with self._blamed(name):
+                actuator.add_to(spec)
+
+    def _blamed(self, group: str, *, has_worked: bool = False) -> AbstractContextManager[None]:
+        return blamed(f"{ACTUATORS_KEY}.{group}", self.actuators[group], has_worked=has_worked)
 
     @property
     def floating(self) -> bool:
@@ -79,9 +86,10 @@ class Robot(RobotParameters):
         shape = (n, len(self.joint_names))
         for name, actuator in self.actuators.items():
             layout.add_drive(actuator.joint_ids, actuator.velocity_limit, actuator.effort_limit)
-            key = f"{_ACTUATORS}.{name}"
-            actuator.start(shape, float(sim.model.opt.timestep), partial(stream, key))
-            made(actuator, key)
+            key = f"{ACTUATORS_KEY}.{name}"
+            with self._blamed(name):
+                actuator.start(shape, float(sim.model.opt.timestep), partial(stream, key))
+                made(actuator, key)
         self.body_ids = layout.body_ids
         self.targets = JointTargets(
             layout.default_joint_pos.expand(shape).clone(),
@@ -106,8 +114,9 @@ class Robot(RobotParameters):
 
     def _computed_torque(self, data: RobotData) -> torch.Tensor:
         torque, targets = torch.zeros_like(self.targets.pos), self._targets_of_joints()
-        for actuator in self.actuators.values():
-            torque[:, actuator.joint_ids] = actuator.torque_asked(targets, data)
+        for name, actuator in self.actuators.items():
+            with self._blamed(name, has_worked=True):
+                torque[:, actuator.joint_ids] = actuator.torque_asked(targets, data)
         return torque
 
     def _targets_of_joints(self) -> JointTargets:
@@ -147,10 +156,11 @@ class Robot(RobotParameters):
         data = self.data
         data.before_step()
         start, targets = 0, self._targets_of_joints()
-        for actuator in self.actuators.values():
+        for name, actuator in self.actuators.items():
             stop = start + len(actuator.joint_names)
             if self._has_new_targets or not actuator.follows_targets:
-                self._ctrl[:, start:stop] = actuator.act(targets, data)
+                with self._blamed(name, has_worked=True):
+                    self._ctrl[:, start:stop] = actuator.act(targets, data)
             start = stop
         self._has_new_targets = False
         if self._wrench_bodies:
@@ -171,8 +181,9 @@ class Robot(RobotParameters):
         if self._wrench_bodies:
             self._wrench.index_fill_(0, ids, 0.0)
         self.data.reset(ids)
-        for actuator in self.actuators.values():
-            actuator.begin(ids)
+        for name, actuator in self.actuators.items():
+            with self._blamed(name, has_worked=True):
+                actuator.begin(ids)
         self._mark_stale(ids)
 
     def mark_written(self, ids: torch.Tensor) -> None:

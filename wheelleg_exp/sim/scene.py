@@ -18,11 +18,12 @@ from wheelleg_exp.sim.actuators import ActuatorBase
 from wheelleg_exp.sim.batch import BatchEngine
 from wheelleg_exp.sim.engine import WRENCHES, Engine
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
-from wheelleg_exp.sim.robot import Robot
+from wheelleg_exp.sim.robot import ACTUATORS_KEY, Robot
 from wheelleg_exp.sim.robot_spec import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
-from wheelleg_exp.sim.sensors import ContactSensor, SensorBase
+from wheelleg_exp.sim.sensors import ContactSensor, SensorBase, require_base_called
 from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, is_ground
 from wheelleg_exp.state import Kept
+from wheelleg_exp.terms.failures import blamed
 
 _ROBOT_PRIORITY = 1
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
@@ -67,19 +68,23 @@ class Scene(Kept):
             turn_root_frame(spec, root_name, robot.root_frame)
         _set_options(spec, sim)
         set_self_collisions(spec, robot.self_collisions)
-        terrain.read_files(mjcf.parent)
-        terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
+        with blamed(TERRAIN_KEY, terrain):
+            terrain.read_files(mjcf.parent)
+            terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
+            terrain.lay(spec)
         self.env_origins = terrain.env_origins
-        terrain.add_to(spec)
         leave_group_to_ground(spec)
         self._effective_friction(spec, robot.friction_source)
         for name, actuator in actuators.items():
-            actuator.read_files(mjcf.parent, f"env.robot.actuators.{name}", self.device)
+            with blamed(f"{ACTUATORS_KEY}.{name}", actuator):
+                actuator.read_files(mjcf.parent, f"{ACTUATORS_KEY}.{name}", self.device)
         self.robot = Robot(robot, actuators, spec, root_name, self.device)
         self.sensors = dict(sensors)
         for name, sensor in self.sensors.items():
-            sensor.terrain = terrain
-            sensor.add_to(spec, name, self.robot)
+            sensor.name, sensor.terrain = name, terrain
+            with blamed(sensor.key, sensor):
+                sensor.add_to(spec, name, self.robot)
+            require_base_called(sensor, "body_names", "add_to(spec, name, robot)")
         self.spec = spec
         self._sim_options = sim
         self._stream = stream
@@ -92,7 +97,9 @@ class Scene(Kept):
         self._unstable: torch.Tensor | None = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         self.robot.connect(self.sim, self._stream)
         for sensor in self.sensors.values():
-            sensor.connect(self.sim, partial(self._stream, sensor.key))
+            with blamed(sensor.key, sensor):
+                sensor.connect(self.sim, partial(self._stream, sensor.key))
+            require_base_called(sensor, "_sim", "connect(sim, stream)")
         self._place_at_defaults()
 
     def __getitem__(self, name: str) -> Any:
@@ -187,7 +194,8 @@ class Scene(Kept):
         self._unstable = None
         self.robot.data.mark_stepped()
         for sensor in self.sensors.values():
-            sensor.update()
+            with blamed(sensor.key, sensor, has_worked=True):
+                sensor.update()
 
     def reset(self, ids: torch.Tensor) -> None:
         """Reset simulations, then assets, then sensors; the state itself is the reset events' job."""
@@ -195,7 +203,8 @@ class Scene(Kept):
         self._unstable = self.unstable().index_fill(0, ids, False)
         self.robot.reset(ids)
         for sensor in self.sensors.values():
-            sensor.reset(ids)
+            with blamed(sensor.key, sensor, has_worked=True):
+                sensor.reset(ids)
 
     def diagnostics(self, ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return what the log says of limits that MuJoCo or a sensor could not keep, over episodes that end now.
@@ -222,7 +231,8 @@ class Scene(Kept):
             self.sim.forward(ids)
             self.robot.data.outputs_refreshed()
             for sensor in self.sensors.values():
-                sensor.refresh(ids)
+                with blamed(sensor.key, sensor, has_worked=True):
+                    sensor.refresh(ids)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of physics, robot and sensors."""

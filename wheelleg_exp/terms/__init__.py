@@ -7,5 +7,6 @@
 | `sections` | the fixed keys of the environment; any section against its dataclass |
 | `values` | whether a value fits an annotation |
 | `term_errors` | all that is wrong with a term node and the nodes in it |
+| `failures` | what goes wrong in the code that a config names, with its key and line |
 | `keys` | keys of the tree as text |
 """

@@ -10,11 +10,13 @@ import mujoco
 import torch
 
 from wheelleg_exp.constraints import Above, MayBeInfinite, Names, Natural, NonNegative, Ordered
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.actuators.delay import TargetDelay
 from wheelleg_exp.sim.ids import narrowed
 from wheelleg_exp.sim.layout import JointTargets
 from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
 from wheelleg_exp.state import Stateful
+from wheelleg_exp.terms.failures import code_place, described, dotted_name
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.data import RobotData
@@ -158,11 +160,23 @@ class ActuatorBase(Stateful):
             targets: the targets of all joints.
             data: the robot's state from which the step will start.
         """
-        return self.control(targets if self.delay is None else self.delay.push(targets), data)
+        return self._of_joints(
+            self.control(targets if self.delay is None else self.delay.push(targets), data), "control"
+        )
 
     def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return ``computed_torque`` for the targets that were due in the last step."""
-        return self.computed_torque(targets if self.delay is None else self.delay.targets, data)
+        torque = self.computed_torque(targets if self.delay is None else self.delay.targets, data)
+        return self._of_joints(torque, "computed_torque")
+
+    def _of_joints(self, value: torch.Tensor, method: str) -> torch.Tensor:
+        """Return a value; ConfigError unless it is a row of the group's joints for each environment."""
+        shape = self.stiffness.shape
+        if getattr(value, "shape", None) != shape:
+            message = f"'{dotted_name(self)}.{method}' returns {described(value)}"
+            expected = f"a tensor of shape {tuple(shape)}, for each environment a number for each joint of the group"
+            raise ConfigError(message, where=code_place(getattr(self, method)), expected=expected)
+        return value
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return the MuJoCo controls (N, joints of the group), before each physics step.
@@ -171,11 +185,11 @@ class ActuatorBase(Stateful):
             targets: the targets of all joints.
             data: the robot's state from which the step will start.
         """
-        raise NotImplementedError
+        raise NotImplementedError("a model needs 'control(targets, data)'")
 
     def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return the unclipped torque (N, joints of the group) that acted at the start of the last step, N·m."""
-        raise NotImplementedError
+        raise NotImplementedError("a model needs 'computed_torque(targets, data)'")
 
     def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
         """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, for joints (N, J) of the robot."""

@@ -12,7 +12,7 @@
 | `GridPattern` ... | the patterns of the rays; `PatternBase` is their base class |
 """
 
-from wheelleg_exp.sim.sensors.base import SensorBase
+from wheelleg_exp.sim.sensors.base import SensorBase, require_base_called
 from wheelleg_exp.sim.sensors.camera import Camera
 from wheelleg_exp.sim.sensors.camera_data import CameraData
 from wheelleg_exp.sim.sensors.contact import ContactSensor
@@ -41,4 +41,5 @@ __all__ = [
     "RayCasterCamera",
     "RayCasterData",
     "SensorBase",
+    "require_base_called",
 ]

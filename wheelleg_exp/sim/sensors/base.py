@@ -9,9 +9,11 @@ import mujoco
 import torch
 
 from wheelleg_exp.constraints import NonNegative
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.state import Kept
+from wheelleg_exp.terms.failures import code_place, dotted_name
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -28,7 +30,7 @@ class SensorBase(Kept):
         update_period: time between two measurements, s; 0 measures after every physics step.
 
     Attributes:
-        name: the sensor's name in the scene, known from ``add_to`` on.
+        name: the sensor's name in the scene, known from before ``add_to`` on.
         terrain: the scene's ground, known from before ``add_to`` on.
         body_names: the bodies that it senses.
         data: what was measured, under Isaac Lab's names where it has a like sensor.
@@ -98,7 +100,7 @@ class SensorBase(Kept):
             due: the environments (N,) bool, None for all; what was measured of others stays.
             elapsed: time since the last measurement, s, (N,) or one for all.
         """
-        raise NotImplementedError
+        raise NotImplementedError("a sensor needs 'measure(due, elapsed)'")
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget what was measured of ``env_ids``; their new state is not there yet."""
@@ -127,3 +129,12 @@ class SensorBase(Kept):
         """Restore what ``state_dict`` returned."""
         if self.update_period > 0.0:
             self._elapsed.copy_(saved["elapsed"])
+
+
+def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
+    """Raise ConfigError when a sensor's own method has not called the base class's, which sets an attribute."""
+    if not hasattr(sensor, attribute):
+        method = call.partition("(")[0]
+        message = f"'{dotted_name(sensor)}.{method}' does not call the base class's"
+        place = code_place(getattr(sensor, method))
+        raise ConfigError(message, key=sensor.key, where=place, expected=f"super().{call} in it")

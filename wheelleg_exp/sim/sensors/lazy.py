@@ -11,6 +11,7 @@ from wheelleg_exp.constraints import NonNegative
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.sensors.base import SensorBase
+from wheelleg_exp.terms.failures import blamed
 
 
 class LazySensor(SensorBase):
@@ -29,7 +30,7 @@ class LazySensor(SensorBase):
 
     def sense(self, ids: torch.Tensor | slice) -> None:
         """Measure some environments: their ids, or a slice of all."""
-        raise NotImplementedError
+        raise NotImplementedError("a lazy sensor needs 'sense(ids)'")
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         """Attach to the running simulations; a subclass makes its ``_data``."""
@@ -41,7 +42,8 @@ class LazySensor(SensorBase):
     def data(self) -> Any:
         """What was measured; it is not to be written into."""
         if self._outdated is not None:
-            self.sense(self._outdated)
+            with blamed(self.key, self, has_worked=True):  # a term reads, and is not to blame
+                self.sense(self._outdated)
             self._outdated = None
         return self._data
 

@@ -12,7 +12,9 @@ from typing import Annotated, Any, Literal
 import torch
 
 from wheelleg_exp.constraints import AtMost, Broken, Count, Interval, Length, NotAllZero, Positive, relation
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Kept
+from wheelleg_exp.terms.failures import blamed, code_place, described, dotted_name
 
 Rays = tuple[torch.Tensor, torch.Tensor]
 _TURN = 2 * math.pi
@@ -23,7 +25,25 @@ class PatternBase(Kept):
 
     def rays(self, device: torch.device) -> Rays:
         """Return where the rays start, m, (R, 3), and their directions (R, 3), of any length but 0."""
-        raise NotImplementedError
+        raise NotImplementedError("a pattern needs 'rays(device)'")
+
+    def checked_rays(self, device: torch.device) -> Rays:
+        """Return the rays; ConfigError, with a key below the sensor's, unless they are what ``rays`` promises."""
+        with blamed("pattern", self):
+            given = self.rays(device)
+        if not isinstance(given, tuple) or len(given) != 2:
+            found = described(given)
+        elif not all(isinstance(part, torch.Tensor) for part in given):
+            found = " and ".join(map(described, given))
+        elif given[0].shape != given[1].shape or given[0].ndim != 2 or given[0].shape[1] != 3 or not len(given[0]):
+            found = f"shapes {tuple(given[0].shape)} and {tuple(given[1].shape)}"
+        elif not bool((given[1].isfinite() & given[0].isfinite()).all() and (given[1].norm(dim=1) > 0.0).all()):
+            found = "a direction of length 0, or numbers that are not finite"
+        else:
+            return given
+        expected = "a tuple of starts and directions, tensors of shape (R, 3) each, no direction of length 0"
+        message = f"'{dotted_name(self)}.rays' returns {found}"
+        raise ConfigError(message, key="pattern", where=code_place(self.rays), expected=expected)
 
 
 class GridPattern(PatternBase):

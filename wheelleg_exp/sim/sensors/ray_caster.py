@@ -94,7 +94,7 @@ class RayCaster(LazySensor):
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         """Attach to the running simulations; called once, after the scene has been compiled."""
         super().connect(sim, stream)
-        starts, directions = self._pattern.rays(sim.device)
+        starts, directions = self._pattern.checked_rays(sim.device)
         pos, quat = offset_pose(self._offset, sim.device)
         turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0]
         directions = torch.nn.functional.normalize(directions, dim=1) @ turn.T

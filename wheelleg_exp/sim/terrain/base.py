@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,8 +13,10 @@ import mujoco
 import torch
 
 from wheelleg_exp.constraints import NonNegative, Share
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.terrain.probe import Probe
 from wheelleg_exp.state import Kept
+from wheelleg_exp.terms.failures import code_place, described, dotted_name
 
 GROUND = "ground"
 TERRAIN_KEY = "env.scene.terrain"
@@ -66,8 +69,8 @@ class TerrainBase(Kept):
         return SimpleNamespace(terrain_type="generator", terrain_generator=tiles)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Add the ground's geoms, whose names begin with ``ground``, to the scene's spec."""
-        raise NotImplementedError
+        """Add the ground's geoms, named ``ground`` or ``ground/...``, to the scene's spec."""
+        raise NotImplementedError("a ground needs 'add_to(spec)'")
 
     def friction(self, source: str) -> float:
         """Return the ``static`` or the ``dynamic`` coefficient."""
@@ -101,6 +104,7 @@ class TerrainBase(Kept):
         self.terrain_types = torch.zeros(num_envs, dtype=torch.long, device=device)
         if self.terrain_origins is None:
             self.env_origins = self.origins(num_envs, spacing, device)
+            self._require_shape("origins", self.env_origins, (num_envs, 3))
             return
         rows, cols, _ = self.terrain_origins.shape
         self.max_terrain_level = rows
@@ -108,6 +112,31 @@ class TerrainBase(Kept):
         self.terrain_levels = torch.randint(highest + 1, (num_envs,), generator=stream(), device=device)
         self.terrain_types = torch.arange(num_envs, device=device) * cols // num_envs
         self.env_origins = self.terrain_origins[self.terrain_levels, self.terrain_types]
+
+    def _require_shape(self, method: str, value: torch.Tensor, shape: tuple[int, ...]) -> None:
+        if getattr(value, "shape", None) != shape:
+            message = f"'{dotted_name(self)}.{method}' returns {described(value)}"
+            where = code_place(getattr(self, method))
+            raise ConfigError(message, key=TERRAIN_KEY, where=where, expected=f"a tensor of shape {shape}")
+
+    def lay(self, spec: mujoco.MjSpec) -> None:
+        """Add the ground to the scene's spec: ``add_to``, held against what the scene needs of it.
+
+        Raises:
+            ConfigError: no geom is added, or one that is not named as the ground's; or heights have a wrong shape.
+        """
+        before = Counter(geom.name for geom in spec.geoms)
+        self.add_to(spec)
+        added = Counter(geom.name for geom in spec.geoms) - before
+        wrong = [name for name in added if not is_ground(name)]
+        if wrong or not added:
+            found = f"a geom named '{wrong[0]}'" if wrong else "no geom"
+            expected = f"geoms named '{GROUND}' or '{GROUND}/...', by which the scene knows the ground"
+            message = f"'{dotted_name(self)}.add_to' adds {found}"
+            raise ConfigError(message, key=TERRAIN_KEY, where=code_place(self.add_to), expected=expected)
+        if self.has_formula:
+            points = self.env_origins[:, None, :2]
+            self._require_shape("height_at", self.height_at(points), tuple(points.shape[:-1]))
 
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
         """Move environments to a harder or an easier tile of their column; nothing happens without tiles.

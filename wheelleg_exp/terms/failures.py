@@ -1,21 +1,49 @@
-"""What goes wrong in the code of terms, as one error with the term's key and the line of that code."""
+"""What goes wrong in code that a config names, as one error with its key and the line of that code."""
 
 from __future__ import annotations
 
 import copy
 import inspect
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError
-from wheelleg_exp.managers.returned import Form
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.user_code import in_words, is_interrupt
 
 
-def failure(error: BaseException, path: str, target: str, code: Any, *, has_worked: bool) -> BaseException:
+@contextmanager
+def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
+    """Tell what a part of the scene raises in the body as an error of its config key.
+
+    Args:
+        path: its config key.
+        part: the object.
+        has_worked: whether the scene has been built with it: then the run has failed, not its input.
+
+    Raises:
+        ConfigError: the part raises an error; SimulationFailure when it has worked.
+    """
+    try:
+        yield
+    except BaseException as error:
+        told = failure(error, path, dotted_name(part), part, has_worked=has_worked, what="code")
+        if told is error:
+            raise
+        raise told from error
+
+
+def dotted_name(part: Any) -> str:
+    """Return the dotted name of an object's class."""
+    return f"{type(part).__module__}.{type(part).__qualname__}"
+
+
+def failure(
+    error: BaseException, path: str, target: str, code: Any, *, has_worked: bool, what: str = "a term"
+) -> BaseException:
     """Return what a term's code raised as an error for people; a stop that somebody has asked for stays what it is.
 
     Args:
@@ -24,6 +52,7 @@ def failure(error: BaseException, path: str, target: str, code: Any, *, has_work
         target: dotted name of the function or class.
         code: the function or object.
         has_worked: whether it has been called before without an error: then the run has failed, not its input.
+        what: the code in words.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)
@@ -35,27 +64,8 @@ def failure(error: BaseException, path: str, target: str, code: Any, *, has_work
         f"'{target}' raises {in_words(error).splitlines()[0]}{ending}",
         key=path,
         where=_line_of(error, code) or code_place(code),
-        expected="a term that works (--debug shows the traceback)",
+        expected=f"{what} that works (--debug shows the traceback)",
     )
-
-
-def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
-    """Hold what code returned against a form.
-
-    Args:
-        form: what is needed.
-        value: what was returned.
-        source: who returned it, in words.
-        path: its config key.
-        code: the function or object, whose definition is where the mistake is mended.
-
-    Raises:
-        ConfigError: it is something else.
-    """
-    try:
-        form.check(value, source)
-    except ConfigError as error:
-        raise ConfigError(error.message, key=path, where=code_place(code), expected=error.expected) from None
 
 
 def placed(error: ConfigError, path: str) -> ConfigError:
@@ -88,3 +98,15 @@ def _line_of(error: BaseException, code: Any) -> str | None:
         return None
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     return show_file(Path(file), lines[-1]) if file and lines and lines[-1] else None
+
+
+def described(value: Any) -> str:
+    """Return in words what a value is; what has a shape is told by it, whoever made it."""
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple):
+        kind = "a numpy array" if type(value).__module__ == "numpy" else "a tensor"
+        return f"{kind} of shape {tuple(shape)}"
+    if value is None:
+        return "None"
+    text = repr(value)
+    return f"{type(value).__name__} {text}" if len(text) <= 40 else f"a {type(value).__name__}"
