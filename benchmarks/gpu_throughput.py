@@ -33,7 +33,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
 from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
 
 BLOCK = 20  # steps between the two
-WARM_UP = 30
+WARM_UP, WARM_UP_CAPTURED = 30, 400  # a number of environments that end together is captured when it comes up again
 
 
 def now(device: torch.device) -> float:
@@ -96,7 +96,7 @@ def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
     bare, todo = Bare(env), actions(env, WARM_UP)
     full_times, bare_times = [], []
     with torch.inference_mode():
-        for index in range(WARM_UP):
+        for index in range(WARM_UP_CAPTURED if env.scene.sim.is_captured else WARM_UP):
             env.step(todo[index % len(todo)])
         for _ in range(max(1, steps // BLOCK)):
             bare.take_states()
@@ -161,7 +161,7 @@ def train(overrides: list[str], num_envs: int, device: str, iterations: int) -> 
     trainer = Trainer(RslRlVecEnv(env, composed.config["agent"].get("clip_actions")), composed.config["agent"], 0)
     collected, learned = [], []
     for done in trainer.learn(until=iterations):
-        if done.index >= min(3, iterations - 1):
+        if done.index >= iterations // 2:
             collected.append(done.scalars["Perf/collection_time"])
             learned.append(done.scalars["Perf/learning_time"])
     rollout, update = (sorted(times)[len(times) // 2] for times in (collected, learned))

@@ -10,7 +10,7 @@ from torch.utils._pytree import tree_flatten
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured, CapturedStep, captured_look
+from wheelleg_exp.env.captured import Captured, CapturedReset, CapturedStep, captured_look
 
 WAITS = ("_local_scalar_dense", "nonzero")  # what a graph cannot hold: the host waits for a number
 
@@ -18,7 +18,7 @@ WAITS = ("_local_scalar_dense", "nonzero")  # what a graph cannot hold: the host
 class Tape(TorchDispatchMode):
     """Notes torch's operations with their memory, and does them again on the same memory."""
 
-    def __init__(self) -> None:
+    def __init__(self, streams=()) -> None:
         super().__init__()
         self.notes: list = []
         self.is_new = True
@@ -56,12 +56,17 @@ def parts(env: ManagerBasedRLEnv) -> list[Captured]:
     return [step.act, step.act_again, step.judge, env._captured_look]
 
 
+@pytest.fixture(autouse=True)
+def _taped(monkeypatch):
+    monkeypatch.setattr("wheelleg_exp.env.captured.CudaGraph", Tape)
+    monkeypatch.setattr("wheelleg_exp.managers.finite.is_finite", lambda total: True)  # on a CPU it asks for the number
+
+
 def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
     """Let an environment's step be taped as a GPU's would be captured."""
     env._captured = CapturedStep(env)
     env._captured_look = captured_look(env)
-    for part in parts(env):
-        part._recorder = Tape
+    env._captured_reset = CapturedReset(env)
     return env
 
 
@@ -78,11 +83,16 @@ def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_wei
         assert torch.equal(ours[0]["critic"], theirs[0]["critic"])
         assert torch.equal(ours[1], theirs[1])
         assert torch.equal(ours[2], theirs[2])
+        for key, value in plain.extras["log"].items():
+            assert float(taped.extras["log"][key]) == pytest.approx(float(value), rel=1e-6, abs=1e-9)
         assert torch.equal(taped.scene.sim.state, plain.scene.sim.state)
         assert taped.common_step_counter == plain.common_step_counter
         ended += int((theirs[2] | theirs[3]).sum())
     assert ended > 16
     assert all(1 <= len(part._variants) <= 6 for part in parts(taped))
+    resets = taped._captured_reset._parts.values()
+    assert sum(len(part._variants) for part in resets) >= 2
+    assert not any(part._fails for part in resets)
 
 
 class Counts:

@@ -7,6 +7,8 @@ capture, so it is found out and repeated: which attributes hold other tensors af
 from __future__ import annotations
 
 import functools
+import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import FunctionType, MethodType
@@ -20,10 +22,11 @@ _PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
-    """Cfg Captured CapturedStep TermState Graphs cfg options spec model asked extras common_step_counter _captured
-    _captured_look""".split()  # noqa: SIM905
+    """Cfg Captured CapturedStep CapturedReset TermState Graphs cfg options spec model asked extras common_step_counter
+    _captured _captured_look _captured_reset""".split()  # noqa: SIM905
 )
 _MOST_VARIANTS, _MOST_PLAIN = 8, 1000
+_MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
 
 
@@ -167,26 +170,35 @@ class Captured:
     Args:
         work: the part: whole tensors of fixed shapes, which reads and writes what the roots hold, and returns tensors.
         roots: the objects that hold what it reads and writes.
-        recorder: makes a recorder.
+        recorder: makes a recorder of work that draws from some random streams.
         forget: is called before every run; makes the roots forget what they have derived.
+        streams: returns all random streams.
+        like: another part, which has learned of the roots what this one need not learn again.
     """
 
     def __init__(
         self,
         work: Callable[[], Any],
         roots: Sequence[Any],
-        recorder: Callable[[], Recorder],
+        recorder: Callable[[Sequence[torch.Generator]], Recorder],
         forget: Callable[[], None],
+        streams: Callable[[], Sequence[torch.Generator]] = list,
+        like: Captured | None = None,
     ) -> None:
         self._work, self._roots, self._recorder, self._forget = work, roots, recorder, forget
-        self._plain: dict[tuple[int, Any], Slot] = {}
-        self._rebound: set[tuple[int, Any]] = set()
-        self._runs = 0
+        self._streams = streams
+        self._plain: dict[tuple[int, Any], Slot] = {} if like is None else dict(like._plain)
+        self._rebound: set[tuple[int, Any]] = set() if like is None else like._rebound
+        self._drawn: list[torch.Generator] = [] if like is None else like._drawn
+        self._runs: int = 0 if like is None else like._runs
         self._variants: dict[tuple[Any, ...], _Variant] = {}
+        self._fails = False
 
     def __call__(self) -> Any:
         """Run the part, or repeat it."""
         self._forget()
+        if self._fails:
+            return self._work()
         if self._runs < _WARM_UP:
             self._runs += 1
             return self._run_by_itself()
@@ -195,7 +207,11 @@ class Captured:
         if variant is None:
             if len(self._variants) >= _MOST_VARIANTS:
                 return self._work()
-            variant = self._variants[key] = self._record()  # which has begun with what is there
+            found = self._try_to_record()  # which has begun with what is there
+            if found is None:
+                self._forget()
+                return self._work()
+            variant = self._variants[key] = found
         elif unlike := self._enter(variant):  # others decide what is there when this begins: recordings depend on it
             self._plain |= {slot.name: slot for slot in unlike}
             self._variants.clear()
@@ -227,7 +243,10 @@ class Captured:
 
     def _run_by_itself(self) -> Any:
         before = [(slot, slot.get()) for slot in slots(self._roots)]
+        states = [(stream, stream.get_state()) for stream in self._streams()]
         found = self._work()
+        moved = [stream for stream, state in states if not torch.equal(stream.get_state(), state)]
+        self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
         for slot, value in before:
             now = slot.get()
             if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
@@ -240,7 +259,18 @@ class Captured:
                     self._plain[slot.name] = slot
         return found
 
-    def _record(self) -> _Variant:
+    def _try_to_record(self) -> _Variant | None:
+        """Record the work; None, and a warning once, where it cannot be, as where it waits for the device."""
+        for streams in (self._drawn, self._streams()):  # each that is told costs two launches at every replay
+            try:
+                return self._record(self._recorder(streams))
+            except RuntimeError as error:
+                reason = str(error).splitlines()[0]
+        self._fails = True
+        warnings.warn(f"a part of the step is launched kernel by kernel: {reason}", stacklevel=2)
+        return None
+
+    def _record(self, recorder: Recorder) -> _Variant:
         found = list(slots(self._roots))
         with torch.inference_mode(False), torch.no_grad():
             for slot in found:
@@ -250,8 +280,15 @@ class Captured:
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
         others = [(slot, slot.get()) for slot in found if type(slot.get()) in _PLAIN]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
-        recorder, outputs = self._recorder(), []
-        recorder.record(lambda: outputs.append(self._work_and_write_back(tensors)))
+        outputs: list[Any] = []
+        try:
+            recorder.record(lambda: outputs.append(self._work_and_write_back(tensors)))
+        except Exception:  # nothing was done, and so nothing shall have changed
+            for slot, whole in wholes:
+                slot.set(whole)
+            for slot, value in [*tensors, *others]:
+                slot.set(value)
+            raise
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
         empty = [slot for slot, value in others if value is None]
@@ -307,7 +344,7 @@ class CapturedStep:
         self._env = env
 
         def part(work: Callable[[], Any]) -> Captured:
-            return Captured(work, [env], lambda: CudaGraph(env.streams.all()), env.scene.robot.data.invalidate)
+            return Captured(work, [env], CudaGraph, env.scene.robot.data.invalidate, env.streams.all)
 
         self.act = part(lambda: env._act(env._action))
         self.act_again = part(env._act_again)
@@ -334,4 +371,60 @@ def captured_look(env: Any) -> Captured:
     """
     manager = env.observation_manager
     manager.in_masks = True
-    return Captured(manager.compute, [env], lambda: CudaGraph(env.streams.all()), env.scene.robot.data.invalidate)
+    return Captured(manager.compute, [env], CudaGraph, env.scene.robot.data.invalidate, env.streams.all)
+
+
+class CapturedReset:
+    """Resets of some environments as CUDA graphs: one for each number of them that comes up again and again.
+
+    Rows are chosen by indices whose number is a graph's own. Numbers that are rare are reset kernel by kernel.
+
+    Args:
+        env: the environment, whole but for this.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self._env = env
+        self._seen: Counter[int] = Counter()
+        self._parts: dict[int, Captured] = {}
+        self._ids: dict[int, torch.Tensor] = {}
+        self._names: list[str] = []
+        self._first: Captured | None = None
+        self._works = True
+
+    def __call__(self, env_ids: torch.Tensor) -> dict[str, Any]:
+        """Reset ``env_ids``, but for curricula and recorders; return what is logged."""
+        count = len(env_ids)
+        self._seen[count] += 1
+        known = count in self._parts
+        if not self._works or not (known or (self._seen[count] > 1 and len(self._parts) < _MOST_COUNTS)):
+            return self._env._reset_rows(env_ids, host=False)
+        part = self._parts.get(count) or self._part(count)
+        ids = self._ids[count]
+        ids.copy_(env_ids)
+        try:
+            values = part()
+        except TypeError:  # a term counts its resets
+            self._works = False
+            return self._env._reset_rows(env_ids, host=False)
+        self._works = not part._fails
+        self._env.scene.robot.mark_written(ids)
+        return dict(zip(self._names, values.clone().unbind(), strict=True))
+
+    def _part(self, count: int) -> Captured:
+        ids = self._ids[count] = torch.zeros(count, dtype=torch.long, device=self._env.device)
+        env = self._env
+        part = Captured(
+            lambda: self._reset(ids), [env], CudaGraph, env.scene.robot.data.invalidate, env.streams.all, self._first
+        )
+        self._first = self._first or part
+        self._parts[count] = part
+        return part
+
+    def _reset(self, ids: torch.Tensor) -> torch.Tensor:
+        """Return what is logged in one tensor, in the order of ``_names``."""
+        log = self._env._reset_rows(ids, host=False)
+        self._names = list(log)
+        if not all(isinstance(value, torch.Tensor) for value in log.values()):
+            raise RuntimeError("what is logged of a reset is no tensor")
+        return torch.stack([value.reshape(()).double() for value in log.values()])

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.env.captured import CapturedStep, captured_look
+from wheelleg_exp.env.captured import CapturedReset, CapturedStep, captured_look
 from wheelleg_exp.env.faces import Cfg, EnvFaces
 from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
@@ -27,8 +27,9 @@ from wheelleg_exp.managers.finite import failures, require_finite_observations
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.memory import require_memory
-from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.ids import ids_where, ids_where_also
 from wheelleg_exp.sim.options import SimOptions
+from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.sections import Dataset, Env, read_section, read_value
 
@@ -99,6 +100,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
         self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
         self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
+        self._captured_reset = CapturedReset(self) if self.scene.sim.is_captured else None
         self._term_state = TermState(self, self.managers, cfg)
 
     @property
@@ -137,10 +139,10 @@ class ManagerBasedRLEnv(EnvFaces):
         done, failed = self._simulate(action, waiting)
         if waiting is not None:
             failed &= ~waiting
-        ended = ids_where(done | failed)  # all before is whole tensors of fixed shape
+        ended, broken = ids_where_also(done | failed, failed)  # all before is whole tensors of fixed shape
         self.extras.pop("non_finite", None)
         if len(ended):
-            self._end_failed(ids_where(failed))
+            self._end_failed(broken)
         for observe in self.observers:
             observe()
         self.recorder_manager.record_post_step()
@@ -252,6 +254,22 @@ class ManagerBasedRLEnv(EnvFaces):
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
         """Reset ``env_ids``: the curriculum sees the terminal state, events set the new one, then the records."""
         self.curriculum_manager.compute(env_ids)
+        if self._captured_reset is None:
+            log = self._reset_rows(env_ids)
+        else:
+            log = self._captured_reset(env_ids)
+            for manager in (self.curriculum_manager, self.recorder_manager):
+                log.update(manager.reset(env_ids))
+        self.extras["log"] = log
+        self.extras["log_is_fresh"] = True
+
+    def _reset_rows(self, env_ids: torch.Tensor, host: bool = True) -> dict[str, Any]:
+        """Reset simulations and managers of ``env_ids``; return what is logged.
+
+        Args:
+            env_ids: environments, (n,).
+            host: whether those managers are among them whose work is the host's.
+        """
         log: dict[str, Any] = {**self.scene.diagnostics(env_ids)}
         self.scene.reset(env_ids)
         self.event_manager.apply("reset", env_ids, self.common_step_counter)
@@ -259,16 +277,15 @@ class ManagerBasedRLEnv(EnvFaces):
             self.observation_manager,
             self.action_manager,
             self.reward_manager,
-            self.curriculum_manager,
+            *((self.curriculum_manager,) if host else ()),
             self.command_manager,
             self.event_manager,
             self.termination_manager,
-            self.recorder_manager,
+            *((self.recorder_manager,) if host else ()),
         ):
             log.update(manager.reset(env_ids))
-        self.extras["log"] = log
-        self.extras["log_is_fresh"] = True
         self.episode_length_buf.index_fill_(0, env_ids, 0)
+        return log
 
     def apply_event(self, mode: str, env_ids: torch.Tensor | None = None) -> None:
         """Run the events of a mode of the caller's own, and make derived quantities fresh."""
@@ -320,6 +337,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self.streams.load_state_dict(saved["streams"])
         self._term_state.restore(saved.get("attributes", {}))
         self.recorder_manager.forget()
+        forget()
 
     def describe(self) -> str:
         """Return a table for each manager: its terms, shapes, weights."""

@@ -14,6 +14,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase, table
 from wheelleg_exp.managers.returned import described, require_form, row_form
 from wheelleg_exp.managers.term import TermBase
 from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.timers import may_be_due
 
 
 class CommandTerm(TermBase):
@@ -81,9 +82,10 @@ class CommandTerm(TermBase):
             self.metrics += errors * (dt / self._time_range[1])
         self.steps += 1
         self.time_left -= dt
-        expired = ids_where(self.time_left <= 0.0)
-        if len(expired):
-            self._resample(expired)
+        if may_be_due(self.time_left, self._time_range[0], dt):
+            expired = ids_where(self.time_left <= 0.0)
+            if len(expired):
+                self._resample(expired)
         self.post_process()
         return errors
 

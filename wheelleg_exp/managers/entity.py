@@ -69,9 +69,15 @@ class SceneEntityCfg:
             self.body_ids, self.body_names = torch.tensor(found[0], device=scene.device), found[1]
         self.joint_ids = _indices(self.joint_ids, len(getattr(entity, "joint_names", ())), scene.device)
         self.body_ids = _indices(self.body_ids, len(getattr(entity, "body_names", ())), scene.device)
+        self._bodies = _on_host(self.body_ids, len(getattr(entity, "body_names", ())))
         for name in ("fixed_tendon_names", "object_collection_names"):
             if getattr(self, name) is not None:
                 raise ConfigError(f"'{self.name}' has none of these here", key=f"{path}.{name}", expected="null")
+
+    def body_list(self, count: int) -> list[int]:
+        """Return the indices of the bodies, among ``count``; once resolved, no device is waited for."""
+        known = vars(self).get("_bodies")
+        return list(known) if known is not None else _on_host(self.body_ids, count)
 
     def selects_as(self, other: SceneEntityCfg) -> bool:
         """Return whether another entity names the same joints and bodies in the same order."""
@@ -96,6 +102,12 @@ def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice
     if isinstance(ids, (torch.Tensor, slice)):
         return ids
     return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)
+
+
+def _on_host(ids: Ids, count: int) -> list[int]:
+    if isinstance(ids, slice):
+        return list(range(count))[ids]
+    return ids.tolist() if isinstance(ids, torch.Tensor) else list(ids)
 
 
 def _listed(names: str | Sequence[str]) -> list[str]:

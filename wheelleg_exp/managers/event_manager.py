@@ -15,6 +15,7 @@ from wheelleg_exp.managers.manager_base import ManagerBase, table
 from wheelleg_exp.managers.returned import NoForm
 from wheelleg_exp.managers.term import Term, instantiate_term
 from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.timers import may_be_due
 from wheelleg_exp.terms.binding import EVENT_MODES
 
 
@@ -99,6 +100,8 @@ class EventManager(ManagerBase):
             time_left -= dt
             due = time_left < 1e-6
             self.fired[name] = due
+            if not may_be_due(time_left, float(term.fields["interval_range_s"][0]), dt):
+                continue
             ids = ids_where(due)
             if not len(ids):
                 continue

@@ -21,6 +21,18 @@ def ids_where(mask: torch.Tensor) -> torch.Tensor:
     return mask.nonzero().squeeze(1)
 
 
+def ids_where_also(mask: torch.Tensor, within: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the indices at which a mask (N,) holds, and those at which another does that holds nowhere else.
+
+    The host waits for a GPU once.
+    """
+    if not mask.is_cuda:
+        found = ids_where(mask)
+        return found, ids_where(within) if len(found) else found
+    outer, inner = (ids_where(rows) for rows in torch.stack((mask, within)).cpu())
+    return outer.to(mask.device, non_blocking=True), inner.to(mask.device, non_blocking=True)
+
+
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor of one) is finite.
 

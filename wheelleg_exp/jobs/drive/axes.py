@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.mdp.commands.ranges import RangedCommand
+from wheelleg_exp.sim.timers import forget
 
 
 @dataclass(frozen=True)
@@ -82,4 +83,6 @@ class Hold:
             term = self._env.command_manager.get_term(axis.term)
             term.ranges[axis.component] = [values[axis.name]] * 2  # type: ignore[attr-defined]
             term.time_left.zero_()
+        if changed:
+            forget()
         self._held = dict(values)

@@ -10,7 +10,6 @@ from wheelleg_exp.constraints import Interval, NonNegativeInterval, PositiveInte
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.ids import chosen
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -29,7 +28,7 @@ def set_permanent_body_wrench(
     """
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
-    bodies = chosen(asset_cfg.body_ids, robot.all_body_ids).tolist()
+    bodies = asset_cfg.body_list(len(robot.body_names))
     low, high = _wrench_bounds(*force_range, *torque_range, env.device)
     drawn = rotation.uniform(low, high, ids.shape[0] * len(bodies), generator)
     robot.set_permanent_wrench(ids, bodies, drawn.view(ids.shape[0], len(bodies), 6))
