@@ -7,10 +7,11 @@ capture, so it is found out and repeated: which attributes hold other tensors af
 from __future__ import annotations
 
 import functools
+import operator
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import FunctionType, MethodType
 from typing import Any, Protocol
 
@@ -22,8 +23,8 @@ _PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
-    """Cfg Captured CapturedStep CapturedReset TermState Graphs cfg options spec model asked extras common_step_counter
-    _captured _captured_look _captured_reset""".split()  # noqa: SIM905
+    """Cfg Captured CapturedStep CapturedReset Memory TermState Graphs cfg options spec model asked extras common_step_counter
+    _captured _captured_look _captured_reset _captured_memory""".split()  # noqa: SIM905
 )
 _MOST_VARIANTS, _MOST_PLAIN = 8, 1000
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
@@ -150,6 +151,19 @@ def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -
 
 
 @dataclass
+class Memory:
+    """What the parts of one step share, so that they need not copy from one to the other.
+
+    Attributes:
+        rebound: slots that some part lets hold another tensor.
+        statics: the memory of their own that these have, by slot.
+    """
+
+    rebound: set[tuple[int, Any]] = field(default_factory=set)
+    statics: dict[tuple[int, Any], torch.Tensor] = field(default_factory=dict)
+
+
+@dataclass
 class _Variant:
     """One recording, and what the host does beside it: tensors that slots must hold before, and all they hold after."""
 
@@ -159,6 +173,31 @@ class _Variant:
     after: list[tuple[Slot, Any]]
     contents: list[tuple[Slot, dict[Any, Any]]]
     outputs: Any
+
+
+@dataclass
+class _Entry:
+    """What there was when a recording was entered: as long as it is that, nothing else has to be looked at.
+
+    Attributes:
+        places: containers and the keys in them, of all that a recording depends on, and of the containers themselves.
+        values: what was there.
+        variant: the recording.
+        copies: what has to be brought into its memory.
+    """
+
+    places: list[tuple[Any, Any]]
+    values: list[Any]
+    variant: _Variant
+    copies: list[tuple[Slot, torch.Tensor, torch.Tensor]]
+
+    def holds(self) -> bool:
+        """Return whether the very same things are there."""
+        try:
+            now = [container[key] for container, key in self.places]
+        except LookupError:
+            return False
+        return all(map(operator.is_, now, self.values))
 
 
 class Captured:
@@ -174,6 +213,7 @@ class Captured:
         forget: is called before every run; makes the roots forget what they have derived.
         streams: returns all random streams.
         like: another part, which has learned of the roots what this one need not learn again.
+        memory: what it shares with other parts.
     """
 
     def __init__(
@@ -184,11 +224,13 @@ class Captured:
         forget: Callable[[], None],
         streams: Callable[[], Sequence[torch.Generator]] = list,
         like: Captured | None = None,
+        memory: Memory | None = None,
     ) -> None:
+        self._memory = memory or Memory()
+        self._entry: _Entry | None = None
         self._work, self._roots, self._recorder, self._forget = work, roots, recorder, forget
         self._streams = streams
         self._plain: dict[tuple[int, Any], Slot] = {} if like is None else dict(like._plain)
-        self._rebound: set[tuple[int, Any]] = set() if like is None else like._rebound
         self._drawn: list[torch.Generator] = [] if like is None else like._drawn
         self._runs: int = 0 if like is None else like._runs
         self._variants: dict[tuple[Any, ...], _Variant] = {}
@@ -202,6 +244,12 @@ class Captured:
         if self._runs < _WARM_UP:
             self._runs += 1
             return self._run_by_itself()
+        if self._entry is not None and self._entry.holds():
+            for slot, static, now in self._entry.copies:
+                static.copy_(now)
+                slot.set(static)
+            return self._replay(self._entry.variant)
+        self._entry = None
         key = tuple(_kind(slot.get()) for slot in self._plain.values())
         variant = self._variants.get(key)
         if variant is None:
@@ -216,6 +264,11 @@ class Captured:
             self._plain |= {slot.name: slot for slot in unlike}
             self._variants.clear()
             return self._work() if len(self._plain) > _MOST_PLAIN else self()
+        return self._replay(variant)
+
+    @staticmethod
+    def _replay(variant: _Variant) -> Any:
+        """Repeat a recording, and what the host does behind it."""
         variant.recorder.replay()
         for slot, content in variant.contents:
             whole = slot.get()
@@ -226,20 +279,36 @@ class Captured:
             slot.set(value)
         return variant.outputs
 
-    @staticmethod
-    def _enter(variant: _Variant) -> list[Slot]:
+    def _enter(self, variant: _Variant) -> list[Slot]:
         """Bring what slots hold into a recording's memory; return those that hold another kind of thing."""
+        places = self._places_of(variant)
+        values = [container[key] for container, key in places]
+        copies = []
         unlike = [slot for slot in variant.empty if slot.get() is not None]
         for slot, static in variant.before:
             now = slot.get()
             if now is static:
                 continue
             if isinstance(now, torch.Tensor) and _form(now) == _form(static):
+                copies.append((slot, static, now))
                 static.copy_(now)
                 slot.set(static)
             else:
                 unlike.append(slot)
+        self._entry = None if unlike or not places else _Entry(places, values, variant, copies)
         return unlike
+
+    def _places_of(self, variant: _Variant) -> list[tuple[Any, Any]]:
+        """Return where that is which a recording depends on; none when a part of it is not there."""
+        found: dict[tuple[int, Any], tuple[Any, Any]] = {}
+        for slot in (*self._plain.values(), *variant.empty, *(slot for slot, _ in variant.before)):
+            container: Any = vars(slot.holder)
+            for key in slot.way:
+                if _entry(container, key, slot) is slot:
+                    return []
+                found[id(container), key] = container, key
+                container = container[key]
+        return list(found.values())
 
     def _run_by_itself(self) -> Any:
         before = [(slot, slot.get()) for slot in slots(self._roots)]
@@ -251,7 +320,7 @@ class Captured:
             now = slot.get()
             if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
                 if now is not value and _form(now) == _form(value):
-                    self._rebound.add(slot.name)
+                    self._memory.rebound.add(slot.name)
             elif not isinstance(value, (dict, list)):
                 if type(value) in (int, float) and type(now) in (int, float) and now != value:
                     raise TypeError(f"{type(slot.holder).__name__}.{slot.way[0]} counts, which a recording cannot")
@@ -275,8 +344,15 @@ class Captured:
         with torch.inference_mode(False), torch.no_grad():
             for slot in found:
                 value = slot.get()
-                if slot.name in self._rebound and isinstance(value, torch.Tensor):
-                    slot.set(value.detach().clone())  # memory of its own, whoever has shared it
+                if slot.name in self._memory.rebound and isinstance(value, torch.Tensor):
+                    static = self._memory.statics.get(slot.name)
+                    if static is None or _form(static) != _form(value):
+                        static = self._memory.statics[slot.name] = (
+                            value.detach().clone()
+                        )  # its own, whoever has shared it
+                    elif static is not value:
+                        static.copy_(value)
+                    slot.set(static)
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
         others = [(slot, slot.get()) for slot in found if type(slot.get()) in _PLAIN]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
@@ -344,7 +420,8 @@ class CapturedStep:
         self._env = env
 
         def part(work: Callable[[], Any]) -> Captured:
-            return Captured(work, [env], CudaGraph, env.scene.robot.data.invalidate, env.streams.all)
+            invalidate = env.scene.robot.data.invalidate
+            return Captured(work, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
 
         self.act = part(lambda: env._act(env._action))
         self.act_again = part(env._act_again)
@@ -371,7 +448,8 @@ def captured_look(env: Any) -> Captured:
     """
     manager = env.observation_manager
     manager.in_masks = True
-    return Captured(manager.compute, [env], CudaGraph, env.scene.robot.data.invalidate, env.streams.all)
+    invalidate = env.scene.robot.data.invalidate
+    return Captured(manager.compute, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
 
 
 class CapturedReset:
@@ -415,7 +493,13 @@ class CapturedReset:
         ids = self._ids[count] = torch.zeros(count, dtype=torch.long, device=self._env.device)
         env = self._env
         part = Captured(
-            lambda: self._reset(ids), [env], CudaGraph, env.scene.robot.data.invalidate, env.streams.all, self._first
+            lambda: self._reset(ids),
+            [env],
+            CudaGraph,
+            env.scene.robot.data.invalidate,
+            env.streams.all,
+            self._first,
+            env._captured_memory,
         )
         self._first = self._first or part
         self._parts[count] = part

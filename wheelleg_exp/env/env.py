@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.env.captured import CapturedReset, CapturedStep, captured_look
+from wheelleg_exp.env.captured import CapturedReset, CapturedStep, Memory, captured_look
 from wheelleg_exp.env.faces import Cfg, EnvFaces
 from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
@@ -98,6 +98,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
+        self._captured_memory = Memory()
         self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
         self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
         self._captured_reset = CapturedReset(self) if self.scene.sim.is_captured else None
