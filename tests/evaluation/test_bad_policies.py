@@ -22,6 +22,30 @@ SMALL = {
         "protocol.walk.steady_s=2.0",
         "protocol.walk.lin_vel_x=[-0.3,0.0,0.3]",
     ),
+    "walk": (
+        "protocol.walk.episodes=1",
+        "protocol.walk.horizon_s=4.0",
+        "protocol.walk.steady_s=2.0",
+        "protocol.walk.lin_vel_x=[-0.3,0.0,0.3]",
+        "protocol.walk.ang_vel_z=[-0.5,0.0,0.5]",
+        "protocol.steps.episodes=1",
+        "protocol.steps.stand_s=1.0",
+        "protocol.steps.drive_s=2.0",
+    ),
+    "push": (
+        "protocol.push.episodes=1",
+        "protocol.push.iterations=2",
+        "protocol.push.highest=0.4",
+        "protocol.push.directions=2",
+        "protocol.push.at_s=1.1",
+        "protocol.push.after_s=2.0",
+    ),
+    "robust": (
+        "protocol.robust.episodes=1",
+        "protocol.robust.horizon_s=2.0",
+        "protocol.robust.friction=[0.6]",
+        *(f"protocol.robust.{sweep}=[]" for sweep in ("mass", "com", "delay_s", "noise", "gains")),
+    ),
     "terrain": (
         "protocol.strip=null",
         "protocol.terrain.episodes=2",
@@ -89,3 +113,75 @@ def test_bad_policies_are_worse_in_what_they_are_bad_at(found):
         assert bad.value("walk/skill_vx") < 0.1
     assert found("noise", "gate_walk").value("walk/survival") == 0.0
     assert found("wrong sign", "gate_walk").value("walk/gain_vx") < -0.5
+
+
+FALLS = ["zeros", "noise"]
+SHARES = [f"steps/{name}_share_{axis}" for name in ("settle", "reversal", "stop") for axis in ("vx", "wz")]
+
+
+def told(evaluation: Evaluation, *starts: str) -> dict[str, float]:
+    """Return the metrics whose names begin so, that are numbers."""
+    found = {name: value for name, value in values(evaluation).items() if name.startswith(starts)}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+@pytest.mark.parametrize("policy", FALLS)
+def test_who_falls_at_once_has_no_success_anywhere(found, policy):
+    """Falls within two seconds: what a metric counts as success is 0, what it measures of the living is not told."""
+    stood = found(policy, "gate_stand")
+    assert stood.value("stand/survival") == 0.0
+    assert stood.value("stand/time_to_failure") < 2.0
+    walked = found(policy, "walk")
+    nothing = ("walk/survival", "walk/commandable_area", "walk/in_band", "walk/sign_", "steps/survival")
+    assert set(told(walked, *nothing).values()) == {0.0}
+    assert {walked.value(name) for name in SHARES} == {0.0}
+    assert told(walked, "steps/settle_v", "steps/overshoot", "steps/stop_distance", "walk/error_vx") == {
+        "walk/error_vx_with_falls": walked.value("walk/error_vx_with_falls")
+    }
+    assert max(walked.value("walk/skill_vx"), walked.value("walk/skill_wz")) < 0.0
+    pushed = found(policy, "push")
+    limits = told(pushed, "push/limit_", "push/recovered")
+    assert len(limits) == 11
+    assert set(limits.values()) == {0.0}
+    assert set(told(found(policy, "robust"), "robust/").items()) >= {
+        ("robust/survival", 0.0),
+        ("robust/worst_survival", 0.0),
+        ("robust/nominal/survival", 0.0),
+    }
+    ground = told(found(policy, "terrain"), "terrain/success", "terrain/worst_success", "terrain/levels_passed")
+    assert set(ground.values()) == {0.0}
+
+
+def test_who_never_moves_has_what_standing_still_deserves(found):
+    """Over vx of -0.3, 0, 0.3 and wz of -0.5, 0, 0.5: one cell of nine asks for nothing; the error is the command."""
+    walked = found("never moves", "walk")
+    assert walked.value("walk/survival") == 1.0
+    assert walked.value("walk/commandable_area") == pytest.approx(1 / 9)
+    for axis, command in (("vx", 0.3), ("wz", 0.5)):
+        assert walked.value(f"walk/gain_{axis}") == pytest.approx(0.0, abs=0.05)
+        assert walked.value(f"walk/skill_{axis}") == pytest.approx(0.0, abs=0.05)
+        assert walked.value(f"walk/error_{axis}") == pytest.approx((6 / 8) ** 0.5 * command, rel=0.1)
+    assert {walked.value(name) for name in SHARES} == {0.0}
+    assert told(walked, "steps/stop_", "steps/settle_v", "steps/reversal_v").keys() <= set(SHARES)
+    assert found("never moves", "push").value("push/limit_0s") > 0.1  # it stands, and well
+
+
+def test_who_goes_the_wrong_way_is_worse_than_who_stands(found):
+    walked = found("wrong sign", "walk")
+    for axis in ("vx", "wz"):
+        assert walked.value(f"walk/gain_{axis}") == pytest.approx(-1.0, abs=0.1)
+        assert walked.value(f"walk/sign_{axis}") == 0.0
+        assert walked.value(f"walk/skill_{axis}") < 0.0
+        still = found("never moves", "walk").value(f"walk/error_{axis}")
+        assert walked.value(f"walk/error_{axis}") > 1.8 * still
+    assert walked.value("walk/commandable_area") <= 1 / 9
+    assert {walked.value(name) for name in SHARES} == {0.0}
+
+
+def test_who_is_good_has_what_the_bad_ones_have_not(found):
+    """So that the metrics above are not 0 for everyone."""
+    walked = found("good", "walk")
+    assert walked.value("walk/commandable_area") > 0.5
+    assert walked.value("walk/skill_vx") > 0.8
+    assert walked.value("steps/stop_share_vx") > 0.0
+    assert walked.value("steps/stop_distance_vx") > 0.01

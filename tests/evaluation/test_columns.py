@@ -195,6 +195,7 @@ def test_where_nothing_is_asked_the_band_is_that_of_the_least_command():
 
 
 STEPS = Steps(episodes=1, stand_s=2.0, drive_s=4.0, lin_vel_x=[0.3], ang_vel_z=[], band=0.1)
+FORWARDS = torch.tensor([[0.3, 0.0, 0.0]])
 
 
 def steps_of_a_first_order_lag(tau: float):
@@ -211,7 +212,7 @@ def steps_of_a_first_order_lag(tau: float):
 
 
 def test_a_first_order_lag_settles_after_its_logarithms():
-    columns = stepping.responses(steps_of_a_first_order_lag(0.4), STEPS)
+    columns = stepping.responses(steps_of_a_first_order_lag(0.4), STEPS, FORWARDS)
     assert one(columns, "settle_s_vx") == pytest.approx(0.4 * math.log(10), abs=2 * DT)
     assert one(columns, "reversal_s_vx") == pytest.approx(0.4 * math.log(20), abs=2 * DT)
     assert one(columns, "stop_s_vx") == pytest.approx(0.4 * math.log(10), abs=2 * DT)
@@ -221,7 +222,7 @@ def test_a_first_order_lag_settles_after_its_logarithms():
 
 
 def test_who_never_reaches_the_band_has_not_settled():
-    columns = stepping.responses(steps_of_a_first_order_lag(3.0), STEPS)
+    columns = stepping.responses(steps_of_a_first_order_lag(3.0), STEPS, FORWARDS)
     assert math.isnan(one(columns, "settle_s_vx"))
     assert (one(columns, "settle_did_vx"), one(columns, "stop_did_vx")) == (0.0, 0.0)
 

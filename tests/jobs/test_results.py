@@ -15,10 +15,13 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.jobs.results import again as again_of
 from wheelleg_exp.jobs.results.page import page
-from wheelleg_exp.jobs.results.record import read_manifests, recipe
+from wheelleg_exp.jobs.results.record import read_manifests, read_record, recipe, require_own_page
+from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.verify import FactDifference
 
 pytestmark = pytest.mark.train
+
+FOLDER = configs_dir().parent / "docs" / "results"
 
 SHORT = ("protocol.stand.episodes=3", "protocol.stand.horizon_s=1.1", "protocol.stand.survival_s=[0.5]")
 
@@ -188,3 +191,9 @@ def test_the_verdict_says_where_equal_bits_are_promised():
     other = again_of.Again(["a is 1, and was 2"], [cpu], True).verdict
     assert "it was made with other source files; where hardware were otherwise (cpu was AMD, is Intel)" in other
     assert "on the same kind of machine" in other
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
+def test_every_page_of_the_docs_says_what_its_record_says(path):
+    record = read_record(path)
+    require_own_page(record, read_manifests(record, FOLDER), FOLDER)

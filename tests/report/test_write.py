@@ -7,6 +7,7 @@ import pytest
 from report.runs import make_run
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import sha256
+from wheelleg_exp.report import compile as compile_of
 from wheelleg_exp.report import make_report
 
 
@@ -60,6 +61,16 @@ def test_another_file_is_not_overwritten(root, tmp_path, content):
     with pytest.raises(RunDirectoryError, match="not overwritten"):
         make_report(run.path, root, taken, pictures=False)
     assert taken.read_text() == content
+
+
+def test_a_place_where_nothing_can_be_written_is_told_before_the_work_begins(root, tmp_path, monkeypatch):
+    run = make_run(root)
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(compile_of, "compile_page", lambda *_: pytest.fail("compiled"))
+    with pytest.raises(RunDirectoryError, match=r"cannot write .*report\.html"):
+        make_report(run.path, root, tmp_path / "file" / "below" / "report.html", pictures=False)
+    monkeypatch.undo()
+    assert list(tmp_path.glob("**/*.tmp")) == []
 
 
 def test_a_file_of_the_run_is_not_overwritten(root):

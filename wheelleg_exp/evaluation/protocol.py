@@ -222,7 +222,8 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
         columns |= walking.tracking(made, settle, options.walk)
         columns |= walking.within_band(made, columns, options.walk)
     if test == "steps" and options.steps is not None:
-        columns |= stepping.responses(made, options.steps)
+        told = rollout.scenarios.commands()[:, 1].to(made.command.device)
+        columns |= stepping.responses(made, options.steps, told)
     if test == "terrain" and options.terrain is not None:
         columns |= walking.errors(made, settle) | on_terrain.ways(made, rollout, options.terrain)
     if test == "strip" and options.strip is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +63,7 @@ def place(subject: Subject, output: Path | None) -> Path:
     """Return where the report goes.
 
     Raises:
-        RunDirectoryError: there is something else than a report of this run.
+        RunDirectoryError: there is something else than a report of this run, or nothing can be written there.
     """
     path = subject.path / NAME if output is None else output
     if path.is_dir():
@@ -72,7 +73,9 @@ def place(subject: Subject, output: Path | None) -> Path:
             f"'{path}' exists and is not a report of this run, so it is not overwritten",
             expected="-o with another name",
         )
-    return path
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    with for_people(path), tempfile.TemporaryFile(dir=folder):  # known before the work begins, and leaving nothing
+        return path
 
 
 def write(subject: Subject, path: Path, html: str, command: Sequence[str]) -> Written:

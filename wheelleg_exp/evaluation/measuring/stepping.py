@@ -9,7 +9,7 @@ from wheelleg_exp.evaluation.options import Steps
 from wheelleg_exp.evaluation.over_time import Trajectories, at, largest, last_exit
 
 
-def responses(made: Trajectories, options: Steps) -> Columns:
+def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Columns:
     """Return how the three steps were answered; (N,) each, NaN for what a fall or a velocity outside its band hides.
 
     * ``settle_s``: after the step 0 → c, until the velocity is last outside the band around c;
@@ -18,13 +18,13 @@ def responses(made: Trajectories, options: Steps) -> Columns:
     * ``stop_s``: after the step -c → 0, until the speed is last above the band;
     * ``stop_distance``: how far the robot goes on after that, along where it was heading, m, or turns, rad.
 
+    ``asked`` is c of each episode, (N, 3). Of stops there are those alone of robots that were driving as told.
+
     ``<answer>_did`` is 1 where there was such a time, else 0. The turning episodes have their columns with ``_wz``,
     the driving ones with ``_vx``.
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
-    probe = min(round((begin + drive / 2) / dt), made.steps - 1)
-    asked = made.command[probe]
     lived = ~made.fell
     columns: Columns = {}
     for name, velocity, column in (("vx", made.vel[..., 0], 0), ("wz", made.ang[..., 2], 2)):
@@ -38,11 +38,13 @@ def responses(made: Trajectories, options: Steps) -> Columns:
         columns[f"settle_s_{name}"] = kept(last_exit((share - 1.0).abs() > options.band, windows[0], dt))
         columns[f"overshoot_{name}"] = kept(largest(share - 1.0, windows[0]).clamp(min=0.0))
         columns[f"reversal_s_{name}"] = kept(last_exit((share + 1.0).abs() > options.band, windows[1], dt))
-        columns[f"stop_s_{name}"] = kept(last_exit(share.abs() > options.band, windows[2], dt))
+        drove = at(share, windows[2]) < -options.band  # who never moved, or moved another way, has nothing to stop
+        columns[f"stop_s_{name}"] = kept(last_exit(share.abs() > options.band, windows[2], dt), mine & drove)
         for answer in ("settle", "reversal", "stop"):  # whether it did at all
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
-        columns[f"stop_distance_{name}"] = kept(largest(_beyond(made, name, windows[2], command), windows[2]))
+        beyond = largest(_beyond(made, name, windows[2], command), windows[2])
+        columns[f"stop_distance_{name}"] = kept(beyond, mine & drove)
     return columns
 
 

@@ -64,8 +64,11 @@ def again(
     Raises:
         SimulationFailure: a training ended with an error.
     """
-    for line in _told(_machine(manifests[:1], [{"versions": versions(), "hardware": hardware()}], early=True)):
-        say(f"differs: {line}: equal bits are promised on the same kind of machine alone")
+    differs = _told(_machine(manifests[:1], [{"versions": versions(), "hardware": hardware()}], early=True))
+    for line in differs:
+        say(f"differs: {line}")
+    if differs:
+        say("equal bits are promised on the same kind of machine alone: other numbers say nothing against the page")
     trained: dict[str, RunDirectory] = {}
     runs: list[Evaluated] = []
     for number, kept in enumerate(record["runs"], start=1):
