@@ -26,7 +26,10 @@ def updated(trainer, update) -> tuple[list[dict], list[float]]:
 
 @pytest.mark.parametrize(
     "changes",
-    [(), ("agent.algorithm.normalize_advantage_per_mini_batch=true", "agent.algorithm.use_clipped_value_loss=false")],
+    [
+        ("agent.actor.obs_normalization=true",),
+        ("agent.algorithm.normalize_advantage_per_mini_batch=true", "agent.algorithm.use_clipped_value_loss=false"),
+    ],
 )
 def test_an_update_is_that_of_rsl_rl(make_trainer, changes):
     words = (*changes, f"agent.device={DEVICE}", "agent.algorithm.desired_kl=0.002")
@@ -46,6 +49,22 @@ def test_an_update_is_that_of_rsl_rl(make_trainer, changes):
             torch.testing.assert_close(value, others.state_dict()[name], atol=near, rtol=near)
     assert ours.algorithm.optimizer.param_groups[0]["lr"] == ours.algorithm.learning_rate
     assert ours.algorithm.optimizer.param_groups[0]["fused"] is theirs.algorithm.optimizer.param_groups[0]["fused"]
+
+
+def test_acting_as_a_graph_is_acting(make_trainer):
+    if DEVICE == "cpu":
+        pytest.skip("CUDA graphs need a GPU")
+    ours, theirs = (make_trainer(f"agent.device={DEVICE}", f"agent.graph_update={on}") for on in ("true", "false"))
+    for trainer in (ours, theirs):
+        torch.manual_seed(5)
+        for _ in range(3):
+            trainer._collect()
+            found = trainer.algorithm.storage.actions.clone(), trainer.algorithm.storage.actions_log_prob.clone()
+            trainer.algorithm.storage.clear()
+        trainer.found = found
+    assert ours._acts._graph is not None
+    for mine, others in zip(ours.found, theirs.found, strict=True):
+        torch.testing.assert_close(mine, others, atol=1e-3, rtol=1e-3)
 
 
 def test_a_loaded_state_goes_on(make_trainer):

@@ -23,8 +23,8 @@ _PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
-    """Cfg Captured CapturedStep CapturedReset Memory TermState Graphs cfg options spec model asked extras common_step_counter
-    _captured _captured_look _captured_reset _captured_memory""".split()  # noqa: SIM905
+    """Cfg Captured CapturedStep CapturedReset Memory TermState Graphs cfg options spec model asked extras
+    common_step_counter _captured _captured_look _captured_reset _captured_memory""".split()  # noqa: SIM905
 )
 _MOST_VARIANTS, _MOST_PLAIN = 8, 1000
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own

@@ -68,8 +68,8 @@ class GraphedUpdate:
         kept = self._lend_the_optimizer()
         self._minibatches(order)
         observations = storage.observations.flatten(0, 1)
-        algorithm.actor.update_normalization(observations)
-        algorithm.critic.update_normalization(observations)
+        for network in (algorithm.actor, algorithm.critic):
+            _normalize(network, observations)
         rate, *sums = torch.cat([self._rate.view(1), self._sums]).tolist()
         self._take_back(kept, rate)
         storage.clear()
@@ -110,7 +110,8 @@ class GraphedUpdate:
         """Return where that lies which is replaced when a state is loaded."""
         algorithm, storage = self._algorithm, self._algorithm.storage
         states = [v for state in algorithm.optimizer.state.values() for v in state.values()]
-        parameters = [p for network in (algorithm.actor, algorithm.critic) for p in network.parameters()]
+        networks = (algorithm.actor, algorithm.critic)
+        parameters = [v for network in networks for v in (*network.parameters(), *network.buffers())]
         beside = [storage.returns, storage.values, *(storage.distribution_params or ())]
         return tuple(v.data_ptr() for v in (*states, *parameters, *beside) if isinstance(v, torch.Tensor))
 
@@ -182,3 +183,15 @@ class GraphedUpdate:
         clip = self._algorithm.clip_param
         clipped = old + (values - old).clamp(-clip, clip)
         return torch.max(error, (clipped - returns).pow(2)).mean()
+
+
+def _normalize(network: Any, observations: Any) -> None:
+    """Let a network learn means and deviations of observations, in the memory that it has had them in."""
+    before = dict(network.named_buffers())
+    network.update_normalization(observations)
+    for name, static in before.items():
+        now = network.get_buffer(name)
+        if now is not static:
+            static.copy_(now)
+            holder, _, last = name.rpartition(".")
+            setattr(network.get_submodule(holder), last, static)

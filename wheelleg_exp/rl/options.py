@@ -49,7 +49,7 @@ class Learning:
         matmul: in what the networks' products are taken in the update: `float32`, `bfloat16` (on CPUs; weights and sums
             stay float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 where the CPU has units for it,
             tf32 on a GPU. Acting is float32 in any case.
-        graph_update: on a GPU, whether PPO's update is CUDA graphs with the learning rate kept on the GPU; what
+        graph_update: on a GPU, whether PPO's acting and update are CUDA graphs, the learning rate kept on the GPU; what
             rsl_rl's PPO has beside it (RND, symmetry, recurrent networks, several GPUs) is updated by rsl_rl itself.
     """
 
