@@ -10,7 +10,8 @@ from torch.utils._pytree import tree_flatten
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured, CapturedReset, CapturedStep, captured_look
+from wheelleg_exp.env.captured import Captured
+from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
 
 WAITS = ("_local_scalar_dense", "nonzero")  # what a graph cannot hold: the host waits for a number
 
@@ -53,12 +54,14 @@ def stand() -> ManagerBasedRLEnv:
 
 def parts(env: ManagerBasedRLEnv) -> list[Captured]:
     step = env._captured
-    return [step.act, step.act_again, step.judge, env._captured_look]
+    return [step.act, step.act_again, step.judge, env._captured_look, env._captured_commands]
 
 
 @pytest.fixture(autouse=True)
 def _taped(monkeypatch):
-    monkeypatch.setattr("wheelleg_exp.env.captured.CudaGraph", Tape)
+    monkeypatch.setattr("wheelleg_exp.env.captured_step.CudaGraph", Tape)
+    soon = lambda timers, least, dt: bool((timers <= dt).any())  # noqa: E731  # what is known of a GPU beforehand
+    monkeypatch.setattr("wheelleg_exp.managers.command_manager.may_be_due", soon)
     monkeypatch.setattr("wheelleg_exp.managers.finite.is_finite", lambda total: True)  # on a CPU it asks for the number
 
 
@@ -67,6 +70,7 @@ def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
     env._captured = CapturedStep(env)
     env._captured_look = captured_look(env)
     env._captured_reset = CapturedReset(env)
+    env._captured_commands = captured_commands(env)
     return env
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import operator
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from types import FunctionType, MethodType
@@ -24,10 +23,9 @@ _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
     """Cfg Captured CapturedStep CapturedReset Memory TermState Graphs cfg options spec model asked extras
-    common_step_counter _captured _captured_look _captured_reset _captured_memory""".split()  # noqa: SIM905
+    common_step_counter _captured _captured_look _captured_reset _captured_commands _captured_memory""".split()  # noqa: SIM905
 )
 _MOST_VARIANTS, _MOST_PLAIN = 8, 1000
-_MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
 
 
@@ -405,110 +403,3 @@ def _form(value: torch.Tensor) -> tuple[Any, ...]:
 
 def _differs(now: Any, was: dict[Any, Any]) -> bool:
     return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
-
-
-class CapturedStep:
-    """The part of an environment's step from its actions to its rewards: CUDA graphs around the engine's own.
-
-    The engine's graphs end early where all simulations have converged, which a capture of torch's cannot hold.
-
-    Args:
-        env: the environment, whole but for this.
-    """
-
-    def __init__(self, env: Any) -> None:
-        self._env = env
-
-        def part(work: Callable[[], Any]) -> Captured:
-            invalidate = env.scene.robot.data.invalidate
-            return Captured(work, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
-
-        self.act = part(lambda: env._act(env._action))
-        self.act_again = part(env._act_again)
-        self.judge = part(lambda: env._judge(None))
-
-    def __call__(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return which environments are done and which have failed, (N,) bool."""
-        env = self._env
-        env.reward_manager.take_present_weights()
-        self.act()
-        for substep in range(env.decimation):
-            if substep:
-                self.act_again()
-            env.scene.sim.step()
-        done, failed = self.judge()
-        return done, failed
-
-
-def captured_look(env: Any) -> Captured:
-    """Return the observations of an environment, as CUDA graphs.
-
-    Args:
-        env: the environment, whole but for this.
-    """
-    manager = env.observation_manager
-    manager.in_masks = True
-    invalidate = env.scene.robot.data.invalidate
-    return Captured(manager.compute, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
-
-
-class CapturedReset:
-    """Resets of some environments as CUDA graphs: one for each number of them that comes up again and again.
-
-    Rows are chosen by indices whose number is a graph's own. Numbers that are rare are reset kernel by kernel.
-
-    Args:
-        env: the environment, whole but for this.
-    """
-
-    def __init__(self, env: Any) -> None:
-        self._env = env
-        self._seen: Counter[int] = Counter()
-        self._parts: dict[int, Captured] = {}
-        self._ids: dict[int, torch.Tensor] = {}
-        self._names: list[str] = []
-        self._first: Captured | None = None
-        self._works = True
-
-    def __call__(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Reset ``env_ids``, but for curricula and recorders; return what is logged."""
-        count = len(env_ids)
-        self._seen[count] += 1
-        known = count in self._parts
-        if not self._works or not (known or (self._seen[count] > 1 and len(self._parts) < _MOST_COUNTS)):
-            return self._env._reset_rows(env_ids, host=False)
-        part = self._parts.get(count) or self._part(count)
-        ids = self._ids[count]
-        ids.copy_(env_ids)
-        try:
-            values = part()
-        except TypeError:  # a term counts its resets
-            self._works = False
-            return self._env._reset_rows(env_ids, host=False)
-        self._works = not part._fails
-        self._env.scene.robot.mark_written(ids)
-        return dict(zip(self._names, values.clone().unbind(), strict=True))
-
-    def _part(self, count: int) -> Captured:
-        ids = self._ids[count] = torch.zeros(count, dtype=torch.long, device=self._env.device)
-        env = self._env
-        part = Captured(
-            lambda: self._reset(ids),
-            [env],
-            CudaGraph,
-            env.scene.robot.data.invalidate,
-            env.streams.all,
-            self._first,
-            env._captured_memory,
-        )
-        self._first = self._first or part
-        self._parts[count] = part
-        return part
-
-    def _reset(self, ids: torch.Tensor) -> torch.Tensor:
-        """Return what is logged in one tensor, in the order of ``_names``."""
-        log = self._env._reset_rows(ids, host=False)
-        self._names = list(log)
-        if not all(isinstance(value, torch.Tensor) for value in log.values()):
-            raise RuntimeError("what is logged of a reset is no tensor")
-        return torch.stack([value.reshape(()).double() for value in log.values()])

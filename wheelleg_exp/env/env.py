@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 import torch
 
-from wheelleg_exp.env.captured import CapturedReset, CapturedStep, Memory, captured_look
+from wheelleg_exp.env.captured import Memory
+from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
 from wheelleg_exp.env.faces import Cfg, EnvFaces
 from wheelleg_exp.env.state_elsewhere import TermState
 from wheelleg_exp.managers import (
@@ -102,6 +103,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
         self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
         self._captured_reset = CapturedReset(self) if self.scene.sim.is_captured else None
+        self._captured_commands = captured_commands(self) if self.scene.sim.is_captured else None
         self._term_state = TermState(self, self.managers, cfg)
 
     @property
@@ -158,7 +160,7 @@ class ManagerBasedRLEnv(EnvFaces):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-        self.command_manager.compute(self.step_dt)
+        self._command()
         self.event_manager.apply_interval(self.step_dt)
         self.scene.show_written()
         observations = self._observe()
@@ -211,6 +213,15 @@ class ManagerBasedRLEnv(EnvFaces):
         done = self.termination_manager.compute(waiting)
         self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
         return done, self.scene.unstable() | self.reward_manager.failed
+
+    def _command(self) -> None:
+        """Advance the commands."""
+        if self._captured_commands is None:
+            self.command_manager.compute(self.step_dt)
+        elif self.command_manager.may_draw(self.step_dt):
+            self.command_manager.compute(self.step_dt, draws=True)
+        else:
+            self._captured_commands()
 
     def _observe(self) -> Observations:
         """Return the observations; those of a graph are copied out of its memory."""

@@ -31,6 +31,7 @@ class CommandTerm(TermBase):
     """
 
     logs_last_error: ClassVar[bool] = False
+    draws: bool | None = None  # whether somebody's time may be up in this step, where it is known beforehand
 
     def __init__(
         self,
@@ -82,12 +83,16 @@ class CommandTerm(TermBase):
             self.metrics += errors * (dt / self._time_range[1])
         self.steps += 1
         self.time_left -= dt
-        if may_be_due(self.time_left, self._time_range[0], dt):
+        if self.may_expire(dt) if self.draws is None else self.draws:
             expired = ids_where(self.time_left <= 0.0)
             if len(expired):
                 self._resample(expired)
         self.post_process()
         return errors
+
+    def may_expire(self, dt: float) -> bool:
+        """Return whether the time of a command may be up within ``dt`` seconds, without waiting for a GPU."""
+        return may_be_due(self.time_left, self._time_range[0], dt)
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the metrics' means over ``env_ids``, zero them, and draw anew."""
@@ -149,11 +154,24 @@ class CommandManager(ManagerBase):
         """Return the commands of one environment by term."""
         return [(name, term.command[env_idx].tolist()) for name, term in self._command_terms.items()]
 
-    def compute(self, dt: float) -> None:
-        """Advance every term by one control step."""
+    def may_draw(self, dt: float) -> bool:
+        """Return whether a command may be drawn in the coming step of ``dt`` seconds, without waiting for a GPU."""
+        return any([term.may_expire(dt) for term in self._command_terms.values()])  # each of them is asked
+
+    def compute(self, dt: float, draws: bool | None = None) -> None:
+        """Advance every term by one control step.
+
+        Args:
+            dt: control step, s.
+            draws: what ``may_draw`` has said of it; None: each term finds out.
+        """
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():
+                if draws is not None:
+                    term.draws = draws
                 self.step_errors[name] = term.compute(dt)
+                if draws is not None:
+                    del term.draws  # no state
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands and return the metrics of the episodes that ended."""

@@ -10,7 +10,7 @@ _SLACK = 1e-3  # s: of single precision
 
 
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
-    """Return whether one of some timers, which have just run down, may be up.
+    """Return whether one of some timers, which have just run down or are about to, may be up.
 
     On a CPU one always may: the timers are at hand. Who sets a timer to less than ``least`` calls ``forget``.
 
@@ -45,7 +45,7 @@ class _Bound:
         self._bound -= dt
         self._age += dt
         if self._come is not None and self._come.query() and self._told is not None:
-            self._bound = min(float(self._told), least) - self._age - _SLACK
+            self._bound = min(float(self._told), least) - self._age - dt - _SLACK
             self._come = None
         if self._steps % _EVERY == 0 and self._come is None:
             self._ask(timers)
