@@ -62,7 +62,7 @@ def prepare_threads() -> bool:
 def keep_kernels(recorded: Mapping[str, str]) -> None:
     """Let MKL go on with a run's code path where this program chose another, and this CPU has it.
 
-    It must be called before the first product. A path that the user asks for stays.
+    It must be called before MKL is first used, and importing tensordict uses it. A path that the user asks for stays.
 
     Args:
         recorded: the environment variables of the run.

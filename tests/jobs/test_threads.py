@@ -9,12 +9,14 @@ import sys
 
 import pytest
 import torch
+from patience import PATIENCE_S
 
 from wheelleg_exp import threads as cores
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs import threads
 from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.rl.one_thread import SPLIT_ABOVE, one_thread
+from wheelleg_exp.run.manifest import Manifest
 
 pytestmark = pytest.mark.slow
 
@@ -221,3 +223,22 @@ def test_a_run_goes_on_with_its_own_kernels_unless_the_user_asks_for_others(monk
     cores.prepare_threads()
     cores.keep_kernels({} if recorded is None else {"MKL_CBWR": recorded})
     assert os.environ["MKL_CBWR"] == found
+
+
+FIRST_USE = """
+import sys
+from wheelleg_exp import threads
+threads.keep_kernels = lambda recorded: print(recorded["MKL_CBWR"], "tensordict" in sys.modules)
+from wheelleg_exp.cli.main import main
+main(["resume", sys.argv[1]])
+"""
+
+
+def test_a_resume_asks_for_the_runs_kernels_before_anything_uses_them(tmp_path, monkeypatch):
+    run = tmp_path / "stand" / "2026-01-01_00-00-00_0"
+    run.mkdir(parents=True)
+    monkeypatch.setenv("MKL_CBWR", "AVX2,STRICT")
+    Manifest.begin(run, task="stand", seed=0, command=[], threads={})
+    command = [sys.executable, "-c", FIRST_USE, str(run)]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert said.stdout.splitlines()[:1] == ["AVX2,STRICT False"], said.stderr

@@ -13,6 +13,7 @@ from wheelleg_exp.torchrun import require_alone, world_size
 if TYPE_CHECKING:
     from wheelleg_exp.jobs.stop import StopRequest
     from wheelleg_exp.rl.ranks import Ranks
+    from wheelleg_exp.run.directory import RunDirectory
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
-    from wheelleg_exp.run.directory import RunDirectory
     from wheelleg_exp.run.pipeline_index import find_pipeline
 
     with ranks.agreed() if ranks else nullcontext():
@@ -46,7 +46,7 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
         if pipeline is not None:
             require_alone("pipeline")
         else:
-            directory = RunDirectory.open(args.run, args.root)
+            directory = _opened(args)
     if pipeline is not None:
         from wheelleg_exp.cli.pipeline import resume_pipeline
 
@@ -67,10 +67,21 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
 
 def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
     """Go on with the first process."""
+    with ranks.agreed():
+        _opened(args)
+
     from wheelleg_exp.jobs.resume.others import follow
     from wheelleg_exp.jobs.train.follow import run
 
-    with ranks.agreed():
-        pass  # the first one finds the run
     stop.check(ranks.any(stop.requested))
     run(*follow(ranks, args.config_dirs), stop)
+
+
+def _opened(args: argparse.Namespace) -> RunDirectory:
+    """Return the run, and let MKL go on with its kernels, which importing the trainer settles."""
+    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.threads import keep_kernels
+
+    directory = RunDirectory.open(args.run, args.root)
+    keep_kernels(directory.manifest().data.get("environment_variables") or {})
+    return directory

@@ -62,7 +62,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
     wanted = agent["torch_threads"]
     if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
         raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
-    _in_time.append(prepare_threads())  # MKL heeds its variable up to its first product, OpenMP up to torch's import
+    _in_time.append(prepare_threads())  # MKL heeds its variable up to its first use, OpenMP up to torch's import
     torch.set_num_threads(wanted)
     mkl, device = mkl_in_force(), str(agent["device"])
     reasons = _dependent(mkl, device, _largest_mean(agent, samples)) + _uneven_activations(agent, samples, wanted)

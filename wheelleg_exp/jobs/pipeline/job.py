@@ -58,11 +58,15 @@ def _do(events: Events, line: bytes, stop: StopRequest) -> None:
 
 
 def _resume(events: Events, step: Step, stop: StopRequest) -> None:
-    from wheelleg_exp.jobs.resume import resume
-    from wheelleg_exp.jobs.train import training
     from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.threads import keep_kernels
 
     run = RunDirectory.open(step.run, step.root)
+    keep_kernels(run.manifest().data.get("environment_variables") or {})
+
+    from wheelleg_exp.jobs.resume import resume
+    from wheelleg_exp.jobs.train import training
+
     stop.check()
     ready = resume.prepare(run, step.overrides, step.command, events, [Path(folder) for folder in step.config_dirs])
     training.run(ready, events, stop)

@@ -16,7 +16,6 @@ from wheelleg_exp.rl.ranks import Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.threads import keep_kernels
 
 
 def require_as_many(manifest: Manifest, ranks: Ranks) -> None:
@@ -68,7 +67,6 @@ def follow(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str
     told = ranks.said_by_first(None)
     run = RunDirectory(Path(told["run"]))
     with ranks.agreed():
-        keep_kernels(run.manifest().data.get("environment_variables") or {})
         recipe = recipe_of(run, told["tree"], "", join_recorded(config_dirs, told["recorded"]))
         trainer, _ = training.build(recipe, ranks)
     why: list[str] = []

@@ -34,7 +34,6 @@ from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.process import is_alive, this_process
 from wheelleg_exp.run.recorded import CONFIG
 from wheelleg_exp.terms.allowed_targets import NotAllowed
-from wheelleg_exp.threads import keep_kernels
 from wheelleg_exp.verify.settings import decides
 
 
@@ -86,7 +85,6 @@ def _prepare(
         _require_ended(manifest, display)
         manifest.settle()
         _require_snapshot(run, manifest)
-        keep_kernels(manifest.data.get("environment_variables") or {})
         require_as_many(manifest, ranks)
         recorded = manifest.data.get("config_dirs") or _named(manifest)
         folders = join_recorded(config_dirs, recorded)
