@@ -9,7 +9,7 @@ from typing import Any
 from wheelleg_exp.definitions.rollout import window
 from wheelleg_exp.definitions.training import LAST
 from wheelleg_exp.report.blocks import Card, Tone
-from wheelleg_exp.report.subject import AGENT, Subject
+from wheelleg_exp.report.subject import AGENT, Subject, is_number
 from wheelleg_exp.report.words import counted, duration, exact, moment, number, numbers, percent
 
 _GOOD, _FAIR = 0.95, 0.5  # shares of episodes that reach the time-out
@@ -171,14 +171,14 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
         yield _with_unit("Survival", percent(survival), note, tone_of(survival))
     height, error, goal = figures.get("height_mean_m"), figures.get("height_rmse_m"), target_height(subject)
     if isinstance(height, (int, float)):
-        note = f"; RMS error {_mm(error)} against {exact(1e3 * goal)} mm" if goal and _is_number(error) else ""
+        note = f"; RMS error {_mm(error)} against {exact(1e3 * goal)} mm" if goal and is_number(error) else ""
         yield Card("Base height", number(1e3 * height), "mm", f"mean {when}{note}")
-    if _is_number(figures.get("pitch_rms_deg")):
+    if is_number(figures.get("pitch_rms_deg")):
         lean = figures.get("pitch_mean_deg")
-        note = f"; mean lean {number(lean, 2)}°" if _is_number(lean) else ""
+        note = f"; mean lean {number(lean, 2)}°" if is_number(lean) else ""
         yield Card("Pitch", number(figures["pitch_rms_deg"], 2), "°", f"RMS {when}{note}")
     yield from _of_motion(figures, when)
-    if _is_number(figures.get("mean_return")):
+    if is_number(figures.get("mean_return")):
         note = f"mean of {counted(episodes, 'ended episode')}" if episodes else "mean of an episode"
         yield Card("Return", number(figures["mean_return"]), "", note)
 
@@ -186,10 +186,10 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
 def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
     """Yield where it strayed, how smooth it is and what its motors bear; an older play does not tell."""
     turned = figures.get("yaw_drift_deg")
-    if _is_number(figures.get("drift_m")):
-        note = f"; turned by {number(turned, 2)}°" if _is_number(turned) else ""
+    if is_number(figures.get("drift_m")):
+        note = f"; turned by {number(turned, 2)}°" if is_number(turned) else ""
         yield Card("Drift", number(1e3 * figures["drift_m"], 2), "mm", f"largest {when}, mean of its episodes{note}")
-    torques = {group: value for group, value in (figures.get("torque_rms_nm") or {}).items() if _is_number(value)}
+    torques = {group: value for group, value in (figures.get("torque_rms_nm") or {}).items() if is_number(value)}
     if torques:
         group = max(torques, key=lambda name: torques[name])
         limit, signs = (figures.get(key, {}).get(group) for key in ("at_limit", "sign_changes_per_s"))
@@ -197,9 +197,9 @@ def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
             f"RMS of the {group} {when}; {percent(limit)} at the limit; changes its sign {number(signs, 2)} times a s"
         )
         yield Card("Torque", number(torques[group], 2), "N·m", told)
-    if _is_number(figures.get("action_rate_per_s")):
+    if is_number(figures.get("action_rate_per_s")):
         yield Card("Action rate", number(figures["action_rate_per_s"], 2), "/s", f"mean change of an action {when}")
-    if _is_number(figures.get("power_net_w")):
+    if is_number(figures.get("power_net_w")):
         yield Card("Power", number(figures["power_net_w"], 2), "W", f"mechanical, net of armature, mean {when}")
 
 
@@ -212,7 +212,7 @@ def _of_training(subject: Subject) -> Iterator[Card]:
     steps, step_s = subject.last("Train/mean_episode_length"), subject.step_s
     if steps is not None and step_s is not None:
         length = subject.setting("env.episode_length_s")
-        note = f", of {exact(length)} s at most" if _is_number(length) else ""
+        note = f", of {exact(length)} s at most" if is_number(length) else ""
         yield Card("Episode length", number(steps * step_s), "s", f"mean of {LAST}{note}")
     if subject.last("Train/mean_reward") is not None:
         yield Card("Return", number(subject.last("Train/mean_reward")), "", f"mean of {LAST}, with exploration")
@@ -242,7 +242,7 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
     rows = [
         ("Task", subject.task),
         ("Robot", robot),
-        ("Environments", number(envs) if _is_number(envs) else ""),
+        ("Environments", number(envs) if is_number(envs) else ""),
         ("Control step", f"{number(1e3 * step)} ms" if step else ""),
         ("Seed", ", ".join(str(seed) for seed in seeds if seed is not None)),
         ("Started", moment(manifest["started"]) if manifest.get("started") else ""),
@@ -267,7 +267,3 @@ def _with_unit(label: str, text: str, note: str, mood: Tone) -> Card:
 
 def _mm(value: Any) -> str:
     return f"{number(1e3 * value, 2 if value < 0.01 else 3)} mm"
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -78,7 +78,7 @@ class Subject:
     def step_s(self) -> float | None:
         """Seconds of one control step, None when the config does not say."""
         dt, decimation = self.setting("env.sim.dt"), self.setting("env.decimation")
-        return dt * decimation if _is_number(dt) and _is_number(decimation) else None
+        return dt * decimation if is_number(dt) and is_number(decimation) else None
 
     def setting(self, path: str) -> Any:
         """Return the value at a key of the config, or None."""
@@ -192,10 +192,11 @@ def _by_name(rows: Mapping[int, Mapping[str, Any]]) -> dict[str, Series]:
     found: dict[str, list[tuple[int, float]]] = {}
     for iteration in sorted(rows):
         for name, value in rows[iteration].items():
-            if _is_number(value):
+            if is_number(value):
                 found.setdefault(str(name), []).append((iteration, float(value)))
     return {name: Series(*zip(*points, strict=True)) for name, points in found.items()}
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Return whether a value is a number, as true and false are not."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

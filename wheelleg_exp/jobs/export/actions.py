@@ -9,6 +9,7 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.export.drives import finite
 from wheelleg_exp.mdp import actions
 
 Spec = dict[str, Any]
@@ -43,11 +44,7 @@ def _clip(term: Any) -> list[list[float | None]] | None:
     """Return the bounds of each joint, null where there is none."""
     if term._low is None:
         return None
-    return [[_finite(low), _finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
-
-
-def _finite(value: float) -> float | None:
-    return value if abs(value) < float("inf") else None
+    return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
 
 
 def _affine(term: Any, function: str = "affine") -> Spec:
@@ -56,7 +53,7 @@ def _affine(term: Any, function: str = "affine") -> Spec:
 
 def _to_limits(term: Any) -> Spec:
     low, high = term._limits()
-    limits = {"low": [*map(_finite, low[0].tolist())], "high": [*map(_finite, high[0].tolist())]}
+    limits = {"low": [*map(finite, low[0].tolist())], "high": [*map(finite, high[0].tolist())]}
     scale = {"scale": term._scale.tolist(), "offset": [0.0] * len(term._scale)}
     return {"function": "to_limits", **scale, "rescale": term._rescale, **limits}
 

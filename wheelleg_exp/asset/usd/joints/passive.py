@@ -15,6 +15,14 @@ from wheelleg_exp.asset.usd.units import HUGE, effort_limit
 
 Found = tuple[str, float | None]  # an attribute and its value in SI units, None where it says nothing
 
+# What says it, the first that is authored wins; of PhysX's schema of an axis, that of the axis.
+_ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
+_FRICTION = (
+    *("mjc:frictionloss", "newton:friction"),
+    *("physxJointAxis:dynamicFrictionEffort", "physxJointAxis:staticFrictionEffort", "urdf:dynamics:friction"),
+)
+_DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
+
 
 @dataclass(frozen=True)
 class Passive:
@@ -28,52 +36,27 @@ class Passive:
 
 def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
     """Return the passive forces on one axis; MuJoCo's schemas win over Newton's, and Newton's over PhysX's."""
+    units, angular = stage.units, axis.kind != "slide"
+
+    def winner(became: str, convert: Callable[[float, bool], float], *names: str) -> float:
+        def to_si(value: float) -> float:
+            return convert(value, angular)
+
+        found: list[Found] = []
+        for name in names:
+            schema, _, what = name.partition(":")
+            if schema == "physxJointAxis":
+                found += _per_axis(stage, prim, axis, what, to_si)
+            else:
+                found.append(_value(stage, prim, name, float if schema in ("mjc", "urdf") else to_si))
+        return _winner(stage, prim, became, found)
+
     return Passive(
-        armature=_armature(stage, prim, axis),
-        frictionloss=_friction(stage, prim, axis),
-        damping=_damping(stage, prim, axis),
+        armature=winner("armature", units.rotor, *_ARMATURE),
+        frictionloss=winner("frictionloss", units.effort, *_FRICTION),
+        damping=winner("damping", units.gain, *_DAMPING),
         stiffness=_spring(stage, prim),
     )
-
-
-def _armature(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float:
-    def rotor(value: float) -> float:
-        return stage.units.rotor(value, axis.kind != "slide")
-
-    found = [
-        _value(stage, prim, "mjc:armature", float),
-        _value(stage, prim, "newton:armature", rotor),
-        *_per_axis(stage, prim, axis, "armature", rotor),
-        _value(stage, prim, "physxJoint:armature", rotor),
-    ]
-    return _winner(stage, prim, "armature", found)
-
-
-def _friction(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float:
-    def effort(value: float) -> float:
-        return stage.units.effort(value, axis.kind != "slide")
-
-    found = [
-        _value(stage, prim, "mjc:frictionloss", float),
-        _value(stage, prim, "newton:friction", effort),
-        *_per_axis(stage, prim, axis, "dynamicFrictionEffort", effort),
-        *_per_axis(stage, prim, axis, "staticFrictionEffort", effort),
-        _value(stage, prim, "urdf:dynamics:friction", float),
-    ]
-    return _winner(stage, prim, "frictionloss", found)
-
-
-def _damping(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float:
-    def gain(value: float) -> float:
-        return stage.units.gain(value, axis.kind != "slide")
-
-    found = [
-        _value(stage, prim, "mjc:damping", float),
-        _value(stage, prim, "newton:damping", gain),
-        *_per_axis(stage, prim, axis, "viscousFrictionCoefficient", gain),
-        _value(stage, prim, "urdf:dynamics:damping", float),
-    ]
-    return _winner(stage, prim, "damping", found)
 
 
 def _spring(stage: Stage, prim: Usd.Prim) -> float:
