@@ -289,9 +289,18 @@ def test_only_the_chosen_command_is_imported_and_it_stays_light():
 
 def test_thread_variables_are_set_unless_they_are_set_already(monkeypatch):
     monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    monkeypatch.delenv("GOMP_SPINCOUNT", raising=False)
     monkeypatch.setenv("MKL_CBWR", "SSE4_2")
     monkeypatch.setitem(sys.modules, "torch", None)
     assert not prepare_threads()
     assert os.environ["MKL_CBWR"] == "SSE4_2"
     assert os.environ["OMP_WAIT_POLICY"] == "PASSIVE"
+    assert int(os.environ["GOMP_SPINCOUNT"]) > 0
     assert prepare_threads()
+
+
+def test_whoever_says_how_threads_wait_has_said_how_long(monkeypatch):
+    monkeypatch.delenv("GOMP_SPINCOUNT", raising=False)
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    assert prepare_threads()
+    assert (os.environ["OMP_WAIT_POLICY"], os.environ.get("GOMP_SPINCOUNT")) == ("ACTIVE", None)
