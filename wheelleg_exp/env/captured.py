@@ -48,17 +48,26 @@ class CudaGraph:
     """
 
     def __init__(self, generators: Sequence[torch.Generator], pool: Any = None) -> None:
-        self._graph = torch.cuda.CUDAGraph()
-        self._pool = pool
-        for generator in generators:
+        self._generators, self._pool = generators, pool
+        self._graph = self._made()
+
+    def _made(self) -> torch.cuda.CUDAGraph:
+        graph = torch.cuda.CUDAGraph()
+        for generator in self._generators:
             # Of the class itself, with the same state: torch takes no subclass here.
-            self._graph.register_generator_state(generator.graphsafe_get_state())
+            graph.register_generator_state(generator.graphsafe_get_state())
+        return graph
 
     def record(self, work: Callable[[], None]) -> None:
         """Do the work and record it; it runs at the first replay."""
         torch.cuda.synchronize()
-        with torch.cuda.graph(self._graph, pool=self._pool, capture_error_mode="thread_local"):
-            work()
+        try:
+            with torch.cuda.graph(self._graph, pool=self._pool, capture_error_mode="thread_local"):
+                work()
+        except Exception:  # random streams wait for the end of a capture, and would not be drawn from
+            with torch.cuda.graph(self._made(), capture_error_mode="thread_local"):
+                torch.zeros(1, device="cuda")
+            raise
 
     def replay(self) -> None:
         """Do the recorded work again."""

@@ -6,6 +6,12 @@ from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO
+from rsl_rl.modules.distribution import GaussianDistribution
+
+
+def can_act(algorithm: Any) -> bool:
+    """Return whether an algorithm, whose update is one of graphs, draws actions from normal distributions."""
+    return getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
 
 
 class GraphedActing:
@@ -48,17 +54,25 @@ class GraphedActing:
 
     def _capture(self, observations: Any) -> None:
         """Record acting; nothing is drawn."""
-        algorithm = self._algorithm
         self._observations = observations.clone()
         torch.cuda.synchronize()
         self._graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
-            algorithm.act(self._observations)
-        transition = algorithm.transition
-        names = ("actions", "values", "actions_log_prob", "distribution_params")
-        self._found = {name: getattr(transition, name) for name in names}
-        transition.clear()
+            self._found = self._computed()
         self._captured = self._memory()
+
+    def _computed(self) -> dict[str, Any]:
+        """Return what ``PPO.act`` notes; drawn without torch's look at deviations, which waits for the GPU."""
+        actor, observations = self._algorithm.actor, self._observations
+        actor.distribution.update(actor.mlp(actor.get_latent(observations)))
+        mean, deviation = actor.output_mean, actor.output_std
+        actions = mean + deviation * torch.randn_like(mean)
+        return {
+            "actions": actions,
+            "values": self._algorithm.critic(observations),
+            "actions_log_prob": actor.get_output_log_prob(actions),
+            "distribution_params": tuple(actor.output_distribution_params),
+        }
 
     def _memory(self) -> tuple[int, ...]:
         networks = (self._algorithm.actor, self._algorithm.critic)

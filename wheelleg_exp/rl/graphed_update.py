@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
 from torch import nn
 
 _LOSSES = ("value", "surrogate", "entropy")
@@ -23,14 +24,14 @@ def can(algorithm: Any) -> bool:
 
 
 def is_plain(algorithm: Any) -> bool:
-    """Return whether it is rsl_rl's PPO, with Adam, without what is beside it and without recurrent networks."""
+    """Return whether it is rsl_rl's PPO, with Adam, without what is beside it, and its networks are perceptrons."""
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
     beside = algorithm.rnd or algorithm.symmetry or algorithm.is_multi_gpu or algorithm.use_mixed_precision
     networks = (algorithm.actor, algorithm.critic)
-    recurrent = any(network.is_recurrent for network in networks)
+    others = any(type(network).forward is not MLPModel.forward for network in networks)
     compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
-    return not (beside or recurrent or compiled)
+    return not (beside or others or compiled)
 
 
 class GraphedUpdate:
@@ -146,7 +147,8 @@ class GraphedUpdate:
         if algorithm.normalize_advantage_per_mini_batch:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
-        actor(observations, stochastic_output=True)
+        # Not the actor itself, which draws as well: nobody uses it, and torch waits for the GPU to look at deviations.
+        actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
         entropy = actor.output_entropy.mean()

@@ -19,7 +19,7 @@ from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
-from wheelleg_exp.rl.graphed_acting import GraphedActing
+from wheelleg_exp.rl.graphed_acting import GraphedActing, can_act
 from wheelleg_exp.rl.graphed_update import GraphedUpdate, can
 from wheelleg_exp.rl.initial import Initial, load_initial, load_teacher
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
@@ -91,7 +91,7 @@ class Trainer:
         self._matmul = chosen_matmul(agent)
         graphs = bool(agent.get("graph_update")) and can(self.algorithm)
         self._graphed = GraphedUpdate(self.algorithm) if graphs else None
-        self._acts = GraphedActing(self.algorithm) if graphs else None
+        self._acts = GraphedActing(self.algorithm) if graphs and can_act(self.algorithm) else None
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.

@@ -146,7 +146,7 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
     mujoco.mj_kinematics(model, data)
     left = data.xmat[int(robot.body_ids[0])].reshape(3, 3)[:, 1]
     signs = []
-    for index in torch.arange(len(robot.joint_names))[joint_ids].tolist():
+    for index in torch.arange(len(robot.joint_names), device=robot.body_ids.device)[joint_ids].tolist():
         joint = model.joint(robot.joint_names[index])
         along = float(data.xaxis[joint.id] @ left) if joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE else 0.0
         if abs(along) < _ROLLS:
