@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from mdp.fakes import entity, fake_env
-from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.mdp import observations
 
 T = torch.tensor
@@ -211,6 +211,13 @@ def test_pictures_are_normalised_by_what_they_show():
     close(observations.image(env, sensor_cfg=eye, data_type="depth", normalize=False), far.tolist())
     close(observations.image(env, sensor_cfg=eye, data_type="normals"), [[[[0.0, 0.5, 1.0]]]])
     assert rgb.tolist() == [[[[0, 51, 255], [255, 51, 0]]]]  # what the camera holds stays
+
+
+def test_a_kind_of_pictures_that_the_camera_does_not_take_is_told_with_those_that_it_takes():
+    env = _camera(depth=T([[[[1.0]]]]), rgba=T([[[[1.0]]]]))
+    with pytest.raises(ConfigError) as raised:
+        observations.image(env, sensor_cfg=entity("eye"))
+    assert (raised.value.key, raised.value.expected) == ("data_type", "one of depth, rgba")
 
 
 def test_distances_become_those_along_the_axis():

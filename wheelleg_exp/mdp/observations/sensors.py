@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from wheelleg_exp.constraints import NonNegative
+from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import Env, SceneEntityCfg
 from wheelleg_exp.sim.ids import picked
 
@@ -75,6 +76,13 @@ def image(
             become 0; normals from 0 to 1.
     """
     data = env.scene[sensor_cfg.name].data
+    if data_type not in data.output:
+        raise ConfigError(
+            f"the sensor '{sensor_cfg.name}' takes no pictures of '{data_type}'",
+            key="data_type",
+            expected="one of " + ", ".join(data.output),
+            nearest=nearest_name(data_type, data.output),
+        )
     picture = data.output[data_type].float()
     if data_type == "distance_to_camera" and convert_perspective_to_orthogonal:
         picture = picture * _cosines(data.intrinsic_matrices, picture)
