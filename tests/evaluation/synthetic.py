@@ -46,7 +46,6 @@ def still(seconds: float, n: int = 1) -> Trajectories:
         **{name: room(4) for name in ("joint_pos", "joint_vel", "torque", "saturated", "action", "work")},
         down=torch.ones(steps, n, 2, dtype=torch.bool),
         fell_at=row(0),
-        cut_at=row(0),
         ended_by=row(-1),
     )
 

@@ -147,11 +147,13 @@ def test_a_late_policy_gives_what_was_decided_before():
     assert float(policy({})) == 0.0
 
 
-def test_events_within_an_episode_rewards_and_curricula_are_gone_and_the_rest_stays(task):
+def test_events_within_an_episode_time_outs_rewards_and_curricula_are_gone_and_the_rest_stays(task):
     options = read_section(Protocol, protocol("stand"), "protocol")
     cfg = evaluation_cfg(task[0], options, 7, 9.0, "flat")
     assert "push_robot" not in cfg["events"]
     assert {"physics_material", "reset_base"} <= set(cfg["events"])
     assert (cfg["rewards"], cfg["curriculum"], cfg["num_envs"], cfg["episode_length_s"]) == ({}, {}, 7, 9.0)
-    assert cfg["terminations"] == task[0]["terminations"]
+    terminations = task[0]["terminations"]
+    assert terminations["time_out"]["time_out"]
+    assert cfg["terminations"] == {name: node for name, node in terminations.items() if name != "time_out"}
     assert "push_robot" in task[0]["events"]  # the task itself is as it was

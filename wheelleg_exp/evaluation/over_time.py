@@ -38,7 +38,6 @@ class Trajectories:
         work: gross, net and positive mechanical work of the step, J, and the peak of the positive power, W, (T, N, 4).
         saturated: share of the step at the effort limit, (T, N, J).
         fell_at: the step in which each episode failed, from 1; 0 where it did not, (N,) long.
-        cut_at: the step in which each was cut off without failing, from 1; 0 where it was not, (N,) long.
         ended_by: index of what ended it, (N,) long; -1 where nothing did.
     """
 
@@ -60,7 +59,6 @@ class Trajectories:
     work: torch.Tensor
     saturated: torch.Tensor
     fell_at: torch.Tensor
-    cut_at: torch.Tensor
     ended_by: torch.Tensor
 
     @classmethod
@@ -84,7 +82,6 @@ class Trajectories:
             down=room(wheels, dtype=torch.bool),
             work=room(4),
             fell_at=row(0),
-            cut_at=row(0),
             ended_by=row(-1),
         )
 
@@ -116,12 +113,11 @@ class Trajectories:
         self.work[step] = torch.stack((meter.gross, meter.net, meter.positive, meter.peak), dim=1)
         self.saturated[step] = meter.shares()
 
-    def end(self, step: int, failed: torch.Tensor, cut: torch.Tensor, why: torch.Tensor) -> None:
-        """Note who ended in a step; only the first end of each episode counts."""
-        running = (self.fell_at == 0) & (self.cut_at == 0)
-        self.ended_by = torch.where(running & (failed | cut), why, self.ended_by)
-        self.fell_at = torch.where(running & failed, step + 1, self.fell_at)
-        self.cut_at = torch.where(running & cut, step + 1, self.cut_at)
+    def end(self, step: int, failed: torch.Tensor, why: torch.Tensor) -> None:
+        """Note who failed in a step; only the first failure of each episode counts."""
+        first = failed & (self.fell_at == 0)
+        self.ended_by = torch.where(first, why, self.ended_by)
+        self.fell_at = torch.where(first, step + 1, self.fell_at)
 
     @property
     def steps(self) -> int:

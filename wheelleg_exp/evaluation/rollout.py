@@ -105,23 +105,22 @@ class Rollout:
                 self._held.hold(self._commands[:, segment])  # the observation that this step returns shows it
             self._meter.begin()
             observations, *_ = env.step(actions)
-            ended, cut, why = self._ended(numbers)
-            alive = alive & ~ended & ~cut
+            failed, why = self._failed(numbers)
+            alive = alive & ~failed
             made.take(step, env, self.parts, self._meter, command, actions, alive, self._force)
-            made.end(step, ended, cut, why)
+            made.end(step, failed, why)
             if tell is not None:
                 tell(step + 1, self.steps)
             if not bool(alive.any()):
                 break
         return made
 
-    def _ended(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return who has failed in this step, who was cut off without failing, and what of ``endings`` did it."""
+    def _failed(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return who has failed in this step, and what of ``endings`` did it."""
         env, manager = self.env, self.env.termination_manager
         tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
         not_finite = manager.terminated & ~manager.fired.any(dim=0)
         not_finite = not_finite | env.scene.unstable()
         failed = manager.terminated | tilted | not_finite | ~numbers
-        cut = manager.time_outs & ~failed & (env.episode_length_buf < env.max_episode_length)
         fired = torch.cat((manager.fired, torch.stack((tilted, not_finite, ~numbers))))
-        return failed, cut, fired.long().argmax(dim=0)
+        return failed, fired.long().argmax(dim=0)

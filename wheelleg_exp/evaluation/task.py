@@ -24,8 +24,8 @@ def evaluation_cfg(
 ) -> dict[str, Any]:
     """Return a task's ``env`` section changed for an evaluation.
 
-    Events that act during an episode, rewards, curricula and recorders are gone; commands, terminations, observations
-    with their noise, and events at startup and reset stay.
+    Events that act during an episode, time-outs, rewards, curricula and recorders are gone; commands, terminations that
+    are failures, observations with their noise, and events at startup and reset stay.
 
     Args:
         env_cfg: the composed ``env`` section, plain.
@@ -48,6 +48,7 @@ def evaluation_cfg(
         )
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
     cfg["events"] = {name: node for name, node in cfg["events"].items() if _is_kept(node)}
+    cfg["terminations"] = {name: node for name, node in cfg["terminations"].items() if _is_failure(node)}
     cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
     if ground == "flat":
         cfg["scene"]["terrain"] = flat(cfg["scene"]["terrain"])
@@ -68,6 +69,11 @@ def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
 
 def _is_kept(node: Any) -> bool:
     return isinstance(node, Mapping) and node.get("mode") not in _DISTURBING
+
+
+def _is_failure(node: Any) -> bool:
+    """Return whether a termination is none that cuts off: the horizon alone does that here."""
+    return isinstance(node, Mapping) and not node.get("time_out")
 
 
 def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
