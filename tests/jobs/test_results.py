@@ -14,8 +14,8 @@ from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.jobs.results import again as again_of
-from wheelleg_exp.jobs.results.page import page
-from wheelleg_exp.jobs.results.record import read_manifests, read_record, recipe, require_own_page
+from wheelleg_exp.jobs.results.page import machines_of, page
+from wheelleg_exp.jobs.results.record import manifest_of, read_manifests, read_record, recipe, require_own_page
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.verify import FactDifference
 
@@ -163,7 +163,17 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     write_json(run.path / "manifest.json", {**data, "resumes": [{"exact": True, "overrides": []}, longer]})
     lengths = [word for word in recipe(run)["overrides"] if word.startswith("agent.max_iterations")]
     assert lengths == ["agent.max_iterations=9"]
-    for other in ({"exact": False, "overrides": []}, {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]}):
+    elsewhere = {"section": "hardware", "name": "cpu_model", "was": "1", "now": "2"}
+    moved = {"exact": False, "overrides": [], "why": ["hardware cpu_model was 1 and is 2"], "differences": [elsewhere]}
+    write_json(run.path / "manifest.json", {**data, "resumes": [moved]})
+    assert recipe(run)
+    before = {"hardware": {"cpu": "Abacus", "cores_usable": 7}, "process": {"host": "secret"}}
+    write_json(run.path / "manifest.json", {**data, "resumes": [{**moved, "before": before}]})
+    kept = manifest_of(run)
+    assert next(machines_of(kept)) == "Abacus, 7 cores"
+    assert "secret" not in json.dumps(kept)
+    code = {**moved, "differences": [{**elsewhere, "section": "code"}]}
+    for other in (code, {"exact": False, "overrides": []}, {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]}):
         write_json(run.path / "manifest.json", {**data, "resumes": [other]})
         with pytest.raises(RunDirectoryError, match="in one go"):
             recipe(run)

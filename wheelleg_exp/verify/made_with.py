@@ -181,7 +181,7 @@ def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
         one, other = ("; ".join(map(_why, side.get(name, ()))) or None for side in (ones, others))
         if one != other:
             entries = [*ones.get(name, ()), *others.get(name, ())]
-            yield FactDifference("resumed", name, one, other, forbids=not all(map(_is_the_machine, entries)))
+            yield FactDifference("resumed", name, one, other, forbids=not all(map(is_the_machine, entries)))
 
 
 def _inexact(manifest: Manifest) -> dict[str, list[Mapping[str, Any]]]:
@@ -197,7 +197,7 @@ def _why(entry: Mapping[str, Any]) -> str:
     return "; ".join(map(str, entry.get("why") or ())) or "not exactly"
 
 
-def _is_the_machine(entry: Mapping[str, Any]) -> bool:
+def is_the_machine(entry: Mapping[str, Any]) -> bool:
     """Return whether the recorded differences of machine and versions are all that made a resume inexact."""
     differences = entry.get("differences") or ()
     sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}

@@ -31,7 +31,7 @@ def page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> s
 
 
 def _about(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    about, hardware = record["about"], manifests[0].get("hardware") or {}
+    about = record["about"]
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
     yield (
         f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
@@ -40,11 +40,19 @@ def _about(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) ->
     )
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
-    yield f"Trained in {times} on {hardware.get('cpu')}, {hardware.get('cores_usable')} cores.\n"
+    machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
+    yield f"Trained in {times} on {', and on '.join(machines)}.\n"
     if record["push_verdict"]:
         yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:
         yield f"{record['verdict']}\n"
+
+
+def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the machines on which a run was trained, the first first; one that was resumed may have several."""
+    for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
+        hardware = process.get("hardware") or {}
+        yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
 
 
 def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:

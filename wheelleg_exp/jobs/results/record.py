@@ -14,11 +14,13 @@ from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
 from wheelleg_exp.jobs.results.page import page
 from wheelleg_exp.reading import Unreadable, json_value, yaml_value
 from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.verify.made_with import is_the_machine
 
 FORMAT = 2
 # What a manifest tells of a run, without what belongs to the machine's folders and processes.
 _OF_MANIFEST = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _OF_MANIFEST_TOO = ("init_from", "files", "sha256", "last_ended_by")
+_OF_MACHINE = ("versions", "hardware", "threads")
 _LENGTH = "agent.max_iterations="
 _OWN = ("run.", "run=", "init_from=", "recording.")  # overrides that say where, not what
 
@@ -45,7 +47,7 @@ def write_results(
         RunDirectoryError: a run was not trained in one go, or began with another that is not there any more.
     """
     record = record_of(name, compared, runs, reference, words)
-    manifests = [_manifest(made.run) for made in runs]
+    manifests = [manifest_of(made.run) for made in runs]
     files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
     with for_people(folder, "written to"):
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -131,19 +133,20 @@ def require_own_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str,
 def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run that it began with.
 
-    A run that was only resumed exactly, perhaps to go on for longer, is what one training of that length makes.
+    A run that was only resumed exactly, perhaps to go on for longer, is what one training of that length makes. So is
+    one that went on on another machine, as far as the two compute alike: the page names both.
 
     Raises:
         RunDirectoryError: no one training makes it, or it began with a run that is not there any more.
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
-    exact = all(entry.get("exact") is True for entry in data["resumes"])
+    exact = all(entry.get("exact") is True or is_the_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         raise RunDirectoryError(
             "was not trained in one go",
             key=run.id,
-            expected="a finished run that has never been resumed, or exactly and with no change but of its length",
+            expected="a finished run, if resumed then with no change but of its length or of the machine",
         )
     with for_people(run.hydra, "read"):
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
@@ -174,9 +177,17 @@ def numbers(made: Evaluated) -> dict[str, Any]:
     return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
 
 
-def _manifest(run: RunDirectory) -> dict[str, Any]:
+def manifest_of(run: RunDirectory) -> dict[str, Any]:
+    """Return what a result keeps of a run's manifest."""
     data = run.manifest().data
     source = data.get("source") or {}
     kept = {key: data[key] for key in (*_OF_MANIFEST, *_OF_MANIFEST_TOO) if key in data}
     kept["source"] = {key: source.get(key) for key in ("commit", "tree", "dirty")}
+    kept["resumes"] = [
+        {
+            **{key: entry.get(key) for key in ("when", "iteration", "exact", "why")},
+            "before": {key: entry["before"].get(key) for key in _OF_MACHINE} if entry.get("before") else None,
+        }
+        for entry in data["resumes"]
+    ]
     return kept
