@@ -121,7 +121,7 @@ def pushed(kick, pulse) -> Evaluation:
     [
         (0.6, 0.7, "A is better in push recovery than B: it survives a kick of 0."),
         (0.2, 0.1, "A is worse in push recovery than B: "),
-        (0.6, 0.1, "A is no match in every push for B: "),
+        (0.6, 0.1, "A is better in some pushes and worse in others than B: "),
         (0.6, 0.3, "A is better in some pushes, not in all, than B: "),
         (0.3, 0.3, "A is neither better nor worse in push recovery than B: "),
     ],

@@ -51,10 +51,11 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     if not limits:
         return ""
     outcomes = {row.outcome for _, row in limits}
-    word = "neither better nor worse in push recovery than"
-    if outcomes <= {"better", "worse"}:
-        word = f"{outcomes.pop()} in push recovery than" if len(outcomes) == 1 else "no match in every push for"
-    elif "better" in outcomes or "worse" in outcomes:
+    if len(outcomes) == 1:
+        word = f"{outcomes.pop() or 'neither better nor worse'} in push recovery than"
+    elif {"better", "worse"} <= outcomes:
+        word = "better in some pushes and worse in others than"
+    else:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
     return f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
 
