@@ -73,6 +73,14 @@ def keep_kernels(recorded: Mapping[str, str]) -> None:
         os.environ["MKL_CBWR"] = kernels
 
 
+def own_environ() -> dict[str, str]:
+    """Return the environment without what this program has chosen, for a process that chooses by itself.
+
+    A variable that is handed on is the user's to that process: it would not go on with a run's kernels.
+    """
+    return {name: value for name, value in os.environ.items() if name not in _chosen}
+
+
 def usable_cores() -> int:
     """Return how many cores this process can keep busy: those that it may run on, and no more than its quota pays.
 

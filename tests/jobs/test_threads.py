@@ -14,6 +14,9 @@ from patience import PATIENCE_S
 from wheelleg_exp import threads as cores
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs import threads
+from wheelleg_exp.jobs.pipeline import child
+from wheelleg_exp.jobs.pipeline.job import Step
+from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.threads import set_threads, thread_notes
 from wheelleg_exp.rl.one_thread import SPLIT_ABOVE, one_thread
 from wheelleg_exp.run.manifest import Manifest
@@ -221,8 +224,20 @@ def test_a_run_goes_on_with_its_own_kernels_unless_the_user_asks_for_others(monk
     if users is None:
         monkeypatch.delenv("MKL_CBWR")
     cores.prepare_threads()
+    assert ("MKL_CBWR" in cores.own_environ()) == (users is not None)
     cores.keep_kernels({} if recorded is None else {"MKL_CBWR": recorded})
     assert os.environ["MKL_CBWR"] == found
+
+
+def test_the_process_of_a_pipelines_step_chooses_by_itself(monkeypatch):
+    """So that it goes on with its run's kernels: what it is given it takes for the user's."""
+    given = []
+    monkeypatch.setattr(cores, "_chosen", {"MKL_CBWR"})
+    monkeypatch.setenv("MKL_CBWR", "AVX512,STRICT")
+    monkeypatch.setattr(child, "Child", lambda _program, _line, environ: given.append(environ))
+    child.StepProcess(Step("resume", [], [], []), StopRequest())._start()
+    assert "MKL_CBWR" not in given[0]
+    assert given[0]["PATH"] == os.environ["PATH"]
 
 
 FIRST_USE = """

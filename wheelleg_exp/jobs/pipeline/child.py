@@ -12,6 +12,7 @@ from wheelleg_exp.jobs.heard_process import HeardProcess
 from wheelleg_exp.jobs.pipeline.job import Step
 from wheelleg_exp.jobs.processes import Child
 from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.threads import own_environ
 
 # The step imports what this process would import, whatever folder it is called from.
 _BOOT = (
@@ -36,7 +37,7 @@ class StepProcess(HeardProcess):
 
     def _start(self) -> Child:
         program = self.program or (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path))
-        return Child(program, self.step.line(), os.environ)
+        return Child(program, self.step.line(), own_environ())
 
     def _require_finished(self, status: int) -> None:
         ended = self._child.ended
