@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.jobs.results import again as again_of
 from wheelleg_exp.jobs.results.page import machines_of, page
@@ -56,13 +56,15 @@ def once(monkeypatch, made_again):
         return lambda *args: made_again.get(kind) or made_again.setdefault(kind, make(*args))
 
     train = again_of._trained
-    monkeypatch.setattr(again_of, "_trained", first("run", lambda how, *_: train(how, made_again["root"], {}, print)))
+    monkeypatch.setattr(
+        again_of, "_trained", first("run", lambda how, *_: train(how, made_again["root"], {}, print, ()))
+    )
     for name in ("evaluate_run", "evaluate_reference"):
         monkeypatch.setattr(again_of, name, first(name, getattr(again_of, name)))
 
 
-def again(written, capsys) -> tuple[int, str]:
-    status = main(["results", "small", "--again", "--into", str(written)])
+def again(written, capsys, *more: str) -> tuple[int, str]:
+    status = main(["results", "small", "--again", "--into", str(written), *more])
     said = capsys.readouterr()
     return status, said.out + said.err
 
@@ -124,6 +126,23 @@ def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(wr
     assert status == 2
     assert "small.md: is not the page of its record" in told
     assert "wheelleg train" not in told
+
+
+def test_folders_of_the_users_own_are_handed_on(written, capsys, monkeypatch):
+    def train(words):
+        raise SimulationFailure(" ".join(words))
+
+    monkeypatch.setattr(again_of, "_train", train)
+    status, told = again(written, capsys, "--config-dir", str(written))
+    assert status == 3
+    assert f"--config-dir {written}" in told.splitlines()[-1]
+
+
+@pytest.mark.parametrize("word", ["latest", "protocol=walk", "--reference", "--kept"])
+def test_what_is_made_again_is_not_said_twice(written, capsys, word):
+    status, told = again(written, capsys, word)
+    assert status == 2
+    assert "--again: what is made again stands in the record" in told
 
 
 def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, once, capsys):

@@ -74,11 +74,15 @@ def _again(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs.results.again import again
     from wheelleg_exp.jobs.results.record import read_manifests, read_record, require_own_page
 
+    if args.runs or args.reference or args.kept:
+        raise WheellegError(
+            "what is made again stands in the record", key="--again", expected="no runs, overrides or options beside it"
+        )
     record = read_record(args.into / f"{args.name}.json")
     manifests = read_manifests(record, args.into)
     require_own_page(record, manifests, args.into)
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
-        found = again(record, manifests, Path(folder), lambda text: print(text, flush=True))
+        found = again(record, manifests, Path(folder), lambda text: print(text, flush=True), args.config_dirs)
     for line in (*found.differences, f"{args.name}: {found.verdict}"):
         print(line)
     return EXIT_FINDING if found.differences else EXIT_OK

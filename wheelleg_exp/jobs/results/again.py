@@ -51,7 +51,11 @@ class Again:
 
 
 def again(
-    record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], root: Path, say: Callable[[str], None]
+    record: Mapping[str, Any],
+    manifests: Sequence[Mapping[str, Any]],
+    root: Path,
+    say: Callable[[str], None],
+    config_dirs: Sequence[Path] = (),
 ) -> Again:
     """Train and evaluate what a record names, and compare every number of the record.
 
@@ -60,6 +64,7 @@ def again(
         manifests: of its runs.
         root: an empty folder for the runs.
         say: told what is being done.
+        config_dirs: the user's config folders, that runs or protocol may be of.
 
     Raises:
         SimulationFailure: a training ended with an error.
@@ -72,13 +77,13 @@ def again(
     trained: dict[str, RunDirectory] = {}
     runs: list[Evaluated] = []
     for number, kept in enumerate(record["runs"], start=1):
-        run = _trained(kept["train"], root, trained, say)
+        run = _trained(kept["train"], root, trained, say, config_dirs)
         say(f"run {number}: evaluating")
-        runs.append(evaluate_run(run, None, record["words"], _COMMAND))
+        runs.append(evaluate_run(run, None, record["words"], _COMMAND, None, config_dirs))
     reference = None
     if record["reference"] is not None:
         say("reference: evaluating")
-        reference = evaluate_reference(runs[0].run, record["words"], _COMMAND)
+        reference = evaluate_reference(runs[0].run, record["words"], _COMMAND, None, config_dirs)
     made = [run.run.manifest().data for run in runs]
     trees = [[one["source"].get("tree") for one in side] for side in (manifests, made)]
     found = list(_differences(record, runs, reference))
@@ -146,18 +151,23 @@ def _value(figure: Mapping[str, Any] | None) -> str:
 
 
 def _trained(
-    recipe: Mapping[str, Any], root: Path, trained: dict[str, RunDirectory], say: Callable[[str], None]
+    recipe: Mapping[str, Any],
+    root: Path,
+    trained: dict[str, RunDirectory],
+    say: Callable[[str], None],
+    config_dirs: Sequence[Path] = (),
 ) -> RunDirectory:
     """Return the run of a recipe, trained if it has not been yet."""
     if repr(recipe) in trained:
         return trained[repr(recipe)]
     words = list(recipe["overrides"])
     if recipe["begins_with"] is not None:
-        parent = _trained(recipe["begins_with"], root, trained, say)
+        parent = _trained(recipe["begins_with"], root, trained, say, config_dirs)
         words.append(f"init_from={parent.checkpoint(recipe['iteration'])}")
     say(f"wheelleg train {' '.join(words)}")
     before = _runs(root)
-    _train([*words, f"run.root={root}", "recording.enabled=false"])
+    folders = [word for folder in config_dirs for word in ("--config-dir", str(folder))]
+    _train([*words, f"run.root={root}", "recording.enabled=false", *folders])
     (path,) = _runs(root) - before
     trained[repr(recipe)] = RunDirectory.open(path, root)
     return trained[repr(recipe)]
