@@ -10,8 +10,9 @@ from torch.utils._pytree import tree_flatten
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured
+from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
+from wheelleg_exp.managers.term import TermBase
 
 WAITS = ("_local_scalar_dense", "nonzero")  # what a graph cannot hold: the host waits for a number
 
@@ -99,6 +100,16 @@ def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_wei
     assert not any(part._fails for part in resets)
 
 
+def test_a_recorded_reset_draws_from_the_ranges_of_now():
+    env = recorded(stand())
+    term = env.command_manager.get_term("base_velocity")
+    for speed in (0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.1):
+        term.ranges["lin_vel_x"] = [speed, speed]
+        env._reset_idx(torch.arange(4))
+        assert term.command[:4, 0].tolist() == pytest.approx([speed] * 4)
+    assert env._captured_reset._parts[4]._variants
+
+
 class Counts:
     """Something that counts its steps."""
 
@@ -111,7 +122,50 @@ class Counts:
         self.count += 1
 
 
-def test_what_counts_is_refused():
+def test_what_counts_is_refused_with_what_to_set():
     counts = Counts()
-    with pytest.raises(TypeError, match=r"Counts\.count counts, which a recording cannot"):
+    with pytest.raises(Counting, match="'count' of Counts counts, which a recorded step cannot") as told:
         Captured(counts.work, [counts], Tape, lambda: None)()
+    assert told.value.key == "env.sim.graph_step"
+
+
+class Remembers(TermBase):
+    """A user's term, of a package of theirs: it lets an attribute hold another tensor at each step."""
+
+    def __init__(self) -> None:
+        self.now, self.last = torch.zeros(2), torch.zeros(2)
+
+    def work(self) -> torch.Tensor:
+        change = self.now - self.last
+        self.last = self.now.clone()
+        return change
+
+
+def test_what_a_term_of_a_users_own_remembers_goes_on():
+    term = Remembers()
+    part = Captured(term.work, [term], Tape, lambda: None)
+    for step in range(1, 7):
+        term.now.fill_(float(step))
+        assert part().tolist() == [1.0, 1.0]
+
+
+def test_a_reset_in_which_counting_is_noticed_is_done_once():
+    plain, taped = stand(), recorded(stand())
+    for env in (plain, taped):
+        manager, own = env.action_manager, env.action_manager.reset
+        manager.count = 0
+
+        def reset(ids, manager=manager, own=own):
+            manager.count += 1
+            return own(ids)
+
+        manager.reset = reset
+    gen = torch.Generator().manual_seed(1)
+    for _ in range(40):
+        action = 0.4 * torch.randn(16, plain.action_manager.total_action_dim, generator=gen)
+        taped.step(action), plain.step(action)
+        assert taped.action_manager.count == plain.action_manager.count
+        for key, value in plain.extras["log"].items():
+            assert float(taped.extras["log"][key]) == pytest.approx(float(value), rel=1e-6, abs=1e-9)
+        assert torch.equal(taped.scene.sim.state, plain.scene.sim.state)
+    assert not taped._captured_reset._works

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import torch
 
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.term import Term
 
 _PLAIN = (bool, int, float, str, type(None))
@@ -27,6 +28,16 @@ _FIXED = frozenset(
 )
 _MOST_VARIANTS, _MOST_PLAIN = 8, 1000
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
+
+
+class Counting(ConfigError):
+    """A number counts the runs of a part, and would stand still in a recording.
+
+    Attributes:
+        found: what the run returned in which it was noticed; it is done.
+    """
+
+    found: Any = None
 
 
 class Recorder(Protocol):
@@ -139,10 +150,15 @@ def slots(roots: Sequence[Any]) -> Iterator[Slot]:
             waiting.append(node.__self__)
         elif isinstance(node, FunctionType):
             waiting += [cell.cell_contents for cell in node.__closure__ or ()]
-        elif type(node).__module__.startswith(_OWN) and type(node).__name__ not in _FIXED:
+        elif _is_own(type(node)) and type(node).__name__ not in _FIXED:
             for key in list(getattr(node, "__dict__", {})):
                 if key not in _FIXED:
                     yield from _places(node, (key,), vars(node)[key], waiting)
+
+
+def _is_own(kind: type) -> bool:
+    """Return whether a class is this program's, or a user's that derives from one."""
+    return any(base.__module__.startswith(_OWN) for base in kind.__mro__)
 
 
 def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -> Iterator[Slot]:
@@ -330,7 +346,13 @@ class Captured:
                     self._memory.rebound.add(slot.name)
             elif not isinstance(value, (dict, list)):
                 if type(value) in (int, float) and type(now) in (int, float) and now != value:
-                    raise TypeError(f"{type(slot.holder).__name__}.{slot.way[0]} counts, which a recording cannot")
+                    told = Counting(
+                        f"'{slot.way[0]}' of {type(slot.holder).__name__} counts, which a recorded step cannot",
+                        key="env.sim.graph_step",
+                        expected="false, or tensors in the place of numbers that count",
+                    )
+                    told.found = found
+                    raise told
                 if isinstance(value, bool) or isinstance(slot.holder, Term) or _kind(now) != _kind(value):
                     self._plain[slot.name] = slot
         return found

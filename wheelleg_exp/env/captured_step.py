@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.env.captured import Captured, CudaGraph
+from wheelleg_exp.env.captured import Captured, Counting, CudaGraph
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
 
@@ -100,12 +100,12 @@ class CapturedReset:
         part = self._parts.get(count) or self._part(count)
         ids = self._ids[count]
         ids.copy_(env_ids)
+        self._env.command_manager.take_present_settings()
         try:
             values = part()
-        except TypeError:  # a term counts its resets
-            self._works = False
-            return self._env._reset_rows(env_ids, host=False)
-        self._works = not part._fails
+            self._works = not part._fails
+        except Counting as told:  # a term counts its resets, of which this one is done
+            self._works, values = False, told.found
         self._env.scene.robot.mark_written(ids)
         return dict(zip(self._names, values.clone().unbind(), strict=True))
 

@@ -90,6 +90,9 @@ class CommandTerm(TermBase):
         self.post_process()
         return errors
 
+    def take_settings(self) -> None:
+        """Take up settings that others have changed, in memory that stays: a recorded reset draws from that."""
+
     def may_expire(self, dt: float) -> bool:
         """Return whether the time of a command may be up within ``dt`` seconds, without waiting for a GPU."""
         return may_be_due(self.time_left, self._time_range[0], dt)
@@ -153,6 +156,11 @@ class CommandManager(ManagerBase):
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
         """Return the commands of one environment by term."""
         return [(name, term.command[env_idx].tolist()) for name, term in self._command_terms.items()]
+
+    def take_present_settings(self) -> None:
+        """Take up the settings of all terms as they are now: a curriculum may have changed one."""
+        for term in self._command_terms.values():
+            term.take_settings()
 
     def may_draw(self, dt: float) -> bool:
         """Return whether a command may be drawn in the coming step of ``dt`` seconds, without waiting for a GPU."""

@@ -60,15 +60,24 @@ class RangedCommand(CommandTerm):
         """
         self._axes = tuple(axes)
         self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
-        self._take()
+        with torch.inference_mode(False):  # written to later, whoever makes it
+            self._bounds = self._present()  # a tuple: tensors among the attributes are state
+        self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return lows and highs (k,) of the axes in order."""
-        if self.ranges != self._taken:  # a curriculum has set one
-            self._take()
+        self.take_settings()
         return self._bounds
 
-    def _take(self) -> None:
-        # A tuple: tensors among the attributes are state.
-        self._bounds = bounds(self.ranges, self._axes, "ranges", self.time_left.device)
+    def take_settings(self) -> None:
+        """Take up ranges that a curriculum has set, in the same memory."""
+        if self.ranges != self._taken:
+            for mine, present in zip(self._bounds, self._present(), strict=True):
+                mine.copy_(present)
+            self._note()
+
+    def _present(self) -> tuple[torch.Tensor, torch.Tensor]:
+        return bounds(self.ranges, self._axes, "ranges", self.time_left.device)
+
+    def _note(self) -> None:
         self._taken = {axis: list(pair) for axis, pair in self.ranges.items()}
