@@ -70,9 +70,9 @@ class SimOptions:
         njmax: engine ``warp``: constraint rows that each simulation has room for; 0 works it out of the model and
             ``nconmax``. More than that is an error.
         graph: engine ``warp`` on a GPU: whether a physics step is launched as one CUDA graph, which changes no number.
-        graph_step: engine ``warp`` on a GPU: whether what torch does from the actions to the rewards, and for the
-            observations, is launched as CUDA graphs. Terms must then decide nothing by numbers of their own that change
-            from step to step. It has not been tried on a GPU yet.
+        graph_step: engine ``warp`` on a GPU: whether what torch does from the actions to the rewards, for resets,
+            commands and observations, is launched as CUDA graphs. Terms must then decide nothing by numbers that change
+            from step to step, their own or ``common_step_counter``.
     """
 
     engine: Literal["mujoco", "warp"]
