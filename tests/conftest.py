@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.threads import prepare_threads, share_cores
 
 if TYPE_CHECKING:
     from wheelleg_exp.env import ManagerBasedRLEnv
 
 # Before anything imports torch: processes that tests start inherit the variables and must compute the same numbers.
 prepare_threads()
+share_cores()  # with other workers' tests
 
 # Behind nohup, or a shell's "&", signals are ignored, and all children inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -39,10 +40,31 @@ def first_processor() -> dict[str, str]:
     return {name.strip(): value.strip() for name, _, value in lines}
 
 
+_LOADAVG = Path("/proc/loadavg")
+_SPINS, _SAMPLES = "20000", 3  # up to a millisecond of spinning
+
+
+def spins() -> str:
+    """Return how often OpenMP's idle threads look for work before they sleep.
+
+    Those that sleep at once take twice as long for an update of many short operations. Those that spin are in the way
+    of others that spin: two trainings beside each other would take four times as long. So they spin where nobody else
+    computes just now.
+    """
+    try:
+        running = []
+        for _ in range(_SAMPLES):
+            running.append(int(_LOADAVG.read_text(encoding="ascii").split()[3].partition("/")[0]))
+            time.sleep(0.001)
+    except (OSError, ValueError, IndexError):
+        return "0"
+    others = min(running) - 1
+    return _SPINS if others + 2 <= (os.cpu_count() or 1) else "0"
+
+
 # MKL_CBWR: the same matrix code path for every number of threads, so that thread counts change no number.
-# GOMP_SPINCOUNT, OMP_WAIT_POLICY: idle threads spin for some ten microseconds, then sleep. Those that sleep at once
-# take twice as long for an update of many short operations, those that spin on make a busy machine many times slower.
-VARIABLES = {"MKL_CBWR": matrix_kernels(), "GOMP_SPINCOUNT": "20000", "OMP_WAIT_POLICY": "PASSIVE"}
+# OMP_WAIT_POLICY: idle threads sleep, after GOMP_SPINCOUNT; spinning ones make a busy machine many times slower.
+VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
 _chosen: set[str] = set()  # variables that are this program's choice, not the user's
 
 
@@ -52,12 +74,18 @@ def prepare_threads() -> bool:
     Returns:
         Whether they can still take effect: False when torch was imported before one of them was set.
     """
-    missing = {name: value for name, value in VARIABLES.items() if name not in os.environ}
-    if "OMP_WAIT_POLICY" not in missing:  # whoever says how threads wait has said how long
-        missing.pop("GOMP_SPINCOUNT", None)
-    os.environ.update(missing)
+    missing = [name for name in VARIABLES if name not in os.environ]
+    if "OMP_WAIT_POLICY" not in missing and "GOMP_SPINCOUNT" in missing:
+        missing.remove("GOMP_SPINCOUNT")  # whoever says how threads wait has said how long
+    os.environ.update({name: VARIABLES[name]() for name in missing})
     _chosen.update(missing)
     return not (missing and "torch" in sys.modules)
+
+
+def share_cores() -> None:
+    """Let threads of processes that this one starts sleep at once, because several of them compute at a time."""
+    if "GOMP_SPINCOUNT" in _chosen:
+        os.environ["GOMP_SPINCOUNT"] = "0"
 
 
 def keep_kernels(recorded: Mapping[str, str]) -> None:

@@ -295,7 +295,7 @@ def test_thread_variables_are_set_unless_they_are_set_already(monkeypatch):
     assert not prepare_threads()
     assert os.environ["MKL_CBWR"] == "SSE4_2"
     assert os.environ["OMP_WAIT_POLICY"] == "PASSIVE"
-    assert int(os.environ["GOMP_SPINCOUNT"]) > 0
+    assert os.environ["GOMP_SPINCOUNT"].isdigit()
     assert prepare_threads()
 
 

@@ -219,7 +219,7 @@ def test_wide_kernels_are_for_intels_cpus_that_have_them(tmp_path, monkeypatch, 
 def test_a_run_goes_on_with_its_own_kernels_unless_the_user_asks_for_others(monkeypatch, users, recorded, found):
     monkeypatch.setattr(cores, "_chosen", set())
     monkeypatch.setattr(cores, "matrix_kernels", lambda: "AVX512,STRICT")
-    monkeypatch.setattr(cores, "VARIABLES", {"MKL_CBWR": "AVX512,STRICT"})
+    monkeypatch.setattr(cores, "VARIABLES", {"MKL_CBWR": lambda: "AVX512,STRICT"})
     monkeypatch.setenv("MKL_CBWR", users or "")
     if users is None:
         monkeypatch.delenv("MKL_CBWR")
@@ -257,3 +257,22 @@ def test_a_resume_asks_for_the_runs_kernels_before_anything_uses_them(tmp_path, 
     command = [sys.executable, "-c", FIRST_USE, str(run)]
     said = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert said.stdout.splitlines()[:1] == ["AVX2,STRICT False"], said.stderr
+
+
+@pytest.mark.parametrize(("running", "found"), [("1/300", "20000"), ("3/300", "20000"), ("4/300", "0"), ("?", "0")])
+def test_threads_spin_only_where_cores_are_left(monkeypatch, tmp_path, running, found):
+    """Four cores, and two threads of this program: as many others may run."""
+    (tmp_path / "loadavg").write_text(f"0.5 0.5 0.5 {running} 4711\n")
+    monkeypatch.setattr(cores, "_LOADAVG", tmp_path / "loadavg")
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    assert cores.spins() == found
+    monkeypatch.setattr(cores, "_LOADAVG", tmp_path / "none")
+    assert cores.spins() == "0"
+
+
+@pytest.mark.parametrize(("chosen", "found"), [({"GOMP_SPINCOUNT"}, "0"), (set(), "777")])
+def test_processes_beside_each_other_sleep_at_once_unless_the_user_says_otherwise(monkeypatch, chosen, found):
+    monkeypatch.setattr(cores, "_chosen", chosen)
+    monkeypatch.setenv("GOMP_SPINCOUNT", "777")
+    cores.share_cores()
+    assert os.environ["GOMP_SPINCOUNT"] == found

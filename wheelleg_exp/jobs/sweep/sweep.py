@@ -16,6 +16,7 @@ from wheelleg_exp.jobs.sweep.job import Request
 from wheelleg_exp.jobs.sweep.launchers import Job, Launcher, LocalLauncher
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.sweep_index import JobStatus, SweepIndex, SweepStatus
+from wheelleg_exp.threads import share_cores
 
 _WAIT_S = 0.2
 _PATIENCE_S = 10.0
@@ -64,6 +65,8 @@ class SweepRunner:
         self._index = index
         self._waiting = deque(zip(index.jobs, requests, strict=True))
         self._at_once = at_once
+        if at_once > 1:
+            share_cores()
         self._display = display
         self._stop = stop
         self._launcher: Launcher = launcher or LocalLauncher()
