@@ -74,6 +74,7 @@ TOLD_ALONE = {
     "agent.algorithm.class_name=subprocess:run": ["outside the allowed packages"],
     "agent.obs_groups.actor=[]": [],
     "agent.device=cuda:77": [],
+    "agent.device=cudaa": [],
     # the run
     "recording.env_ids=[99]": ["from 0 to 15"],
     "run.name=a/b": ["letters, digits"],

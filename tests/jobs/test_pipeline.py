@@ -364,6 +364,8 @@ def test_a_pipeline_is_checked_as_training_it_would(declared_two):
     mistakes = json.loads(said.out)["mistakes"]
     assert [mistake["message"].partition(":")[0] for mistake in mistakes] == ["phase 'first'", "phase 'second'"]
     assert {mistake["key"] for mistake in mistakes} == {"env.num_envs"}
+    said = wheelleg("check", *declared_two, "pipeline.phases.first.gate.protocol=wlk")
+    assert "pipeline.phases.first.gate.protocol" in said.err
     said = wheelleg("check", *declared_two, "pipeline.phases.first.gate.protocol=walk")
     assert said.status == 2
     assert "protocol 'walk' has no such metric" in said.err
@@ -377,6 +379,16 @@ def test_pipelines_are_explained_and_composed_without_naming_their_primary_confi
     assert "stand_to_terrain.yaml:" in said.out
     said = wheelleg("compose", *declared_two)
     assert yaml.safe_load(said.out)["pipeline"] == tree()
+
+
+@pytest.mark.parametrize("lacks", ["name", "phases.status"])
+def test_a_record_that_lacks_something_is_told_and_not_read(whole: PipelineIndex, tmp_path, lacks):
+    data = json.loads(whole.path.read_text())
+    part, _, key = lacks.rpartition(".")
+    del (data["phases"][0] if part else data)[key]
+    (tmp_path / "pipeline.json").write_text(json.dumps(data))
+    with pytest.raises(RunDirectoryError, match=f"lacks {lacks}"):
+        PipelineIndex.load(tmp_path)
 
 
 def test_pipelines_are_listed_those_declared_and_those_begun(whole: PipelineIndex, declared_two):

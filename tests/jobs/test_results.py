@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,8 +16,16 @@ from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.jobs.results import again as again_of
 from wheelleg_exp.jobs.results.page import machines_of, page
-from wheelleg_exp.jobs.results.record import manifest_of, read_manifests, read_record, recipe, require_own_page
-from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.jobs.results.record import (
+    manifest_of,
+    read_manifests,
+    read_record,
+    recipe,
+    require_one_method,
+    require_own_page,
+)
+from wheelleg_exp.paths import TEACHER, configs_dir
+from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.verify import FactDifference
 
 pytestmark = pytest.mark.train
@@ -203,6 +212,31 @@ def test_a_run_that_was_not_trained_in_one_go_is_no_result(run):
     write_json(run.path / "manifest.json", {**data, "status": "interrupted"})
     with pytest.raises(RunDirectoryError, match="in one go"):
         recipe(run)
+
+
+def test_runs_of_one_result_differ_by_their_seed_alone(run):
+    data = json.loads((run.path / "manifest.json").read_text())
+    require_one_method([run, run])
+    longer = {"exact": True, "overrides": ["agent.max_iterations=9"]}
+    with tempfile.TemporaryDirectory() as folder:
+        other = RunDirectory(shutil.copytree(run.path, Path(folder) / "small" / "other"))
+        write_json(other.path / "manifest.json", {**data, "resumes": [longer]})
+        with pytest.raises(RunDirectoryError, match="was trained otherwise than"):
+            require_one_method([run, other])
+
+
+def test_a_student_is_no_result_because_its_teacher_is_not_kept(run):
+    (run.asset / TEACHER).parent.mkdir(exist_ok=True)
+    (run.asset / TEACHER).write_bytes(b"")
+    with pytest.raises(RunDirectoryError, match="another run's policy"):
+        recipe(run)
+
+
+def test_a_page_that_there_is_not_is_told_with_those_that_there_are(written, capsys):
+    assert main(["results", "smal", "--again", "--into", str(written)]) == 2
+    said = capsys.readouterr().err
+    assert "there is no result 'smal'" in said
+    assert "one of small" in said
 
 
 @pytest.mark.parametrize("name", ["../outside", "a/b", "", ".."])

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from wheelleg_exp.cli.common import add_config_dir, add_root
-from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
 
 FOLDER = Path("docs/results")
 
@@ -47,15 +47,14 @@ def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import evaluated, found, is_run, reference_of
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import shown, tool
-    from wheelleg_exp.jobs.results.record import compared_with, recipe, write_results
+    from wheelleg_exp.jobs.results.record import compared_with, require_one_method, write_results
 
     names = [word for word in args.runs if is_run(word)]
     words = [word for word in args.runs if not is_run(word)]
     if not names:
         raise WheellegError("names no run", key="RUN", expected="the runs that the table is of")
     chosen = found(args, names)
-    for directory, _ in chosen:
-        recipe(directory)  # what cannot be made again is no result
+    require_one_method([directory for directory, _ in chosen])  # and what cannot be made again is no result
     with ConsoleDisplay(quiet=True) as display:
         made = [evaluated(args, *one, words, display) for one in chosen]
         reference = reference_of(args, made[0], words, display) if args.reference else None
@@ -77,6 +76,14 @@ def _again(args: argparse.Namespace) -> int:
     if args.runs or args.reference or args.kept:
         raise WheellegError(
             "what is made again stands in the record", key="--again", expected="no runs, overrides or options beside it"
+        )
+    pages = sorted(path.stem for path in args.into.glob("*.json"))
+    if args.name not in pages:
+        raise WheellegError(
+            f"there is no result '{args.name}' in {args.into}",
+            key="NAME",
+            expected="one of " + (", ".join(pages) or "(there are none)"),
+            nearest=nearest_name(args.name, pages),
         )
     record = read_record(args.into / f"{args.name}.json")
     manifests = read_manifests(record, args.into)

@@ -46,7 +46,7 @@ def chosen_matmul(agent: Mapping[str, Any]) -> str:
     why_not = _why_not(agent)
     if wanted == "bfloat16" and why_not:
         raise ConfigError(f"bfloat16 is for CPUs, and {why_not}", key=KEY, expected="auto or float32")
-    on_gpu = torch.device(str(agent["device"])).type == "cuda"
+    on_gpu = _kind(agent) == "cuda"
     if wanted == "tf32" and not on_gpu:
         raise ConfigError(
             f"tf32 is for GPUs, and agent.device is {agent['device']}", key=KEY, expected="auto or float32"
@@ -73,10 +73,14 @@ def has_units() -> bool:
     return vectors and torch.cpu._is_avx512_bf16_supported() and not is_intel()
 
 
+def _kind(agent: Mapping[str, Any]) -> str:
+    """Return the kind of device; whether there is one of that name is asked where networks are built."""
+    return str(agent["device"]).partition(":")[0]
+
+
 def _why_not(agent: Mapping[str, Any]) -> str:
-    device = str(agent["device"])
-    if torch.device(device).type != "cpu":
-        return f"agent.device is {device}"
+    if _kind(agent) != "cpu":
+        return f"agent.device is {agent['device']}"
     if agent.get("torch_compile_mode") is not None:
         return "agent.torch_compile_mode compiles the networks"
     return ""

@@ -18,6 +18,8 @@ from wheelleg_exp.run.process import this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
 
 FORMAT = 1
+_KEYS = ("id", "name", "status", "why", "config_dirs", "root", "overrides", "started", "resumes", "config", "phases")
+_PHASE_KEYS = ("name", "status", "why", "digest", "run", "init_from", "trained", "gates")
 
 PhaseStatus = Literal["waiting", "training", "passed", "failed"]
 PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
@@ -101,6 +103,10 @@ class PipelineIndex:
         if data.get("format") != FORMAT:
             message = f"pipeline format {data.get('format')!r} is not known here"
             raise RunDirectoryError(message, where=str(path), expected=f"format {FORMAT}")
+        missing = [key for key in _KEYS if key not in data]
+        missing += [f"phases.{key}" for phase in data["phases"] for key in _PHASE_KEYS if key not in phase]
+        if missing:
+            raise RunDirectoryError(f"this record lacks {missing[0]}", where=str(path), expected=", ".join(_KEYS))
         return cls(path.parent.resolve(), data)
 
     @property

@@ -151,8 +151,7 @@ def compose_phases(
         try:
             found[name] = compose_valid(words_of(name, phase, overrides), config_dirs=config_dirs)
             if phase.gate is not None:
-                words = [f"protocol={phase.gate.protocol}", *phase.gate.overrides]
-                compose(words, primary="evaluate", config_dirs=config_dirs)
+                _require_protocol(name, phase.gate, config_dirs)
         except ConfigError as error:
             mistakes += [in_phase(part, name) for part in parts(error)]
     if not mistakes:
@@ -160,6 +159,16 @@ def compose_phases(
     if mistakes:
         raise_all(mistakes)
     return found
+
+
+def _require_protocol(phase: str, gate: Gate, config_dirs: Sequence[Path]) -> None:
+    try:
+        compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
+    except ConfigError as error:
+        for part in parts(error):
+            if part.key == "protocol":  # that there is none of this name
+                part.key = f"{PRIMARY}.phases.{phase}.gate.protocol"
+        raise
 
 
 def digest(composed: Composed) -> str:

@@ -9,11 +9,6 @@ from itertools import groupby
 from typing import Any
 
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
-_LIMITS = (
-    "No hardware. The robot is authored from the numbers of an article, without its CAD. What differs from PhysX is "
-    "known by construction, not by measurement. The reference is free of noise and delay. The numbers hold for this "
-    "armature profile and these time steps alone."
-)
 
 
 def page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> str:
@@ -26,16 +21,17 @@ def page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> s
     parts = [f"# {record['name']}\n", *_about(record, manifests)]
     for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
         parts += [f"## {group}\n", *_table(record, list(names)), ""]
-    parts += ["## How it was made\n", *_made(record, manifests), "", _LIMITS]
+    parts += ["## How it was made\n", *_made(record, manifests)]
     return "\n".join(parts) + "\n"
 
 
 def _about(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     about = record["about"]
+    profile = f"robot profile `{about['profile']}`, " if about.get("profile") else ""
     seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
     yield (
         f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
-        f"robot profile `{about.get('profile')}`, physics step {about['physics_dt_s']:.6g} s, "
+        f"{profile}physics step {about['physics_dt_s']:.6g} s, "
         f"control step {about['step_dt_s']:.6g} s."
     )
     took = [manifest["results"].get("seconds") for manifest in manifests]

@@ -12,6 +12,7 @@ from wheelleg_exp.files import for_people, read_json, read_text, write_json, wri
 from wheelleg_exp.jobs.evaluate.compare import Compared, compare
 from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
 from wheelleg_exp.jobs.results.page import page
+from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.reading import Unreadable, json_value, yaml_value
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.verify.made_with import is_the_machine
@@ -148,6 +149,10 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
             key=run.id,
             expected="a finished run, if resumed then with no change but of its length or of the machine",
         )
+    if (run.asset / TEACHER).is_file():
+        raise RunDirectoryError(
+            "learned from another run's policy", key=run.id, expected="a run whose commands make it again by themselves"
+        )
     with for_people(run.hydra, "read"):
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
     if longer:
@@ -162,6 +167,23 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
         parent = RunDirectory.open(str(began["run"]), run.root)
         found |= {"begins_with": recipe(parent), "iteration": began["iteration"]}
     return found
+
+
+def require_one_method(runs: Sequence[RunDirectory]) -> None:
+    """Raise RunDirectoryError unless the runs were trained alike but for their seed."""
+    first, *others = (_method(recipe(run)) for run in runs)
+    for run, other in zip(runs[1:], others, strict=True):
+        if other != first:
+            raise RunDirectoryError(
+                f"was trained otherwise than {runs[0].id}",
+                key=run.id,
+                expected="runs that differ by their seed alone (wheelleg diff names all else)",
+            )
+
+
+def _method(made: Mapping[str, Any]) -> dict[str, Any]:
+    words = sorted(word for word in made["overrides"] if not word.startswith("seed="))
+    return {**made, "overrides": words, "begins_with": made["begins_with"] and _method(made["begins_with"])}
 
 
 def parameters(run: RunDirectory) -> str:
