@@ -97,7 +97,7 @@ def add_primary(parser: argparse.ArgumentParser) -> None:
 
 def primary_of(args: argparse.Namespace, key: str = "") -> str:
     """Return the primary config that a command composes: the one asked for, or that of its overrides or its key."""
-    from wheelleg_exp.config.composing.compose import PIPELINE, names_pipeline
+    from wheelleg_exp.config.composing.primaries import PIPELINE, names_pipeline
 
     named = any(map(names_pipeline, [*args.overrides, key]))
     return args.primary or (PIPELINE if named else "train")

@@ -163,7 +163,7 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
 
 def _primary(words: list[str]) -> str:
     """Return the primary config of words that name none: a pipeline's where they are of one."""
-    from wheelleg_exp.config.composing.compose import PIPELINE, names_pipeline
+    from wheelleg_exp.config.composing.primaries import PIPELINE, names_pipeline
 
     return PIPELINE if any("." in word and names_pipeline(word) for word in words) else "train"
 

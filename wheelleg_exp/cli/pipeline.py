@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import print_json
 from wheelleg_exp.cli.printing.tables import print_table
-from wheelleg_exp.config.composing.compose import names_pipeline
+from wheelleg_exp.config.composing.primaries import names_pipeline
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INTERRUPTED, EXIT_OK, ConfigError
 
 if TYPE_CHECKING:

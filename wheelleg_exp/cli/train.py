@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compose, check, train, and say what was made."""
-    from wheelleg_exp.config.composing.compose import names_pipeline
+    from wheelleg_exp.config.composing.primaries import names_pipeline
     from wheelleg_exp.jobs.stop import StopRequest
 
     # From the first moment on: an interrupt inside the import of a C++ library may be lost or become another error.

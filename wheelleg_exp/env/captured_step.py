@@ -131,4 +131,4 @@ class CapturedReset:
         self._names = list(log)
         if not all(isinstance(value, torch.Tensor) for value in log.values()):
             raise RuntimeError("what is logged of a reset is no tensor")
-        return torch.stack([value.reshape(()).double() for value in log.values()])
+        return torch.stack([value.reshape(()) for value in log.values()])

@@ -55,7 +55,7 @@ class _Bound:
     def _ask(self, timers: torch.Tensor) -> None:
         if self._told is None:
             with torch.inference_mode(False):
-                self._told = torch.zeros((), dtype=timers.dtype, pin_memory=True)
+                self._told = torch.zeros((), dtype=timers.dtype, device="cpu", pin_memory=True)
         self._told.copy_(timers.amin(), non_blocking=True)
         self._come, self._age = torch.cuda.Event(), 0.0
         self._come.record()

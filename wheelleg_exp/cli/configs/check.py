@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.common import UsageError, add_json, add_overrides, print_json
 from wheelleg_exp.cli.printing.tables import print_blocks, print_table
-from wheelleg_exp.config.composing.compose import Composed, names_pipeline
+from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.config.composing.primaries import names_pipeline
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK, ConfigError
 
 if TYPE_CHECKING:

@@ -9,4 +9,5 @@
 | `headers`, `mounts`, `replacing` | where files land, and which takes another's place |
 | `provenance` | the file and line of each leaf |
 | `hydra_keys` | settings of Hydra that do something here |
+| `primaries` | which primary config words are of |
 """

@@ -106,14 +106,6 @@ class Composed:
         }
 
 
-PIPELINE = "pipeline"  # the primary config of pipelines, and their key
-
-
-def names_pipeline(word: str) -> bool:
-    """Return whether an override, or a key, chooses or changes a pipeline, and not what its phases train."""
-    return word.lstrip("+~").partition("=")[0].split(".")[0] == PIPELINE
-
-
 def compose(
     overrides: Sequence[str] = (),
     *,

@@ -9,7 +9,7 @@ from typing import Any
 from wheelleg_exp.config.changes import Change, changes, same
 from wheelleg_exp.config.checking.collect import compose_valid
 from wheelleg_exp.config.composing.amend import amend, placing
-from wheelleg_exp.config.composing.compose import names_pipeline
+from wheelleg_exp.config.composing.primaries import names_pipeline
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, Phase, read, words_of
 from wheelleg_exp.run.begin import refuse_secrets

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.collect import compose_valid
-from wheelleg_exp.config.composing.compose import PIPELINE as PRIMARY
 from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.primaries import PIPELINE as PRIMARY
 from wheelleg_exp.config.composing.sweep import digest_of
 from wheelleg_exp.config.problems import parts, raise_all
 from wheelleg_exp.constraints import Count
