@@ -389,6 +389,9 @@ def test_a_record_that_lacks_something_is_told_and_not_read(whole: PipelineIndex
     (tmp_path / "pipeline.json").write_text(json.dumps(data))
     with pytest.raises(RunDirectoryError, match=f"lacks {lacks}"):
         PipelineIndex.load(tmp_path)
+    (tmp_path / "pipeline.json").write_text(json.dumps({**json.loads(whole.path.read_text()), "phases": [7]}))
+    with pytest.raises(RunDirectoryError, match=r"lacks phases\.name"):
+        PipelineIndex.load(tmp_path)
 
 
 def test_pipelines_are_listed_those_declared_and_those_begun(whole: PipelineIndex, declared_two):

@@ -201,7 +201,13 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     assert next(machines_of(kept)) == "Abacus, 7 cores"
     assert "secret" not in json.dumps(kept)
     code = {**moved, "differences": [{**elsewhere, "section": "code"}]}
-    for other in (code, {"exact": False, "overrides": []}, {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]}):
+    versions = {**moved, "differences": [{**elsewhere, "section": "versions", "name": "torch"}]}
+    for other in (
+        code,
+        versions,
+        {"exact": False, "overrides": []},
+        {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]},
+    ):
         write_json(run.path / "manifest.json", {**data, "resumes": [other]})
         with pytest.raises(RunDirectoryError, match="in one go"):
             recipe(run)

@@ -376,9 +376,8 @@ class Captured:
                 if slot.name in self._memory.rebound and isinstance(value, torch.Tensor):
                     static = self._memory.statics.get(slot.name)
                     if static is None or _form(static) != _form(value):
-                        static = self._memory.statics[slot.name] = (
-                            value.detach().clone()
-                        )  # its own, whoever has shared it
+                        static = value.detach().clone()  # its own, whoever has shared it
+                        self._memory.statics[slot.name] = static
                     elif static is not value:
                         static.copy_(value)
                     slot.set(static)

@@ -103,8 +103,9 @@ class PipelineIndex:
         if data.get("format") != FORMAT:
             message = f"pipeline format {data.get('format')!r} is not known here"
             raise RunDirectoryError(message, where=str(path), expected=f"format {FORMAT}")
+        phases = [phase if isinstance(phase, dict) else {} for phase in data["phases"]]
         missing = [key for key in _KEYS if key not in data]
-        missing += [f"phases.{key}" for phase in data["phases"] for key in _PHASE_KEYS if key not in phase]
+        missing += [f"phases.{key}" for phase in phases for key in _PHASE_KEYS if key not in phase]
         if missing:
             raise RunDirectoryError(f"this record lacks {missing[0]}", where=str(path), expected=", ".join(_KEYS))
         return cls(path.parent.resolve(), data)

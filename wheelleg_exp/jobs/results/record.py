@@ -142,7 +142,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     """
     data = run.manifest().data
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
-    exact = all(entry.get("exact") is True or is_the_machine(entry) for entry in data["resumes"])
+    exact = all(entry.get("exact") is True or _went_elsewhere(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         raise RunDirectoryError(
             "was not trained in one go",
@@ -167,6 +167,11 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
         parent = RunDirectory.open(str(began["run"]), run.root)
         found |= {"begins_with": recipe(parent), "iteration": began["iteration"]}
     return found
+
+
+def _went_elsewhere(entry: Mapping[str, Any]) -> bool:
+    """Return whether another machine is all that made a resume inexact: not other versions, threads or variables."""
+    return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
 
 
 def require_one_method(runs: Sequence[RunDirectory]) -> None:
