@@ -169,3 +169,38 @@ def test_a_reset_in_which_counting_is_noticed_is_done_once():
             assert float(taped.extras["log"][key]) == pytest.approx(float(value), rel=1e-6, abs=1e-9)
         assert torch.equal(taped.scene.sim.state, plain.scene.sim.state)
     assert not taped._captured_reset._works
+
+
+class Waits(TermBase):
+    """Reads a tensor, and holds another that each step replaces by one of another shape."""
+
+    def __init__(self) -> None:
+        self.now, self.beside = torch.zeros(2), torch.zeros(1)
+
+    def work(self) -> torch.Tensor:
+        return self.now + 1.0
+
+
+def test_what_a_part_does_not_read_may_take_any_shape_and_the_recording_stays():
+    term = Waits()
+    part = Captured(term.work, [term], Tape, lambda: None)
+    for step in range(8):
+        term.now.fill_(float(step))
+        term.beside = torch.zeros(step)
+        assert part().tolist() == [step + 1.0] * 2
+        made = part._variants
+    variant = next(iter(made.values()))
+    term.beside = torch.zeros(9)
+    part()
+    assert list(part._variants.values()) == [variant]
+    assert [slot.way for slot, _ in variant.before] == [("now",)]
+
+
+def test_another_tensor_in_the_place_of_one_that_a_part_reads_is_brought_into_its_memory():
+    term = Waits()
+    part = Captured(term.work, [term], Tape, lambda: None)
+    for step in range(8):
+        term.now = torch.full((2,), float(step))
+        assert part().tolist() == [step + 1.0] * 2
+    term.now = torch.zeros(3)
+    assert part().tolist() == [1.0] * 3

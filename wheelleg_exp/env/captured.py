@@ -6,26 +6,19 @@ capture, so it is found out and repeated: which attributes hold other tensors af
 
 from __future__ import annotations
 
-import functools
 import operator
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from types import FunctionType, MethodType
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
+from wheelleg_exp.env.recorders import Recorder, Touched
+from wheelleg_exp.env.slots import PLAIN, Slot, entry_of, slots
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.term import Term
 
-_PLAIN = (bool, int, float, str, type(None))
-_OWN = ("wheelleg_exp.", "functools")
-# Classes and attributes that stand still, or are no state of this part of the step.
-_FIXED = frozenset(
-    """Cfg Captured CapturedStep CapturedReset Memory TermState Graphs cfg options spec model asked extras
-    common_step_counter _captured _captured_look _captured_reset _captured_commands _captured_memory""".split()  # noqa: SIM905
-)
 _MOST_VARIANTS, _MOST_PLAIN = 8, 1000
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
 
@@ -38,139 +31,6 @@ class Counting(ConfigError):
     """
 
     found: Any = None
-
-
-class Recorder(Protocol):
-    """What records work and repeats it: a CUDA graph, or a stand-in."""
-
-    def record(self, work: Callable[[], None]) -> None:
-        """Do the work and record it."""
-
-    def replay(self) -> None:
-        """Do the recorded work again, on the same memory."""
-
-
-class CudaGraph:
-    """A CUDA graph of torch's, in which random streams go on from replay to replay.
-
-    Args:
-        generators: the random streams that the work may draw from.
-        pool: memory that graphs share which are never replayed at the same time.
-    """
-
-    def __init__(self, generators: Sequence[torch.Generator], pool: Any = None) -> None:
-        self._generators, self._pool = generators, pool
-        self._graph = self._made()
-
-    def _made(self) -> torch.cuda.CUDAGraph:
-        graph = torch.cuda.CUDAGraph()
-        for generator in self._generators:
-            # Of the class itself, with the same state: torch takes no subclass here.
-            graph.register_generator_state(generator.graphsafe_get_state())
-        return graph
-
-    def record(self, work: Callable[[], None]) -> None:
-        """Do the work and record it; it runs at the first replay."""
-        torch.cuda.synchronize()
-        try:
-            with torch.cuda.graph(self._graph, pool=self._pool, capture_error_mode="thread_local"):
-                work()
-        except Exception:  # random streams wait for the end of a capture, and would not be drawn from
-            with torch.cuda.graph(self._made(), capture_error_mode="thread_local"):
-                torch.zeros(1, device="cuda")
-            raise
-
-    def replay(self) -> None:
-        """Do the recorded work again."""
-        self._graph.replay()
-
-
-class Slot:
-    """A place that holds a value, by the way to it: an attribute, perhaps of entries of dictionaries and lists in it.
-
-    Args:
-        holder: the object.
-        way: the attribute's name, then keys.
-    """
-
-    def __init__(self, holder: Any, way: tuple[Any, ...]) -> None:
-        self.holder, self.way = holder, way
-        self.name = (id(holder), *way)
-
-    def _around(self) -> Any:
-        """Return what holds it directly; itself when that is not there."""
-        found = vars(self.holder)
-        for key in self.way[:-1]:
-            found = _entry(found, key, self)
-            if not isinstance(found, (dict, list)):
-                return self
-        return found
-
-    def get(self) -> Any:
-        """Return what it holds; itself when it is not there."""
-        around = self._around()
-        return self if around is self else _entry(around, self.way[-1], self)
-
-    def set(self, value: Any) -> None:
-        """Let it hold a value; itself takes it away."""
-        around, key = self._around(), self.way[-1]
-        if around is self:
-            return
-        if value is self:
-            if isinstance(around, dict):
-                around.pop(key, None)
-        elif isinstance(around, dict) or key < len(around):
-            around[key] = value
-
-
-def _entry(container: Any, key: Any, otherwise: Any) -> Any:
-    if isinstance(container, dict):
-        return container.get(key, otherwise)
-    if isinstance(container, list):
-        return container[key] if key < len(container) else otherwise
-    return otherwise
-
-
-def slots(roots: Sequence[Any]) -> Iterator[Slot]:
-    """Yield every place below some objects that holds a tensor, a plain value or a dictionary."""
-    seen: set[int] = set()
-    waiting = list(roots)
-    while waiting:
-        node = waiting.pop()
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        if isinstance(node, functools.partial):
-            waiting += [node.func, *node.args, *node.keywords.values()]
-        elif isinstance(node, (tuple, set, frozenset, list)):
-            waiting += list(node)
-        elif isinstance(node, dict):
-            waiting += list(node.values())
-        elif isinstance(node, MethodType):
-            waiting.append(node.__self__)
-        elif isinstance(node, FunctionType):
-            waiting += [cell.cell_contents for cell in node.__closure__ or ()]
-        elif _is_own(type(node)) and type(node).__name__ not in _FIXED:
-            for key in list(getattr(node, "__dict__", {})):
-                if key not in _FIXED:
-                    yield from _places(node, (key,), vars(node)[key], waiting)
-
-
-def _is_own(kind: type) -> bool:
-    """Return whether a class is this program's, or a user's that derives from one."""
-    return any(base.__module__.startswith(_OWN) for base in kind.__mro__)
-
-
-def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -> Iterator[Slot]:
-    if isinstance(value, torch.Tensor) or type(value) in _PLAIN:
-        yield Slot(holder, way)
-    elif isinstance(value, (dict, list)):
-        yield Slot(holder, way)
-        entries = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, entry in list(entries):
-            yield from _places(holder, (*way, key), entry, waiting)
-    else:
-        waiting.append(value)
 
 
 @dataclass
@@ -203,24 +63,33 @@ class _Entry:
     """What there was when a recording was entered: as long as it is that, nothing else has to be looked at.
 
     Attributes:
-        places: containers and the keys in them, of all that a recording depends on, and of the containers themselves.
+        places: containers and the keys in them, of plain values that a recording depends on, and of the containers.
         values: what was there.
+        leaves: containers and the keys in them, of tensors that a recording reads or writes, and its memory for them.
         variant: the recording.
-        copies: what has to be brought into its memory.
     """
 
     places: list[tuple[Any, Any]]
     values: list[Any]
+    leaves: list[tuple[Any, Any, torch.Tensor]]
     variant: _Variant
-    copies: list[tuple[Slot, torch.Tensor, torch.Tensor]]
 
-    def holds(self) -> bool:
-        """Return whether the very same things are there."""
+    def enter(self) -> bool:
+        """Bring what is there into the recording's memory; return whether the very same things are there."""
         try:
             now = [container[key] for container, key in self.places]
+            found = [container[key] for container, key, _ in self.leaves]
         except LookupError:
             return False
-        return all(map(operator.is_, now, self.values))
+        if not all(map(operator.is_, now, self.values)):
+            return False
+        others = [(leaf, now) for leaf, now in zip(self.leaves, found, strict=True) if now is not leaf[2]]
+        if not all(isinstance(now, torch.Tensor) and _form(now) == _form(leaf[2]) for leaf, now in others):
+            return False
+        for (container, key, static), now in others:
+            static.copy_(now)
+            container[key] = static
+        return True
 
 
 class Captured:
@@ -267,10 +136,7 @@ class Captured:
         if self._runs < _WARM_UP:
             self._runs += 1
             return self._run_by_itself()
-        if self._entry is not None and self._entry.holds():
-            for slot, static, now in self._entry.copies:
-                static.copy_(now)
-                slot.set(static)
+        if self._entry is not None and self._entry.enter():
             return self._replay(self._entry.variant)
         self._entry = None
         key = tuple(_kind(slot.get()) for slot in self._plain.values())
@@ -304,34 +170,36 @@ class Captured:
 
     def _enter(self, variant: _Variant) -> list[Slot]:
         """Bring what slots hold into a recording's memory; return those that hold another kind of thing."""
-        places = self._places_of(variant)
-        values = [container[key] for container, key in places]
-        copies = []
         unlike = [slot for slot in variant.empty if slot.get() is not None]
         for slot, static in variant.before:
             now = slot.get()
             if now is static:
                 continue
             if isinstance(now, torch.Tensor) and _form(now) == _form(static):
-                copies.append((slot, static, now))
                 static.copy_(now)
                 slot.set(static)
             else:
                 unlike.append(slot)
-        self._entry = None if unlike or not places else _Entry(places, values, variant, copies)
+        self._entry = None if unlike else self._entry_of(variant)
         return unlike
 
-    def _places_of(self, variant: _Variant) -> list[tuple[Any, Any]]:
-        """Return where that is which a recording depends on; none when a part of it is not there."""
+    def _entry_of(self, variant: _Variant) -> _Entry | None:
+        """Return what there is, on which a recording depends; None when a part of it is not there."""
         found: dict[tuple[int, Any], tuple[Any, Any]] = {}
+        leaves = []
+        statics = {slot.name: static for slot, static in variant.before}
         for slot in (*self._plain.values(), *variant.empty, *(slot for slot, _ in variant.before)):
             container: Any = vars(slot.holder)
-            for key in slot.way:
-                if _entry(container, key, slot) is slot:
-                    return []
-                found[id(container), key] = container, key
-                container = container[key]
-        return list(found.values())
+            for depth, key in enumerate(slot.way, 1):
+                if entry_of(container, key, slot) is slot:
+                    return None
+                if depth == len(slot.way) and slot.name in statics:
+                    leaves.append((container, key, statics[slot.name]))
+                else:
+                    found[id(container), key] = container, key
+                    container = container[key]
+        places = list(found.values())
+        return _Entry(places, [container[key] for container, key in places], leaves, variant)
 
     def _run_by_itself(self) -> Any:
         before = [(slot, slot.get()) for slot in slots(self._roots)]
@@ -382,11 +250,17 @@ class Captured:
                         static.copy_(value)
                     slot.set(static)
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
-        others = [(slot, slot.get()) for slot in found if type(slot.get()) in _PLAIN]
+        others = [(slot, slot.get()) for slot in found if type(slot.get()) in PLAIN]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
         outputs: list[Any] = []
+        touched = Touched()
+
+        def work() -> None:
+            with touched:
+                outputs.append(self._work_and_write_back(tensors))
+
         try:
-            recorder.record(lambda: outputs.append(self._work_and_write_back(tensors)))
+            recorder.record(work)
         except Exception:  # nothing was done, and so nothing shall have changed
             for slot, whole in wholes:
                 slot.set(whole)
@@ -396,7 +270,8 @@ class Captured:
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
         empty = [slot for slot, value in others if value is None]
-        return _Variant(recorder, tensors, empty, after, contents, _standing(outputs[0]))
+        before = [(slot, value) for slot, value in tensors if touched.has(value)]
+        return _Variant(recorder, before, empty, after, contents, _standing(outputs[0]))
 
     def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
         """Do the work, and write what slots hold then into the memory that they held before."""
@@ -424,7 +299,7 @@ def _standing(tree: Any) -> Any:
 
 def _kind(value: Any) -> Any:
     """Return what a recording depends on: a plain value, or what kind of thing there is."""
-    return value if type(value) in _PLAIN else type(value)
+    return value if type(value) in PLAIN else type(value)
 
 
 def _form(value: torch.Tensor) -> tuple[Any, ...]:

@@ -8,7 +8,8 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.env.captured import Captured, Counting, CudaGraph
+from wheelleg_exp.env.captured import Captured, Counting
+from wheelleg_exp.env.recorders import CudaGraph
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
 
