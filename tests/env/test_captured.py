@@ -14,7 +14,8 @@ from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
 from wheelleg_exp.managers.term import TermBase
 
-WAITS = ("_local_scalar_dense", "nonzero")  # what a graph cannot hold: the host waits for a number
+# What a graph cannot hold: the host waits for a number, or brings one.
+WAITS = ("_local_scalar_dense", "nonzero", "lift_fresh")
 
 
 class Tape(TorchDispatchMode):
@@ -46,8 +47,8 @@ class Tape(TorchDispatchMode):
                     old.copy_(new)
 
 
-def stand() -> ManagerBasedRLEnv:
-    words = ["task=stand", "env.num_envs=16", "env.sim.nthread=1", "env.episode_length_s=0.5"]
+def stand(task: str = "stand") -> ManagerBasedRLEnv:
+    words = [f"task={task}", "env.num_envs=16", "env.sim.nthread=1", "env.episode_length_s=0.5"]
     env = ManagerBasedRLEnv(compose(words).config["env"], ASSETS / "legged.xml", 0)
     env.reset(seed=0)
     return env
@@ -76,7 +77,7 @@ def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
 
 
 def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_weight():
-    plain, taped = stand(), recorded(stand())
+    plain, taped = stand("walk"), recorded(stand("walk"))
     gen = torch.Generator().manual_seed(1)
     ended = 0
     for index in range(60):

@@ -8,6 +8,7 @@ from typing import Annotated
 import torch
 
 from wheelleg_exp.constraints import Bounds, NotEmpty, Positive
+from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.state import Stateful
 
 
@@ -94,8 +95,8 @@ class DigitalFilter(Modifier):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget past inputs and outputs."""
-        self._inputs[env_ids] = 0.0
-        self._outputs[env_ids] = 0.0
+        fill_rows(self._inputs, env_ids, 0.0)
+        fill_rows(self._outputs, env_ids, 0.0)
 
 
 class Integrator(Modifier):
@@ -121,5 +122,5 @@ class Integrator(Modifier):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Start from zero."""
-        self._integral[env_ids] = 0.0
-        self._previous[env_ids] = 0.0
+        fill_rows(self._integral, env_ids, 0.0)
+        fill_rows(self._previous, env_ids, 0.0)

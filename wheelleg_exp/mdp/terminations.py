@@ -10,7 +10,7 @@ import torch
 from wheelleg_exp.constraints import Above, AtMost, Bounds, Count, NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.ground import height_over_ground
-from wheelleg_exp.sim.ids import picked
+from wheelleg_exp.sim.ids import fill_rows, picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
@@ -116,7 +116,7 @@ class stuck(TermBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Begin anew with ``env_ids``."""
-        self._stayed[env_ids] = -1
+        fill_rows(self._stayed, env_ids, -1)
 
 
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -11,6 +11,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.absent import lacking
 from wheelleg_exp.sim.data import RobotData
 from wheelleg_exp.sim.derived import derived, same_as
+from wheelleg_exp.sim.ids import fill_rows
 
 
 @lacking(
@@ -162,7 +163,7 @@ class BodyData(RobotData):
     def forget_accelerations(self, ids: torch.Tensor) -> None:
         """Report no acceleration of bodies whose velocity was written, until the next physics step."""
         if self._vel_before is not None:
-            self._acc_valid[ids] = 0.0
+            fill_rows(self._acc_valid, ids, 0.0)
 
     def before_step(self) -> None:
         """Keep the motion state that the coming physics step starts from."""

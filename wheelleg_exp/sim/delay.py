@@ -7,6 +7,8 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.sim.ids import fill_rows
+
 
 class DelayBuffer:
     """The last samples of each environment, of which it hands out the one of age ``lag``.
@@ -43,7 +45,7 @@ class DelayBuffer:
         low, high = self._range
         drawn = torch.randint(low, high + 1, (len(env_ids),), generator=self._generator, device=self.lag.device)
         self.lag[env_ids] = drawn
-        self._is_first[env_ids] = True
+        fill_rows(self._is_first, env_ids, True)
 
     def state_dict(self) -> dict[str, Any]:
         """Return samples and lags."""

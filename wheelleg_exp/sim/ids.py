@@ -100,6 +100,14 @@ def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> t
     return values if isinstance(ids, slice) and ids == _ALL else values[:, ids]
 
 
+def fill_rows(values: torch.Tensor, ids: EnvIds, number: float) -> None:
+    """Set rows of values (N, ...) to a number. ``values[ids] = number`` copies it from the host: no CUDA graph can."""
+    if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
+        values.index_fill_(0, ids, number)
+    else:
+        values[ids] = number
+
+
 def columns(ids: Columns, device: torch.device) -> torch.Tensor | slice:
     """Return what indexes a dimension by itself: None is all."""
     if ids is None:

@@ -13,6 +13,7 @@ from wheelleg_exp.constraints import Interval, NonNegative, Positive, PositiveIn
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, member
 from wheelleg_exp.mdp.commands.velocity import UniformVelocityCommand, VelocityAxis
+from wheelleg_exp.sim.ids import fill_rows
 
 _ROLLS = 0.5  # part of a wheel's axis along the base's y, from which on it rolls forwards or backwards
 
@@ -120,10 +121,10 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Begin the sum anew as well, and the command at rest."""
-        self.travel_error[env_ids] = 0.0
+        fill_rows(self.travel_error, env_ids, 0.0)
         log = super().finish_episode(env_ids)
         (most,) = self._fastest
-        self._command[env_ids] = self._asked[env_ids].clamp(-most, most)
+        self._command.index_copy_(0, env_ids, self._asked.index_select(0, env_ids).clamp(-most, most))
         return log
 
 

@@ -7,6 +7,7 @@ import torch
 from wheelleg_exp.constraints import Count, NonNegative, Share
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.sim.ids import fill_rows
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -77,8 +78,8 @@ class terrain_levels_by_distance(TermBase):
         up = lived & told & (covered >= self._up * commanded)
         down = lived & torch.where(told, covered <= self._down * commanded, failed)
         terrain.update_env_origins(env_ids, up, down)
-        self._commanded[env_ids] = 0.0
-        self._covered[env_ids] = 0.0
+        fill_rows(self._commanded, env_ids, 0.0)
+        fill_rows(self._covered, env_ids, 0.0)
         levels = terrain.terrain_levels.float()
         mean = float(levels.mean())
         if mean > self._best:

@@ -10,6 +10,7 @@ import torch
 from wheelleg_exp.constraints import Count, Interval, NonNegative, NotEmpty, Positive, Share
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.sim.ids import fill_rows
 
 _ROBOT = SceneEntityCfg("robot")
 _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # of a velocity command, in its order
@@ -96,7 +97,7 @@ class command_levels_by_skill(TermBase):
         sums[1:] *= rest  # a failure scores nothing in what would have been left
         self._total += (sums * counted).sum(dim=2)
         self._sums[:, :, env_ids] = 0.0
-        self._counts[env_ids] = True
+        fill_rows(self._counts, env_ids, True)
         self._ended += int(counted.sum())
         if self._ended >= self._least:
             self._judge(env)

@@ -10,6 +10,7 @@ from wheelleg_exp.constraints import Interval, NonNegativeInterval, PositiveInte
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.ids import fill_rows
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -132,8 +133,8 @@ class apply_body_impulse(TermBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Begin the episodes of ``env_ids`` with a pause; the robot has forgotten what acted on it."""
-        self._is_pushed[env_ids] = False
-        self._push[env_ids] = 0.0
+        fill_rows(self._is_pushed, env_ids, False)
+        fill_rows(self._push, env_ids, 0.0)
         self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from wheelleg_exp.managers import Env, TermBase
+from wheelleg_exp.sim.ids import fill_rows
 
 
 def action_rate_l2(env: Env) -> torch.Tensor:
@@ -38,4 +39,4 @@ class action_acceleration_l2(TermBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget the actions of ``env_ids``."""
-        self._before_last[env_ids] = 0.0
+        fill_rows(self._before_last, env_ids, 0.0)

@@ -7,7 +7,7 @@ import torch
 from wheelleg_exp.constraints import NonNegative, Positive
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
-from wheelleg_exp.sim.ids import picked
+from wheelleg_exp.sim.ids import fill_rows, picked
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -67,7 +67,7 @@ class joint_vel_rate_l2(TermBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget the velocities of ``env_ids``."""
-        self._has_last[env_ids] = 0.0
+        fill_rows(self._has_last, env_ids, 0.0)
 
     def _velocity(self, env: Env) -> torch.Tensor:
         velocity: torch.Tensor = picked(env.scene[self._joints.name].data.joint_vel, self._joints.joint_ids)

@@ -19,6 +19,7 @@ from wheelleg_exp.paths import NETWORKS
 from wheelleg_exp.sim.actuators.base import Delay, LimitPerJoint, PerJoint, Stream
 from wheelleg_exp.sim.actuators.motors import DCMotor
 from wheelleg_exp.sim.actuators.network_file import Network
+from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.layout import JointTargets
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ class ActuatorNetMLP(ActuatorNet):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget the past of ``env_ids``."""
-        self._past[env_ids] = 0.0
+        fill_rows(self._past, env_ids, 0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return what the network gives, N·m."""

@@ -12,6 +12,7 @@ from wheelleg_exp.constraints import Interval, Length, NonNegative, Targeted, re
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.sensors.base import SensorBase
 from wheelleg_exp.sim.sensors.mounting import Mount, Offset, offset_fits, offset_pose
 from wheelleg_exp.state import Kept
@@ -141,8 +142,8 @@ class Imu(SensorBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Draw the constant errors of the new episodes."""
-        self._elapsed[env_ids] = 0.0
-        self._is_new[env_ids] = True
+        fill_rows(self._elapsed, env_ids, 0.0)
+        fill_rows(self._is_new, env_ids, True)
         if self._stream is not None:
             count, device = len(env_ids), self._sim.device
             self._bias_b[env_ids] = rotation.uniform(self._low, self._high, count, self._stream)
@@ -154,7 +155,7 @@ class Imu(SensorBase):
         self._before = torch.where(written.unsqueeze(1), self._velocities(), self._before)
         self._acc = torch.where((written & self._is_new).unsqueeze(1), 0.0, self._acc)
         self._show(written if self.update_period == 0.0 else written & self._is_new)
-        self._is_new[env_ids] = False
+        fill_rows(self._is_new, env_ids, False)
 
     def _velocities(self) -> torch.Tensor:
         """Return the IMU's linear and angular velocity, world axes, (N, 6)."""

@@ -9,7 +9,7 @@ import torch
 
 from wheelleg_exp.constraints import NonNegative
 from wheelleg_exp.sim.engine import Engine
-from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.ids import fill_rows, ids_where
 from wheelleg_exp.sim.sensors.base import SensorBase
 from wheelleg_exp.terms.failures import blamed
 
@@ -60,8 +60,8 @@ class LazySensor(SensorBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Note that ``env_ids`` are to be measured once their new state is there."""
-        self._elapsed[env_ids] = 0.0
-        self._is_new[env_ids] = True
+        fill_rows(self._elapsed, env_ids, 0.0)
+        fill_rows(self._is_new, env_ids, True)
 
     def refresh(self, env_ids: torch.Tensor) -> None:
         """Take up the state of ``env_ids`` that has been written; what is held is measured of new episodes alone."""
@@ -72,7 +72,7 @@ class LazySensor(SensorBase):
         else:
             self._outdated = None
             self.sense(env_ids[self._is_new[env_ids]])
-        self._is_new[env_ids] = False
+        fill_rows(self._is_new, env_ids, False)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned; what is not held is measured anew."""
