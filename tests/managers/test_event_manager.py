@@ -157,6 +157,15 @@ def test_the_counters_are_there_before_anything_else_is(make_env):
     assert {name for name in seen if name.endswith("_manager")} <= {"scene_manager", "event_manager"}
 
 
+def test_what_is_changed_before_the_start_is_compiled(make_env):
+    def heavier(env, env_ids):
+        env.scene.spec.body("base").mass = 7.0
+
+    spies.VALUES["k"] = heavier
+    env = make_env(events={"e": {"_target_": spies.HERE + "writes", "mode": "prestartup", "key": "k"}})
+    assert float(env.scene.model.body("base").mass[0]) == 7.0
+
+
 def test_a_class_that_runs_before_the_start_is_never_reset(make_env):
     made = {
         mode: {"_target_": spies.HERE + "SpyEvent", "mode": mode, "name": mode} for mode in ("prestartup", "startup")

@@ -274,25 +274,26 @@ def test_places_lie_around_the_origin_of_their_environment(make_env):
 
 
 def test_the_command_is_the_way_in_the_axes_of_the_bases_yaw(make_env):
-    """From (0, 0, .1) at yaw 30 degrees to (1, 2, .3): turned back by 30 degrees, whatever the pitch."""
+    """From (.5, -1, .1) at yaw 30 degrees to (1, 2, .3): turned back by 30 degrees, whatever the pitch."""
     env, term = _place(make_env, num_envs=1)
     assert (term.command == 0).all()  # until the first compute
     yaw = math.radians(30)
-    _stand(env, [0.0, 0.0, 0.1], yaw=yaw, pitch=0.0)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    _stand(env, [0.5, -1.0, 0.1], yaw=yaw, pitch=0.0)
     env.command_manager.compute(0.02)
-    expected = [math.cos(yaw) + 2 * math.sin(yaw), 2 * math.cos(yaw) - math.sin(yaw), 0.2, math.radians(60)]
+    expected = [0.5 * cos + 3 * sin, 3 * cos - 0.5 * sin, 0.2, math.radians(60)]
     assert term.command[0].tolist() == pytest.approx(expected, abs=1e-6)
-    _stand(env, [0.0, 0.0, 0.1], yaw=yaw, pitch=0.5)
+    _stand(env, [0.5, -1.0, 0.1], yaw=yaw, pitch=0.5)
     env.command_manager.compute(0.02)
     assert term.command[0].tolist() == pytest.approx(expected, abs=1e-6)
     assert torch.equal(term.pos_command_b, term.command[:, :3])
     assert torch.equal(term.heading_command_b, term.command[:, 3])
 
 
-@pytest.mark.parametrize(("yaw", "expected"), [(0.5, math.atan2(2, 1)), (-2.5, math.atan2(2, 1) - math.pi)])
+@pytest.mark.parametrize(("yaw", "expected"), [(0.5, math.atan2(3, 2)), (-2.5, math.atan2(3, 2) - math.pi)])
 def test_a_simple_heading_is_along_the_way_forwards_or_backwards(make_env, yaw, expected):
     env, term = _place(make_env, simple_heading=True, ranges={"pos_x": [1.0, 1.0], "pos_y": [2.0, 2.0]}, num_envs=1)
-    _stand(env, [0.0, 0.0, 0.3], yaw=yaw)
+    _stand(env, [-1.0, -1.0, 0.3], yaw=yaw)
     term.draw(torch.arange(1))
     assert term.heading_command_w.tolist() == pytest.approx([expected], abs=1e-5)
 
@@ -349,9 +350,10 @@ def test_a_pose_is_drawn_in_the_frame_of_the_root(make_env):
         assert float(_body(make_env, ranges=ranges, make_quat_unique=unique)[1].command[0, 3]) * sign > 0
 
 
-def test_the_metrics_of_a_pose_are_distance_and_angle_to_the_body(make_env):
+@pytest.mark.parametrize("pitch", [0.25, 0.25 + 2 * math.pi])  # one turn on, the quaternion has the other sign
+def test_the_metrics_of_a_pose_are_distance_and_angle_to_the_body(make_env, pitch):
     """The left wheel lies at (0, .13, -.08) of the base when the hip is straight, unturned."""
-    ranges = {"pos_x": [0.3, 0.3], "pos_y": [0.13, 0.13], "pos_z": [0.32, 0.32], "pitch": [0.25, 0.25]}
+    ranges = {"pos_x": [0.3, 0.3], "pos_y": [0.13, 0.13], "pos_z": [0.32, 0.32], "pitch": [pitch, pitch]}
     env, term = _body(make_env, ranges=ranges, num_envs=1)
     robot = env.scene.robot
     robot.write_joint_state_to_sim(torch.zeros(1, 4), torch.zeros(1, 4), env_ids=torch.arange(1))

@@ -366,6 +366,7 @@ def test_linear(step, share):
     got = schedules.linear(env, None, None, {"x": [0.0, 1.0]}, {"x": [4.0, -1.0]}, num_steps=20, first_step=10)
     assert got == {"x": [4.0 * share, 1.0 - 2.0 * share]}
     assert math.isclose(schedules.linear(env, None, None, 1.0, 2.0, num_steps=20, first_step=10), 1.0 + share)
+    assert schedules.linear(env, None, None, 1.0, 2.0, num_steps=0, first_step=10) == (2.0 if step > 10 else 1.0)
 
 
 def test_override():

@@ -156,6 +156,28 @@ def test_inertia_may_be_left_alone(make_env):
     assert inertia is None
 
 
+@pytest.mark.parametrize("what", ["mass", "inertia"])
+def test_what_follows_from_mass_and_inertia_is_what_mujoco_makes_of_them(make_env, what):
+    """The weights of constraints, and the whole robot's centre of mass, at once."""
+    params = {f"{what}_distribution_params": [2.0, 2.0], "operation": "scale", "asset_cfg": _bodies("base")}
+    env = make_env(events={"e": _event(f"randomize_rigid_body_{what}", mode="custom", **params)})
+    env.reset()
+    model, sim = env.scene.model, env.scene.sim
+    before = sim.derived("subtree_com")[:, model.body("base").id].clone()
+    base = sim.derived("xipos")[:, model.body("base").id].clone()
+    env.apply_event("custom", torch.tensor([1]))
+    changed = model.__copy__()
+    changed.body_inertia[model.body("base").id] *= 2.0
+    changed.body_mass[model.body("base").id] *= 2.0 if what == "mass" else 1.0
+    mujoco.mj_setConst(changed, mujoco.MjData(changed))
+    for field in ("dof_invweight0", "body_invweight0"):
+        np.testing.assert_allclose(sim.batch.expanded(field)[1], getattr(changed, field), rtol=1e-9)
+        np.testing.assert_allclose(sim.batch.expanded(field)[0], getattr(model, field), rtol=1e-9)
+    added = model.body("base").mass[0] if what == "mass" else 0.0
+    expected = before[1] + (base[1] - before[1]) * added / (model.body_mass.sum() + added)
+    torch.testing.assert_close(sim.derived("subtree_com")[1, model.body("base").id], expected)
+
+
 def test_the_drawn_mass_is_what_the_engine_moves(make_env):
     """Weight on the ground: the contact force follows the mass."""
     node = _event(
@@ -175,6 +197,11 @@ def test_the_drawn_mass_is_what_the_engine_moves(make_env):
         ({"operation": "ad", "mass_distribution_params": [0, 1]}, "operation"),
         ({"operation": "add", "mass_distribution_params": [0, 1], "distribution": "loguniform"}, "distribution"),
         ({"operation": "scale", "mass_distribution_params": [0.0, 1.0]}, "mass_distribution_params"),
+        ({"operation": "add", "mass_distribution_params": [1.0, 0.0]}, "mass_distribution_params"),
+        (
+            {"operation": "add", "mass_distribution_params": [1.0, -0.1], "distribution": "gaussian"},
+            "mass_distribution_params",
+        ),
     ],
 )
 def test_wrong_settings_are_refused(make_env, fields, key):
@@ -185,15 +212,17 @@ def test_wrong_settings_are_refused(make_env, fields, key):
 
 @pytest.mark.parametrize(
     ("distribution", "mean", "std"),
-    [("uniform", 1.5, 1 / math.sqrt(12)), ("gaussian", 1.0, 2.0), ("log_uniform", 1 / math.log(2), None)],
+    [("uniform", 3.0, 2 / math.sqrt(12)), ("gaussian", 2.0, 4.0), ("log_uniform", 2 / math.log(2), None)],
 )
 def test_distributions(distribution, mean, std):
-    drawn = events.draw(1.0, 2.0, (40000,), distribution, torch.Generator().manual_seed(0))
-    assert float(drawn.mean()) == pytest.approx(mean, abs=0.03)
+    drawn = events.draw(2.0, 4.0, (40000,), distribution, torch.Generator().manual_seed(0))
+    assert float(drawn.mean()) == pytest.approx(mean, abs=0.05)
     if std is not None:
-        assert float(drawn.std()) == pytest.approx(std, abs=0.03)
+        assert float(drawn.std()) == pytest.approx(std, abs=0.05)
     else:
-        assert float(drawn.log().mean()) == pytest.approx(math.log(2) / 2, abs=0.01)
+        assert float(drawn.log().mean()) == pytest.approx(1.5 * math.log(2), abs=0.01)
+        assert 2.0 <= float(drawn.min()) < 2.01
+        assert 3.99 < float(drawn.max()) <= 4.0
 
 
 def test_centres_of_mass_shift_together_and_add_up(make_env):
@@ -420,6 +449,8 @@ def test_joints_by_scale(make_env):
     assert ((data.joint_pos >= 0.25 - 1e-6) & (data.joint_pos <= 0.75 + 1e-6)).all()
     assert ((data.joint_vel >= -2 - 1e-6) & (data.joint_vel <= 2 + 1e-6)).all()
     assert len(data.joint_pos.unique()) == 400
+    both = torch.stack((data.joint_pos.flatten(), data.joint_vel.flatten()))
+    assert abs(float(torch.corrcoef(both)[0, 1])) < 0.2  # position and speed of a joint are drawn each by itself
 
 
 def test_a_default_velocity_of_zero_scaled_stays_zero(make_env):
@@ -437,6 +468,15 @@ def test_joints_are_clamped_to_their_limits_already_in_the_first_reset(make_env)
     data = _joint_reset(make_env, "reset_joints_by_offset", [5.0, 5.0], [100.0, 100.0])
     assert data.joint_pos[0].tolist() == [1.5, 1.5, 5.5, 5.5]
     assert data.joint_vel[0].tolist() == [30, 30, 20, 20]
+
+
+def test_joints_are_clamped_to_their_soft_limits(make_env):
+    """Of -1 to 1.5 rad the hips keep 0.8 around the middle."""
+    node = _event("reset_joints_by_offset", mode="reset", position_range=[-9.0, 9.0], velocity_range=[0.0, 0.0])
+    env = make_env(events={"j": node}, robot={"soft_joint_pos_limit_factor": 0.8}, num_envs=20)
+    env.reset()
+    hips = env.scene.robot.data.joint_pos[:, :2]
+    assert (float(hips.min()), float(hips.max())) == (pytest.approx(-0.75), pytest.approx(1.25))
 
 
 def test_only_the_joints_asked_for_are_reset(make_env):
@@ -460,9 +500,11 @@ def test_everything_goes_back_to_its_default(make_env, targets):
     velocity = torch.zeros(4, 6)
     velocity[2, 0] = 0.5
     torch.testing.assert_close(env.scene.robot.data.root_vel_w, velocity)
-    assert env.scene.robot.data.joint_vel.abs().max() == 0
-    at_default = torch.allclose(env.scene.robot.data.joint_pos_target, env.scene.robot.data.default_joint_pos)
-    assert at_default == targets
+    data = env.scene.robot.data
+    assert data.joint_vel.abs().max() == 0
+    torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.0, 0.0, 0.3]))
+    assert torch.equal(data.joint_pos_target, data.default_joint_pos) == targets
+    assert torch.equal(data.joint_vel_target, data.default_joint_vel) == targets
 
 
 def test_isaac_labs_names_are_kept():

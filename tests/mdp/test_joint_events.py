@@ -208,11 +208,24 @@ def test_defaults_are_clamped_to_the_limits_and_resets_begin_there(wheel):
     assert torch.equal(data.default_joint_pos, data.joint_pos_limits[..., 0])
 
 
-def test_limits_that_could_pass_each_other_are_refused(make_env):
-    node = event("randomize_joint_parameters", lower_limit_distribution_params=[-1.0, 9.0], asset_cfg=joints(".*_hip"))
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        {"lower_limit_distribution_params": [-1.0, 9.0]},  # axles have no limit that it could pass
+        {"lower_limit_distribution_params": [0.0, 0.1], "upper_limit_distribution_params": [0.05, 9.0]},
+    ],
+)
+def test_limits_that_could_pass_each_other_are_refused(make_env, ranges):
     with pytest.raises(ConfigError, match="could pass an upper one") as caught:
-        make_env(events={"l": node})
+        make_env(events={"l": event("randomize_joint_parameters", **ranges)})
     assert caught.value.key == "env.events.l"
+
+
+def test_friction_and_armature_do_not_fall_below_0(make_env):
+    ranges = {f"{name}_distribution_params": [-5.0, -5.0] for name in ("friction", "armature")}
+    data = make_env(events={"j": event("randomize_joint_parameters", operation="add", **ranges)}).scene.robot.data
+    for parameter in (data.joint_friction_coeff, data.joint_viscous_friction_coeff, data.joint_armature):
+        assert (parameter == 0).all()
 
 
 # ---- effort and velocity limits ----

@@ -109,16 +109,18 @@ def test_heights_and_tilts_of_the_base():
     gravity = [[math.sin(0.3), 0.0, -math.cos(0.3)], [0.0, -math.sin(-2.0), -math.cos(-2.0)]]  # pitch .3, roll -2
     env = fake_env(data_root_pos_w=T(root), data_projected_gravity_b=T(gravity))
     env.scene.terrain = SimpleNamespace(height_at=lambda xy: 0.1 * xy[:, 0] + 0.01 * xy[:, 1])
+    rounded = fake_env(data_projected_gravity_b=T([[1.0000001, 0.0, -0.0]]))
+    close(observations.base_roll_pitch(rounded)[:, 1:], [[math.pi / 2]])
     close(observations.base_height(env), [[0.5], [0.27]])
     close(observations.base_roll_pitch(env), [[0.0, 0.3], [-2.0, 0.0]])
 
 
 def test_a_gait_clock_goes_round_with_its_period():
-    """At steps 0, 3, 10 of .02 s and a period of .16 s: 0, 3/8 and 10/8 of a turn; the second leg is half a turn on."""
+    """At steps 0, 3, 10 of .02 s and a period of .16 s: 0, 3/8 and 10/8 of a turn; the second leg is a quarter on."""
     env = fake_env(episode_length_buf=T([0, 3, 10]), step_dt=0.02)
     half = math.sqrt(0.5)
-    expected = [[0.0, 0.0, 1.0, -1.0], [half, -half, -half, half], [1.0, -1.0, 0.0, 0.0]]
-    close(observations.gait_phase(env, period=0.16, offsets=[0.0, 0.5]), expected)
+    expected = [[0.0, 1.0, 1.0, 0.0], [half, -half, -half, -half], [1.0, 0.0, 0.0, -1.0]]
+    close(observations.gait_phase(env, period=0.16, offsets=[0.0, 0.25]), expected)
     close(observations.gait_phase(env, period=0.16), [[row[0], row[2]] for row in expected])
 
 
@@ -187,6 +189,7 @@ def test_contacts_of_bodies_as_flags_forces_and_times():
     env = fake_env(contact_norm=T([[0.2, 0.4, 3.0]]))
     chosen = entity("contact", bodies=[2, 0])
     close(observations.body_contacts(env, sensor_cfg=chosen, threshold=0.3), [[1.0, 0.0]])
+    close(observations.body_contacts(env, sensor_cfg=chosen, threshold=3.0), [[0.0, 0.0]])
     env.scene["contact"].data = SimpleNamespace(
         net_forces_w=T([[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]]), current_air_time=T([[0.1, 0.2, 0.3]])
     )
@@ -221,10 +224,10 @@ def test_a_kind_of_pictures_that_the_camera_does_not_take_is_told_with_those_tha
 
 
 def test_distances_become_those_along_the_axis():
-    """A wall 2 m ahead of a camera with f = 2 px and 4 px about pixel (1, 0): each ray is longer than 2 m."""
-    columns, rows = T([-0.5, 0.0, 0.5]), T([0.0, 0.25])
+    """A wall 2 m ahead of a camera with f = 2 px and 4 px about pixel (1, 0.5): each ray is longer than 2 m."""
+    columns, rows = T([-0.5, 0.0, 0.5]), T([-0.125, 0.125])
     slant = torch.sqrt(1 + columns.view(1, 3) ** 2 + rows.view(2, 1) ** 2)
-    intrinsics = T([[[2.0, 0.0, 1.0], [0.0, 4.0, 0.0], [0.0, 0.0, 1.0]]])
+    intrinsics = T([[[2.0, 0.0, 1.0], [0.0, 4.0, 0.5], [0.0, 0.0, 1.0]]])
     env = _camera(intrinsics, distance_to_camera=2.0 * slant.view(1, 2, 3, 1))
     seen = observations.image(
         env, sensor_cfg=entity("eye"), data_type="distance_to_camera", convert_perspective_to_orthogonal=True

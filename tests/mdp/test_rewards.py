@@ -139,7 +139,7 @@ def test_speeds_beyond_their_limits_are_cut_at_one_each():
 
 def test_differences_between_left_and_right():
     env = fake_env(**JOINTS)
-    close(rewards.joint_symmetry_l1(env, entity(joints=[0, 1]), entity(joints=[2, 0])), [3.0, 0.0])
+    close(rewards.joint_symmetry_l1(env, entity(joints=[0, 1]), entity(joints=[2, 2])), [4.5, 0.0])
     close(rewards.joint_symmetry_l1(env, entity(joints=[0]), entity(joints=[1]), mirrored=True), [0.5, 0.0])  # not 1.5
 
 
@@ -209,19 +209,21 @@ def test_contacts(function, threshold, all_bodies, first_two):
 def test_tracking():
     env = fake_env(**VELOCITY, commands={"v": T([[1.0, 1.5, 4.5], [0.0, -1.0, -0.5]])})
     close(rewards.track_lin_vel_xy_exp(env, std=0.5, command_name="v"), [math.exp(-0.25 / 0.25), 1.0])
-    close(rewards.track_ang_vel_z_exp(env, std=2.0, command_name="v"), [math.exp(-0.25 / 4), 1.0])
+    close(rewards.track_ang_vel_z_exp(env, std=0.25, command_name="v"), [math.exp(-0.25 / 0.0625), 1.0])
 
 
 def test_tracking_in_level_axes():
-    """A robot that heads along y, and drives so."""
+    """A robot that heads 0.6 rad to the left, and drives at 1.5 m/s forwards and 0.5 m/s to its left."""
+    cos, sin = math.cos(0.6), math.sin(0.6)
     env = fake_env(
-        data_root_lin_vel_w=T([[-0.5, 2.0, 7.0]]),
+        data_root_lin_vel_w=T([[1.5 * cos - 0.5 * sin, 1.5 * sin + 0.5 * cos, 7.0]]),
         data_root_ang_vel_w=T([[9.0, 9.0, 1.5]]),
-        data_heading_w=T([math.pi / 2]),
-        commands={"v": T([[2.0, 0.25, 1.0]])},
+        data_heading_w=T([0.6]),
+        commands={"v": T([[1.75, 0.375, 1.0]])},
     )
-    close(rewards.track_lin_vel_xy_yaw_frame_exp(env, std=0.5, command_name="v"), [math.exp(-(0.25**2) / 0.25)])
-    close(rewards.track_ang_vel_z_world_exp(env, std=2.0, command_name="v"), [math.exp(-0.25 / 4)])
+    error = 0.25**2 + 0.125**2
+    close(rewards.track_lin_vel_xy_yaw_frame_exp(env, std=0.5, command_name="v"), [math.exp(-error / 0.25)])
+    close(rewards.track_ang_vel_z_world_exp(env, std=0.5, command_name="v"), [math.exp(-0.25 / 0.25)])
 
 
 def test_tracking_height_and_tilt():

@@ -30,7 +30,7 @@ def _timed(command):
             "last_air_time": T([[0.75, 9.0, 0.25], [0.75, 9.0, 1.0]]),
             "last_contact_time": T([[0.25, 9.0, 0.25], [1.0, 9.0, 0.5]]),
         },
-        commands={"v": T([[command, 0.0, 0.0]] * 2)},
+        commands={"v": T([[command, 0.0, 9.0]] * 2)},
     )
 
 
@@ -47,7 +47,7 @@ def test_one_foot_stands_for_as_long_as_the_other_flies():
             "current_contact_time": T([[0.4, 1.0, 0.0], [0.0, 1.0, 0.0], [0.2, 1.0, 0.3], [2.0, 1.0, 0.0]]),
             "current_air_time": T([[0.0, 0.0, 0.3], [0.4, 0.0, 0.2], [0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]),
         },
-        commands={"v": T([[0.0, 0.2, 0.0]] * 4), "still": torch.zeros(4, 3)},
+        commands={"v": T([[0.0, 0.2, 0.0]] * 4), "still": T([[0.0, 0.0, 9.0]] * 4)},
     )
     close(rewards.feet_air_time_positive_biped(env, "v", 0.5, FEET), [0.3, 0, 0, 0.5])
     close(rewards.feet_air_time_positive_biped(env, "still", 0.5, FEET), [0, 0, 0, 0])
@@ -69,9 +69,21 @@ def test_feet_that_touch_and_slide():
     close(rewards.feet_slide(env, FEET, bodies, threshold=0.4), [6, 2.5])
 
 
-@pytest.mark.parametrize("reward", [rewards.feet_slide, rewards.wheel_spin_in_air_l1])
+def _slip(env, sensor, asset):
+    return rewards.wheel_slip(env, 0.1, sensor, asset)
+
+
+@pytest.mark.parametrize("reward", [rewards.feet_slide, rewards.wheel_spin_in_air_l1, _slip])
 def test_a_sensors_bodies_have_to_be_the_robots(reward):
-    env = fake_env(**MOVING, contact_norm=torch.ones(2, 3), data_joint_vel=torch.zeros(2, 2))
+    contact = {"net_forces_w": torch.ones(2, 3, 3)}
+    spin = torch.zeros(2, 2, 3)
+    env = fake_env(
+        **MOVING,
+        contact_norm=torch.ones(2, 3),
+        contact=contact,
+        data_body_ang_vel_w=spin,
+        data_joint_vel=torch.zeros(2, 2),
+    )
     with pytest.raises(ConfigError, match="3 bodies of the sensor, and 2 of the robot"):
         reward(env, entity("contact"), entity())
 
@@ -106,12 +118,12 @@ def _wheels(velocity, spin, force):
 
 
 def test_a_wheel_that_rolls_does_not_slip():
-    """Of radius 0.1 m: rolling along x; with its axle turned; locked; spinning on the spot; sideways; in the air."""
-    velocity = [[1.0, 0, 0], [0.6, 0.8, 0], [1.0, 0, 0], [0.0, 0, 0], [0, 0.3, 0], [1.0, 0, 0]]
-    spin = [[0, 10.0, 0], [-8.0, 6.0, 0], [0.0, 0, 0], [0, 5.0, 0], [0, 0.0, 0], [0, 0.0, 0]]
-    force = [[0.0, 0, 5]] * 5 + [[0.0, 0, 0.5]]
+    """Of 0.1 m: rolling along x; with its axle turned; locked; on the spot; sideways; hardly touching; in the air."""
+    velocity = [[1.0, 0, 0], [0.6, 0.8, 0], [1.0, 0, 0], [0.0, 0, 0], [0, 0.3, 0], [1.0, 0, 0], [1.0, 0, 0]]
+    spin = [[0, 10.0, 0], [-8.0, 6.0, 0], [0.0, 0, 0], [0, 5.0, 0], [0, 0.0, 0], [0, 0.0, 0], [0, 0.0, 0]]
+    force = [[0.0, 0, 5]] * 5 + [[0.0, 0, 1.0], [0.0, 0, 0]]
     env = _wheels(velocity, spin, force)
-    close(rewards.wheel_slip(env, 0.1, entity("contact"), entity()), [0, 0, 1, 0.5, 0.3, 0])
+    close(rewards.wheel_slip(env, 0.1, entity("contact"), entity()), [0, 0, 1, 0.5, 0.3, 0, 0])
 
 
 def test_a_wheel_may_roll_up_a_slope_and_its_bounce_is_no_slip():

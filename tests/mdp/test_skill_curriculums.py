@@ -101,6 +101,17 @@ def test_the_skill_is_that_of_the_formula(world):
     assert told["lin_vel_x_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
 
 
+def test_the_skill_is_that_of_the_formula_for_a_turn_the_other_way(world):
+    curriculum = command_levels_by_skill(
+        world, {"ang_vel_z": [-1.0, 1.0]}, std={"ang_vel_z": 0.5}, step={"ang_vel_z": 0.1}, min_episodes=N
+    )
+    world.command[:, 2], world.data.root_ang_vel_b[:, 2] = -0.4, -0.25
+    world.data.root_lin_vel_b[:] = 9.0
+    told = world.episode(curriculum)
+    score, still = math.exp(-(0.15**2) / 0.25), math.exp(-(0.4**2) / 0.25)
+    assert told["ang_vel_z_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
+
+
 def test_steps_without_a_command_do_not_count(world):
     curriculum = by_skill(world)
     world.command[0, 0] = world.data.root_lin_vel_b[0, 0] = 0.2
@@ -146,6 +157,38 @@ def test_fewer_episodes_than_asked_for_are_not_judged(world):
     assert world.episode(curriculum)["lin_vel_x"] == pytest.approx(0.36)
 
 
+def test_the_next_judgement_is_of_as_many_new_episodes(world):
+    curriculum = by_skill(world, min_episodes=2 * N)
+    world.command[:, 0] = 0.3
+    skills = []
+    for velocity in (0.0, 0.0, 0.3, 0.3):
+        world.data.root_lin_vel_b[:, 0] = velocity
+        skills.append(world.episode(curriculum)["lin_vel_x_skill"])
+    assert skills == pytest.approx([0.0, 0.0, 0.0, 1.0], abs=1e-6)
+
+
+def test_a_failure_between_two_passes_begins_the_row_anew(world):
+    curriculum = by_skill(world, passes=2)
+    world.command[:, 0] = 0.3
+    highs = []
+    for velocity in (0.3, 0.0, 0.3, 0.3):
+        world.data.root_lin_vel_b[:, 0] = velocity
+        highs.append(world.episode(curriculum)["lin_vel_x"])
+    assert highs == pytest.approx([0.3, 0.3, 0.3, 0.36])
+
+
+def test_a_reset_before_the_first_step_is_no_episode(world):
+    curriculum, ground = by_skill(world), terrain_levels_by_distance(world)
+    world.command[:, 0] = 0.3
+    assert world.episode(curriculum, steps=0, failed=True)["lin_vel_x_stuck"] == 0.0
+    world.data.root_lin_vel_b[:, 0] = 0.3
+    assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx(1.0)
+    world.command[:] = 0.0
+    world.episode(ground)
+    world.episode(ground, steps=0, failed=True)
+    assert world.moved[-1] == ([False] * N, [False] * N)
+
+
 def test_one_that_does_not_get_on_says_so_and_is_told_once_by_name(world):
     curriculum, found = by_skill(world), StuckCurricula()
     world.command[:, 0] = 0.3
@@ -179,7 +222,8 @@ def test_what_it_was_is_saved_and_goes_on(world):
     ("limits", "std", "said"),
     [
         ({"lin_vel_z": [-1.0, 1.0]}, {}, "has no range 'lin_vel_z'"),
-        ({"lin_vel_x": [-0.1, 0.1]}, {"lin_vel_x": 0.1}, "lies beyond"),
+        ({"lin_vel_x": [-0.1, 0.3]}, {"lin_vel_x": 0.1}, "lies beyond"),
+        ({"lin_vel_x": [-0.3, 0.1]}, {"lin_vel_x": 0.1}, "lies beyond"),
         ({"lin_vel_x": [-1.0, 1.0]}, {}, "std.lin_vel_x"),
     ],
 )
@@ -205,18 +249,32 @@ def test_axes_that_cannot_grow_are_refused(world, limits, std, said):
     ],
 )
 def test_robots_move_by_the_share_of_the_way_that_was_commanded(world, speed, steps, failed, moves):
+    """Told 2 m/s along (0.6, 0.8) of its own axes, it makes a share of that, and drifts across as well."""
     curriculum = terrain_levels_by_distance(world)
-    world.data.heading_w.fill_(math.pi / 2)
-    world.command[:, 0], world.data.root_lin_vel_w[:, 1] = 1.0, speed
+    world.data.heading_w.fill_(0.6)
+    world.command[:, :2] = 2.0 * torch.tensor([0.6, 0.8])
+    x, y = 2.0 * speed * 0.6 - 0.8, 2.0 * speed * 0.8 + 0.6
+    cos, sin = math.cos(0.6), math.sin(0.6)
+    world.data.root_lin_vel_w[:, :2] = torch.tensor([cos * x - sin * y, sin * x + cos * y])
     world.episode(curriculum, steps, failed)
     assert world.moved == [([moves[0]] * N, [moves[1]] * N)]
+
+
+def test_the_way_of_an_episode_is_not_that_of_the_last(world):
+    curriculum = terrain_levels_by_distance(world)
+    world.command[:, 0] = 1.0
+    for speed in (1.0, 0.3, 1.0):
+        world.data.root_lin_vel_w[:, 0] = speed
+        world.episode(curriculum)
+    assert [(up[0], down[0]) for up, down in world.moved] == [(True, False), (False, True), (True, False)]
 
 
 def test_who_was_told_to_stand_stays_unless_it_fell(world):
     curriculum = terrain_levels_by_distance(world)
     world.episode(curriculum)
     world.episode(curriculum, steps=3, failed=True)
-    assert world.moved == [([False] * N, [False] * N), ([False] * N, [True] * N)]
+    world.episode(curriculum, steps=1, failed=True)
+    assert world.moved == [([False] * N, [False] * N), ([False] * N, [True] * N), ([False] * N, [True] * N)]
 
 
 def test_levels_that_do_not_rise_are_stuck(world):
@@ -226,13 +284,22 @@ def test_levels_that_do_not_rise_are_stuck(world):
     assert world.episode(curriculum)["stuck"] == 0.0
 
 
+@pytest.mark.parametrize(("level", "stuck"), [(4.4, 1.0), (4.6, 0.0)])
+def test_levels_beyond_half_of_the_hardest_are_not_stuck(world, level, stuck):
+    """The hardest of ten rows is 9."""
+    curriculum = terrain_levels_by_distance(world, patience=1)
+    world.scene.terrain.terrain_levels.fill_(level)
+    assert [world.episode(curriculum)["stuck"] for _ in range(3)][-1] == stuck
+
+
 def test_down_has_to_be_below_up(world):
     with pytest.raises(ConfigError, match="less than up"):
         terrain_levels_by_distance(world, up=0.3, down=0.5)
 
 
 def test_a_tile_is_left_beyond_its_edge_along_either_axis(world):
-    world.data.root_pos_w[:, :2] = torch.tensor([[0.59, 0.0], [0.61, 0.0], [0.0, -0.61], [0.5, 0.5]])
+    world.scene.env_origins[:] = torch.tensor([10.0, -20.0, 3.0])
+    world.data.root_pos_w[:, :2] = torch.tensor([[10.59, -20.0], [10.61, -20.0], [10.0, -20.61], [9.5, -19.5]])
     assert terrain_tile_left(world).tolist() == [False, True, True, False]
     assert terrain_tile_left(world, margin=0.1).tolist() == [False] * N
     world.scene.terrain.size = (math.inf, math.inf)

@@ -117,6 +117,7 @@ def test_velocities():
     env = fake_env(**JOINTS)
     assert terminations.joint_vel_out_of_limit(env).tolist() == [True, True, False]
     assert terminations.joint_vel_out_of_manual_limit(env, max_velocity=2.0).tolist() == [True, False, False]
+    assert terminations.joint_vel_out_of_manual_limit(env, max_velocity=1.2).tolist() == [True, True, False]
 
 
 def test_what_is_just_at_its_limit_is_not_beyond_it():
@@ -161,6 +162,34 @@ def test_a_torque_within_its_limit_is_not_out_of_it(make_env):
         *_, terminated, _, _ = env.step(0.05 * torch.randn(4, 4, generator=torch.Generator().manual_seed(k)))
         assert (env.scene.robot.data.computed_torque.abs() < env.scene.robot.data.joint_effort_limits).all()
         assert not terminated.any()
+
+
+def test_a_torque_is_out_of_its_limit_where_less_is_applied_than_was_computed():
+    """Within; beyond its limit, forwards and backwards; at it; cut below its limit; apart by rounding alone."""
+    computed = T([[3.0, -1.0], [4.5, 0.0], [0.0, -4.5], [4.0, -4.0], [3.0, 1.0], [3.0, 0.0004]])
+    applied = T([[3.0, -1.0], [4.0, 0.0], [0.0, -4.0], [4.0, -4.0], [2.5, 1.0], [3.0003, 0.0]])
+    limits = torch.full((6, 2), 4.0)
+    env = fake_env(data_computed_torque=computed, data_applied_torque=applied, data_joint_effort_limits=limits)
+    found = terminations.joint_effort_out_of_limit(env)
+    assert found.tolist() == [False, True, True, False, True, False]
+    second = terminations.joint_effort_out_of_limit(env, entity(joints=[1]))
+    assert second.tolist() == [False, False, True, False, False, False]
+
+
+def test_a_torque_that_a_fast_motor_cannot_give_is_out_of_its_limit(make_env):
+    """0.6 N·m at three quarters of the no-load speed, where the line from 2 N·m leaves 0.5; the limit is 1."""
+    motor = {"_target_": "wheelleg_exp.sim.actuators.DCMotor", "joint_names_expr": [".*_axle"]}
+    motor |= {"saturation_effort": 2.0, "stiffness": 0.0, "damping": 0.0, "effort_limit": 1.0, "velocity_limit": 20.0}
+    robot = {"actuators": {**make_env().cfg["robot"]["actuators"], "axles": motor}}
+    ended = {"t": {"_target_": "wheelleg_exp.mdp.terminations.joint_effort_out_of_limit"}}
+    actions = {"a": {"_target_": "wheelleg_exp.mdp.actions.JointEffortAction", "joint_names": [".*_axle"]}}
+    env = make_env(robot=robot, actions=actions, terminations=ended, decimation=1)
+    env.reset()
+    speed = torch.zeros(4, 4)
+    speed[1, 2] = 15.0
+    env.scene.robot.write_joint_velocity_to_sim(speed)
+    *_, terminated, _, _ = env.step(torch.full((4, 2), 0.6))
+    assert terminated.tolist() == [False, True, False, False]
 
 
 def test_a_torque_that_is_cut_is_out_of_its_limit(make_env):

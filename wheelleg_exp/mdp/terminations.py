@@ -14,6 +14,7 @@ from wheelleg_exp.sim.ids import fill_rows, picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
+_ROUNDING = 1e-3  # of a torque, and N·m: the engine computes a stiff drive's torque in its own precision
 
 
 def time_out(env: Env) -> torch.Tensor:
@@ -146,10 +147,11 @@ def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: S
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Some joint's torque was clipped by its effort limit."""
-    data = env.scene[asset_cfg.name].data
-    computed = picked(data.computed_torque, asset_cfg.joint_ids).abs()
-    return (computed > picked(data.joint_effort_limits, asset_cfg.joint_ids)).any(dim=1)
+    """Some joint's torque was clipped: by its effort limit, a motor's torque-speed line or a linkage's table."""
+    data, joints = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
+    computed, applied = picked(data.computed_torque, joints), picked(data.applied_torque, joints)
+    beyond = computed.abs() > picked(data.joint_effort_limits, joints)
+    return (beyond | ~torch.isclose(computed, applied, rtol=_ROUNDING, atol=_ROUNDING)).any(dim=1)
 
 
 def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
