@@ -156,10 +156,12 @@ def given(env) -> None:
             assert value.isfinite().all(), name
     for name, row in zip(env.reward_manager.active_terms, env.reward_manager.step_reward, strict=True):
         assert row.isfinite().all(), name
-    for name in env.command_manager.active_terms:
-        command = env.command_manager.get_term(name).command
-        assert command.shape[0] == 3, name
-        assert command.isfinite().all(), name
+    kept = {name: env.command_manager.get_term(name).command for name in env.command_manager.active_terms}
+    kept |= {name: env.action_manager.get_term(name).processed_actions for name in env.action_manager.active_terms}
+    kept["rewards"] = env.reward_manager.step_reward.T
+    for name, value in kept.items():
+        assert (value.shape[0], value.dtype, value.device) == (3, torch.float32, env.device), name
+        assert value.isfinite().all(), name
     for term in env.termination_manager.bound_terms:
         assert term(env).dtype == torch.bool, term.name
     assert not any(key == "non_finite" for key in env.extras)

@@ -116,6 +116,15 @@ def test_the_share_that_follows_a_heading_is_the_one_asked_for(make_env):
     assert (term.command[steered, 2] == 0.2).all()
 
 
+def test_who_stands_and_who_follows_a_heading_are_drawn_each_by_itself(make_env):
+    shares = {"heading_command": True, "rel_heading_envs": 0.5, "rel_standing_envs": 0.5}
+    _, term = _env(make_env, ranges=RANGES | {"heading": [3.0, 3.0]}, num_envs=3000, **shares)
+    both = term.is_heading_env & term.is_standing_env
+    assert float(both.float().mean()) == pytest.approx(0.25, abs=0.03)
+    drawn = torch.stack((term.command[:, 0], term.is_standing_env.float(), term.is_heading_env.float()))
+    assert (torch.corrcoef(drawn) - torch.eye(3)).abs().max() < 0.06
+
+
 def test_who_stands_still_is_made_to_in_every_step(make_env):
     env, term = _env(make_env, rel_standing_envs=1.0, resampling_time_range=[9.0, 9.0])
     for _ in range(2):
@@ -173,7 +182,9 @@ def test_metrics_are_divided_by_the_longest_command_time_and_logged_as_means(mak
     """Two steps of a robot at rest: error is the command itself; .02 s of at most .5 s each."""
     env, term = _env(make_env, resampling_time_range=[0.4, 0.5])
     data = env.scene.robot.data
-    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.3, 0.1, 0, 0, 0, 0.2]] * 4), torch.arange(4))
+    turned = torch.tensor([[0.8, 0.0, 0.36, 0.48]] * 4)
+    env.scene.robot.write_root_pose_to_sim(torch.cat((data.root_pos_w, turned), dim=1), torch.arange(4))
+    env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.3, 0.1, 0.2, 1.0, 0.5, 0.2]] * 4), torch.arange(4))
     command = term.command.clone()
     v, w = data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2]
     xy = (command[:, :2] - v).norm(dim=1)

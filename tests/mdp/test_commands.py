@@ -121,6 +121,7 @@ def _travel(make_env, v_x=0.3, w_z=0.5, most=(10.0, 10.0), **fields):
 def test_travel_is_what_wheels_and_gyroscope_add_up_to_beyond_the_command(make_env):
     """Summed up by hand, step by step, from the wheels' mean rate and the yaw rate in the base's axes."""
     env, term = _travel(make_env)
+    _stand(env, [0.0, 0.0, 0.5], pitch=0.6, roll=-0.7)
     data, expected = env.scene.robot.data, torch.zeros(4, 2)
     columns = [env.scene.robot.joint_names.index(name) for name in AXLES]
     push = torch.tensor([[0.0, 0.0, 1.0, -2.0], [0.0, 0.0, 3.0, 3.0], [0.0] * 4, [0.5, 0.1, -1.0, 1.0]])

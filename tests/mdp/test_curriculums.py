@@ -161,6 +161,10 @@ LEVELS = {
 }
 
 
+def test_the_curricula_of_both_kinds_of_commands_are_one():
+    assert curriculums.lin_vel_cmd_levels is curriculums.ang_vel_cmd_levels is curriculums.command_range_levels
+
+
 def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
     """Being alive is worth 2 s of 2 s (100 steps); 0.9 of it is enough, and then what is half of that is not."""
     env = one(**LEVELS)

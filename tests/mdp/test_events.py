@@ -210,6 +210,14 @@ def test_wrong_settings_are_refused(make_env, fields, key):
     assert caught.value.key == f"env.events.m.{key}"
 
 
+@pytest.mark.parametrize("what", ["mass", "inertia"])
+def test_a_gaussians_deviation_may_be_less_than_its_mean(make_env, what):
+    params = {f"{what}_distribution_params": [0.5, 0.01], "operation": "abs", "distribution": "gaussian"}
+    env = make_env(events={"m": _event(f"randomize_rigid_body_{what}", asset_cfg=_bodies("base"), **params)})
+    drawn = env.scene.sim.expanded[f"body_{what}"][:, env.scene.model.body("base").id]
+    assert (drawn - 0.5).abs().max() < 0.06
+
+
 @pytest.mark.parametrize(
     ("distribution", "mean", "std"),
     [("uniform", 3.0, 2 / math.sqrt(12)), ("gaussian", 2.0, 4.0), ("log_uniform", 2 / math.log(2), None)],

@@ -152,6 +152,13 @@ def test_no_moment_of_inertia_is_more_than_the_other_two(make_env):
     assert (moments[:, 2] == moments[:, 0] + moments[:, 1]).any()
 
 
+def test_a_moment_of_inertia_never_falls_below_its_minimum(make_env):
+    ranges = {"inertia_distribution_params": [-1.0, -1.0], "operation": "add", "min_inertia": 1e-4}
+    env = make_env(events={"i": event("randomize_rigid_body_inertia", asset_cfg=bodies("base"), **ranges)})
+    moments = env.scene.sim.expanded["body_inertia"][:, env.scene.model.body("base").id]
+    assert moments.tolist() == [pytest.approx([1e-4] * 3)] * 4
+
+
 # ---- pushes that last ----
 
 IMPULSE = {"force_range": [1.0, 2.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("block")}

@@ -18,6 +18,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.policy import load_policy
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
 
@@ -290,6 +291,14 @@ def test_the_adapter_tells_time_outs_apart_from_failures(make_trainer):
         _, _, dones, extras = adapter.step(torch.zeros(16, 6))
     assert dones.dtype == torch.long
     assert extras["time_outs"].tolist() == [i != 3 for i in range(16)]
+
+
+@pytest.mark.parametrize("finite", [False, True])
+def test_time_outs_of_a_finite_horizon_are_ends_like_any_other(make_env, finite):
+    adapter = RslRlVecEnv(make_env(episode_length_s=0.02, is_finite_horizon=finite))
+    _, _, dones, extras = adapter.step(torch.zeros(4, 4))
+    assert dones.tolist() == [1] * 4
+    assert ("time_outs" in extras) is not finite
 
 
 def test_episode_lengths_that_are_set_shift_no_timers_and_no_commands(make_trainer):

@@ -27,6 +27,7 @@ class RslRlVecEnv(VecEnv):
         self.device = str(env.device)
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
+        self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
         self.mirror: Any = None  # what rsl_rl's symmetry asks for images
         env.reset()
 
@@ -49,12 +50,17 @@ class RslRlVecEnv(VecEnv):
         return self._as_tensordict(self.env.observation_manager.obs_buf)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Apply actions (N, A) and return observations, rewards (N,), dones (N,) long, and extras."""
+        """Apply actions (N, A) and return observations, rewards (N,), dones (N,) long, and extras.
+
+        ``extras`` has ``time_outs`` (N,), after which rsl_rl adds the value of what would follow, unless
+        ``env.is_finite_horizon``.
+        """
         if self._clip_actions is not None:
             actions = actions.clamp(-self._clip_actions, self._clip_actions)
         observations, rewards, terminated, time_outs, extras = self.env.step(actions)
         dones = (terminated | time_outs).long()
-        return self._as_tensordict(observations), rewards, dones, {**extras, "time_outs": time_outs}
+        told = {} if self._is_finite else {"time_outs": time_outs}
+        return self._as_tensordict(observations), rewards, dones, {**extras, **told}
 
     def _as_tensordict(self, observations: Observations) -> TensorDict:
         return TensorDict(dict(observations), batch_size=[self.num_envs])

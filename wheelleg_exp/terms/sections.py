@@ -53,6 +53,7 @@ class Env:
     curriculum: Section
     recorders: Section = field(default_factory=dict)
     dataset: Dataset = Dataset()
+    is_finite_horizon: bool = False
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,7 @@ KEYS: dict[str, str] = {
     "env.terminations": "what ends an episode",
     "env.curriculum": "what changes as training goes on; terms run in their order",
     "env.recorders": "what of each episode is written to the run's dataset; they change nothing",
+    "env.is_finite_horizon": "whether time-outs are ends like any other, after which no value is added",
     "env.dataset": "which of the episodes that recorders note are written",
     "pipeline": "tasks one after the other, with gates between",
     "protocol": "fixed scenarios of `wheelleg evaluate`, and how they are judged",
