@@ -203,8 +203,12 @@ def test_metrics_start_again_at_a_reset_for_the_environments_that_reset(make_env
     env.command_manager.reset(torch.tensor([1]))
     assert (term.metrics[:, 1] == 0).all()
     assert (term.metrics[:, 0] > 0).all()
+    log = env.command_manager.reset(torch.tensor([1]))  # after no step
+    assert float(log["Metrics/v/error_vel_xy"]) == float(log["Episode_Metrics/v/error_vel_xy_per_step"]) == 0.0
+    error = float(term.command[1, :2].norm())  # at rest
+    env.command_manager.compute(0.02)
     log = env.command_manager.reset(torch.tensor([1]))
-    assert float(log["Metrics/v/error_vel_xy"]) == 0.0
+    assert float(log["Episode_Metrics/v/error_vel_xy_per_step"]) == pytest.approx(error)
 
 
 def test_who_is_reset_in_a_step_gets_one_sample_of_the_new_command_in_it(make_env):

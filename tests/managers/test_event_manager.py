@@ -86,6 +86,7 @@ def test_a_global_timer_fires_for_all_at_once_and_is_not_redrawn_at_resets(make_
     env.reset()
     env.step(STILL)
     assert spies.LOG == [("event", 3, None)]
+    assert _run(env, 6) == [3, 6, 9]
 
 
 def test_the_new_interval_is_drawn_before_the_event_runs(make_env):

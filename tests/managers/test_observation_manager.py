@@ -274,6 +274,21 @@ def test_stateful_terms_begin_at_zero_after_construction_and_reset(make_env):
     assert _read(env).flatten().tolist() == [2, 2, 1, 2]
 
 
+def test_a_reset_begins_modifiers_and_draws_biases_anew_for_its_environments(make_env):
+    terms = {name: term for name, term in _busy_terms().items() if name in ("filter", "biased")}
+    terms["biased"]["noise"]["noise_cfg"] = {"_target_": N + "ConstantNoise"}
+    env = _env(make_env, terms, enable_corruption=True)
+    spies.VALUES["x"] = 2.0
+    first = _read(env).clone()
+    second = _read(env).clone()
+    torch.testing.assert_close(second[:, 0], first[:, 0] + 0.2)  # 2.0 for 0.1 s
+    assert torch.equal(second[:, 1], first[:, 1])
+    env.observation_manager.reset(torch.tensor([2]))
+    third = _read(env)
+    torch.testing.assert_close(third[:, 0], first[:, 0] + torch.tensor([0.4, 0.4, 0.0, 0.4]))
+    assert (third[:, 1] == first[:, 1]).tolist() == [True, True, False, True]
+
+
 def test_noise_of_one_term_does_not_depend_on_other_terms(make_env):
     noisy = {"_target_": N + "UniformNoise"}
     alone = _env(make_env, {"a": _value("a", noise=noisy)}, enable_corruption=True)
