@@ -12,7 +12,6 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
-from wheelleg_exp.env.fused import Fused
 from wheelleg_exp.managers.term import TermBase
 
 # What a graph cannot hold: the host waits for a number, or brings one.
@@ -77,27 +76,7 @@ def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
     return env
 
 
-class Pieces(Fused):
-    """What is compiled on a GPU, as its operations one by one."""
-
-    def __init__(self, streams=()) -> None:
-        super().__init__(streams, Calls)
-
-
-class Calls:
-    """Does recorded work again."""
-
-    def __init__(self, streams=()) -> None:
-        del streams
-
-    def record(self, work) -> None:
-        self.replay = work
-
-
-@pytest.mark.parametrize("recorder", [Tape, Pieces])
-def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_weight(monkeypatch, recorder):
-    monkeypatch.setattr("wheelleg_exp.env.captured_step._recorder", lambda env: recorder)
-    monkeypatch.setattr("wheelleg_exp.env.fused._Plain.compiled", lambda self: self)
+def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_weight():
     plain, taped = stand("walk"), recorded(stand("walk"))
     gen = torch.Generator().manual_seed(1)
     ended = 0

@@ -7,7 +7,7 @@
 | `state_elsewhere` | what terms keep beside their own attributes: saved, or refused by name |
 | `captured`, `captured_step` | parts of the step that are recorded and repeated, and which these are |
 | `slots` | where objects hold what such a part reads and writes |
-| `recorders`, `fused`, `tape` | what records: CUDA graphs, and these of compiled kernels, from a tape of operations |
+| `recorders` | what records: CUDA graphs |
 | `host` | whole tensors brought to the host for whoever records them |
 """
 

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import torch
 
 from wheelleg_exp.env.captured import Captured, Counting
-from wheelleg_exp.env.fused import Fused
-from wheelleg_exp.env.recorders import CudaGraph, Recorder
+from wheelleg_exp.env.recorders import CudaGraph
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
-
-
-def _recorder(env: Any) -> Callable[[Sequence[torch.Generator]], Recorder]:
-    return Fused if env.scene.sim.is_fused else CudaGraph
 
 
 class CapturedStep:
@@ -33,7 +28,7 @@ class CapturedStep:
 
         def part(work: Callable[[], Any]) -> Captured:
             invalidate = env.scene.robot.data.invalidate
-            return Captured(work, [env], _recorder(env), invalidate, env.streams.all, memory=env._captured_memory)
+            return Captured(work, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
 
         self.act = part(lambda: env._act(env._action))
         self.act_again = part(env._act_again)
@@ -61,7 +56,7 @@ def captured_look(env: Any) -> Captured:
     manager = env.observation_manager
     manager.in_masks = True
     invalidate = env.scene.robot.data.invalidate
-    return Captured(manager.compute, [env], _recorder(env), invalidate, env.streams.all, memory=env._captured_memory)
+    return Captured(manager.compute, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
 
 
 def captured_commands(env: Any) -> Captured:
@@ -75,7 +70,7 @@ def captured_commands(env: Any) -> Captured:
         env.command_manager.compute(env.step_dt, draws=False)
 
     invalidate = env.scene.robot.data.invalidate
-    return Captured(work, [env], _recorder(env), invalidate, env.streams.all, memory=env._captured_memory)
+    return Captured(work, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
 
 
 class CapturedReset:

@@ -100,11 +100,6 @@ class Engine(Kept, ABC):
         """Whether an environment's step may be captured as a CUDA graph, the engine's steps within it."""
         return False
 
-    @property
-    def is_fused(self) -> bool:
-        """Whether what is captured is compiled into few kernels before."""
-        return False
-
     def require_room(self) -> None:
         """Raise SimulationFailure when there were more contacts or constraint rows than there is room for."""
 

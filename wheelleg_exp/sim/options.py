@@ -39,10 +39,6 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
         yield Broken("device", f"{device!r} is no device of the engine 'warp'", "cpu, or cuda:0 and so on")
     if given["solver"] == "pgs":
         yield Broken("solver", "the engine 'warp' has no solver 'pgs'", "newton or cg")
-    if given.get("graph_step") == "fused" and device != "cpu" and find_spec("triton") is None:
-        yield Broken(
-            "graph_step", "'fused' needs the package triton, which is not installed", "true, or: pip install triton"
-        )
     for name in _GPU_PACKAGES:
         if find_spec(name) is None:
             told = f"the engine 'warp' needs the package {name}, which is not installed"
@@ -76,7 +72,7 @@ class SimOptions:
         graph: engine ``warp`` on a GPU: whether a physics step is launched as one CUDA graph, which changes no number.
         graph_step: engine ``warp`` on a GPU: whether what torch does from the actions to the rewards, for resets,
             commands and observations, is launched as CUDA graphs. Terms must then decide nothing by numbers that change
-            from step to step, their own or ``common_step_counter``. ``fused``: compiled into few kernels besides.
+            from step to step, their own or ``common_step_counter``.
     """
 
     engine: Literal["mujoco", "warp"]
@@ -94,7 +90,7 @@ class SimOptions:
     nconmax: Natural = 0
     njmax: Natural = 0
     graph: bool = True
-    graph_step: bool | Literal["fused"] = False
+    graph_step: bool = False
 
 
 @dataclass(frozen=True)

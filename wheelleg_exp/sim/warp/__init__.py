@@ -5,7 +5,6 @@
 | `engine` | the engine: its step, resets, rays and state |
 | `fields` | MuJoCo's fields as tensors, with one value a simulation where that is asked for |
 | `graphs` | work that is launched as one CUDA graph |
-| `launches` | who is told of launches, and how |
 | `room` | how many contacts and constraint rows there is room for, and the error when there are more |
 | `library` | mujoco-warp itself, imported when the engine is chosen |
 """

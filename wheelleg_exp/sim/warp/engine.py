@@ -50,8 +50,7 @@ class WarpEngine(Engine):
         self.asked = set()
         wp, mjw = load(self.device)
         self._wp, self._mjw = wp, mjw
-        self._captures = bool(options.graph_step) and self.device.type == "cuda"
-        self._fuses = options.graph_step == "fused"
+        self._captures = options.graph_step and self.device.type == "cuda"
         self._graphs = Graphs(wp, self.device, options.graph)
         self.room = room_for(model, options.nconmax, options.njmax)
         with self._graphs.here():
@@ -152,11 +151,6 @@ class WarpEngine(Engine):
         """Whether an environment's step may be captured as a CUDA graph, the engine's steps within it."""
         return self._captures
 
-    @property
-    def is_fused(self) -> bool:
-        """Whether what is captured is compiled into few kernels before."""
-        return self._fuses
-
     def require_room(self) -> None:
         """Raise SimulationFailure when there were more contacts or constraint rows than there is room for."""
         self._overflow.require_none(self._d)
@@ -215,8 +209,7 @@ class WarpEngine(Engine):
 
         Every simulation casts as many; rays of ``ids`` alone are spread over all and taken from them.
         """
-        # A view is an operation, so that whoever notes operations notes what is read.
-        points, ways = (given.to(self.dtype).view_as(given).contiguous() for given in (origins, directions))
+        points, ways = origins.to(self.dtype), directions.to(self.dtype)
         if ids is not None:
             shape = (self.num_envs, *points.shape[1:])
             points = points.new_zeros(shape).index_copy_(0, ids, points)
@@ -227,21 +220,21 @@ class WarpEngine(Engine):
         normals = torch.empty(self.num_envs, count, 3, device=self.device)
         nobody = torch.full((count,), -1, dtype=torch.int32, device=self.device)
         chosen = self._group_mask(geom_groups)
-        rays = [
-            wp.from_torch(points, dtype=wp.vec3),
-            wp.from_torch(ways, dtype=wp.vec3),
-            chosen,
-            True,
-            *(wp.from_torch(values) for values in (nobody, far, geoms)),
-            wp.from_torch(normals, dtype=wp.vec3),
-        ]
-
-        def cast() -> None:
+        with self._graphs.here():
             if geom_groups is None or not self._still.issuperset(geom_groups):
                 self._mjw.kinematics(self._m, self._d)
-            self._mjw.rays(self._m, self._d, *rays)
-
-        self._graphs.launch(cast, (points, ways, nobody))
+            self._mjw.rays(
+                self._m,
+                self._d,
+                wp.from_torch(points.contiguous(), dtype=wp.vec3),
+                wp.from_torch(ways.contiguous(), dtype=wp.vec3),
+                chosen,
+                True,
+                wp.from_torch(nobody),
+                wp.from_torch(far),
+                wp.from_torch(geoms),
+                wp.from_torch(normals, dtype=wp.vec3),
+            )
         return far if ids is None else far[ids]
 
     def _group_mask(self, geom_groups: Sequence[int] | None) -> Any:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 import torch
-
-from wheelleg_exp.sim.warp.launches import launched
 
 
 class Graphs:
@@ -60,7 +57,6 @@ class Graphs:
             name: what it is known by.
             work: launches the kernels.
         """
-        launched(partial(self.run, name, work))
         if not self._wanted or self.is_capturing:
             with self.here():
                 work()
@@ -72,12 +68,6 @@ class Graphs:
             if self._captured[name] is None:
                 self._captured[name] = self._capture(work)
             self._wp.capture_launch(self._captured[name], stream=self._stream() or self.place.stream)
-
-    def launch(self, work: Callable[[], None], reads: Sequence[torch.Tensor]) -> None:
-        """Launch kernels that read tensors of torch's."""
-        launched(partial(self.launch, work, reads), reads)
-        with self.here():
-            work()
 
     def _capture(self, work: Callable[[], None]) -> Any:
         torch.cuda.synchronize(self._device)
