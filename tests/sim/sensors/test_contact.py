@@ -165,6 +165,37 @@ def test_a_body_that_leaves_the_ground_is_timed(env):
     assert sensor.compute_first_air(0.2)[:, 0].all()
 
 
+@pytest.mark.parametrize("mode", ["contact", "air"])
+def test_what_has_begun_within_some_time_is_first(env, mode):
+    """Not what is in the other mode, and to the end of that time."""
+    sensor = env.scene["contact"]
+    sensor.data.times[f"current_{mode}_time"].copy_(torch.tensor([[0.0, 0.01], [0.02, 0.03], [0.0, 0.0], [9.0, 0.02]]))
+    found = getattr(sensor, f"compute_first_{mode}")(0.02)
+    assert found.tolist() == [[False, True], [True, False], [False, False], [False, True]]
+
+
+def test_with_a_period_it_holds_what_it_measured(make_env):
+    """Of the first, the fourth, ... physics step, what another has that measures in each; the body flies and lands."""
+    node = env_config("block")["scene"]["sensors"]["contact"] | {"history_length": 2}
+    sensors = {"contact": node, "slow": node | {"update_period": 0.03}}
+    env = make_env("block", decimation=1, scene={"sensors": sensors})
+    env.reset()
+    fast, slow = env.scene["contact"], env.scene["slow"]
+    history, since = [torch.zeros(4, 2, 3)] * 2, 0.0
+    for k in range(1, 70):
+        if k == 32:
+            env.scene.robot.write_root_velocity_to_sim(torch.tensor([[0.0, 0, 0.8, 0, 0, 0]] * 4), torch.arange(4))
+        env.step(STILL)
+        if k % 3 == 1:
+            history = [fast.data.net_forces_w.clone(), history[0]]
+            touches = bool(history[0][0, 0].norm() > 1.0)
+            since = since + 0.03 if touches else 0.0
+        assert torch.equal(slow.data.net_forces_w_history, torch.stack(history, dim=1))
+        torch.testing.assert_close(slow.max_force_norm(), torch.stack(history).norm(dim=-1).amax(dim=0))
+        assert float(slow.data.current_contact_time[0, 0]) == pytest.approx(since, abs=1e-6)
+    assert float(slow.data.last_air_time[0, 0]) == pytest.approx(2 * 0.8 / 9.81, abs=0.06)
+
+
 def test_times_without_tracking_are_an_error(make_env):
     sensor = make_env().cfg["scene"]["sensors"]["contact"] | {"track_air_time": False}
     env = make_env("block", scene={"sensors": {"contact": sensor}})
