@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.sim.batch import BatchEngine
 
 XML = """
@@ -137,6 +138,16 @@ def test_a_broken_control_is_reported(sim, tmp_path, monkeypatch):
     sim.view("ctrl")[2, 0] = float("nan")
     sim.step()
     assert sim.unstable().tolist() == [False, False, True]
+
+
+def test_an_error_of_the_engine_names_the_simulations_and_the_others_go_on():
+    """One box lies in the ground, and its contacts need more memory than there is."""
+    small = mujoco.MjModel.from_xml_string(XML.replace("<worldbody>", '<size memory="8K"/><worldbody>'))
+    sim = BatchEngine(small, 3, nthread=1)
+    sim.view("qpos")[1, 2] = 0.05
+    with pytest.raises(SimulationFailure, match=r"1 of 3 simulations \(1\).*out of memory"):
+        sim.step()
+    assert (sim.view("qvel")[:, 2] < 0).tolist() == [True, False, True]
 
 
 def test_per_simulation_mass_changes_only_its_row(model):
