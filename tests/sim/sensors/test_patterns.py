@@ -34,6 +34,8 @@ def test_a_lidar_has_its_beams_from_below_and_leaves_out_the_last_angle_of_a_tur
     expected = [[level * x, level * y, z] for z in (-up, up) for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     torch.testing.assert_close(directions, torch.tensor(expected))
     assert not starts.any()
+    _, turned = LidarPattern(1, [0.0, 0.0], [-math.pi, math.pi], math.pi / 2).rays(CPU)
+    torch.testing.assert_close(turned, torch.tensor([[-1.0, 0, 0], [0, -1.0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
     _, half = LidarPattern(1, [0.0, 0.0], [-math.pi / 2, math.pi / 2], math.pi / 2).rays(CPU)
     torch.testing.assert_close(half, torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
 
@@ -50,11 +52,23 @@ def test_the_bpearl_has_the_32_beams_of_the_device():
     angles = torch.rad2deg(torch.asin(directions[:32, 2]))
     assert angles[[0, 1, 24, 31]].tolist() == pytest.approx([89.5, 86.6875, 22.0, 2.3125])
     torch.testing.assert_close(directions.norm(dim=1), torch.ones(36 * 32))
+    torch.testing.assert_close(
+        torch.atan2(directions[::32, 1], directions[::32, 0])[:3], torch.deg2rad(10.0 * torch.arange(3))
+    )
+
+
+def test_a_part_of_a_bpearl_looks_backwards():
+    """A quarter about -x in steps of an eighth, from its right; the last angle is left out."""
+    _, directions = BpearlPattern(math.pi / 2, math.pi / 4, [0.0, math.pi / 6]).rays(CPU)
+    half, level = math.sqrt(0.5), math.cos(math.pi / 6)
+    level_ones = torch.tensor([[-half, half, 0.0], [-1.0, 0.0, 0.0]])
+    torch.testing.assert_close(directions[::2], level_ones)
+    torch.testing.assert_close(directions[1::2], level * level_ones + torch.tensor([0.0, 0.0, 0.5]))
 
 
 def test_a_pinhole_looks_along_x_row_by_row_from_the_upper_left():
     """The image plane at distance 1 is 2 wide; square pixels make it 1 high."""
-    pattern = PinholePattern(width=4, height=2, focal_length=1.0, horizontal_aperture=2.0)
+    pattern = PinholePattern(width=4, height=2, focal_length=3.0, horizontal_aperture=6.0)
     _, directions = pattern.rays(CPU)
     through = directions / directions[:, :1]
     expected = [[1.0, -u, -v] for v in (-0.25, 0.25) for u in (-0.75, -0.25, 0.25, 0.75)]
