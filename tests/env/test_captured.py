@@ -142,6 +142,22 @@ class Remembers(TermBase):
         return change
 
 
+class HandsOn(Remembers):
+    """A user's term that hands on a tensor as it is."""
+
+    def work(self) -> torch.Tensor:
+        self.last += 1.0
+        return self.now
+
+
+def test_a_tensor_that_is_handed_on_is_that_of_now():
+    term = HandsOn()
+    part = Captured(term.work, [term], Tape, lambda: None)
+    for step in range(1, 7):
+        term.now = torch.full((2,), float(step))
+        assert part().tolist() == [step, step]
+
+
 def test_what_a_term_of_a_users_own_remembers_goes_on():
     term = Remembers()
     part = Captured(term.work, [term], Tape, lambda: None)

@@ -269,6 +269,7 @@ class Captured:
             raise
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
+        touched.note((outputs, [value for _, value in after], [whole for _, whole in contents]))  # handed on
         empty = [slot for slot, value in others if value is None]
         before = [(slot, value) for slot, value in tensors if touched.has(value)]
         return _Variant(recorder, before, empty, after, contents, _standing(outputs[0]))

@@ -66,10 +66,14 @@ class Touched(TorchDispatchMode):
         """Do an operation, and note its tensors."""
         del types
         result = operation(*args, **(kwargs or {}))
-        for leaf in tree_leaves((args, kwargs, result)):
+        self.note((args, kwargs, result))
+        return result
+
+    def note(self, tree: Any) -> None:
+        """Note the tensors of a nested structure."""
+        for leaf in tree_leaves(tree):
             if isinstance(leaf, torch.Tensor):
                 self._memory.add(leaf.untyped_storage().data_ptr())
-        return result
 
     def has(self, tensor: torch.Tensor) -> bool:
         """Return whether a tensor's memory is among it."""

@@ -88,11 +88,16 @@ def slots(roots: Sequence[Any]) -> Iterator[Slot]:
             waiting.append(node.__self__)
         elif isinstance(node, FunctionType):
             waiting += [cell.cell_contents for cell in node.__closure__ or ()]
-        elif _is_own(type(node)) and type(node).__name__ not in _FIXED:
+        elif _is_own(type(node)) and not _is_fixed(type(node)):
             fixed = _FIXED | _OF_A_TERM if isinstance(node, Term) else _FIXED
             for key in list(getattr(node, "__dict__", {})):
                 if key not in fixed:
                     yield from _places(node, (key,), vars(node)[key], waiting)
+
+
+def _is_fixed(kind: type) -> bool:
+    """Return whether a class is one of this program's that stand still."""
+    return kind.__name__ in _FIXED and kind.__module__.startswith(_OWN)
 
 
 def _is_own(kind: type) -> bool:

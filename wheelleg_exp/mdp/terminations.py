@@ -14,7 +14,7 @@ from wheelleg_exp.sim.ids import fill_rows, picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
-_ROUNDING = 1e-3  # of a torque, and N·m: the engine computes a stiff drive's torque in its own precision
+_ROUNDING = 1e-3  # of the effort limit: the engine computes a stiff drive's torque in its own precision
 
 
 def time_out(env: Env) -> torch.Tensor:
@@ -150,8 +150,9 @@ def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> t
     """Some joint's torque was clipped: by its effort limit, a motor's torque-speed line or a linkage's table."""
     data, joints = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
     computed, applied = picked(data.computed_torque, joints), picked(data.applied_torque, joints)
-    beyond = computed.abs() > picked(data.joint_effort_limits, joints)
-    return (beyond | ~torch.isclose(computed, applied, rtol=_ROUNDING, atol=_ROUNDING)).any(dim=1)
+    limits = picked(data.joint_effort_limits, joints)
+    scale = torch.where(limits.isfinite(), limits, computed.abs())
+    return ((computed.abs() > limits) | ((computed - applied).abs() > _ROUNDING * scale)).any(dim=1)
 
 
 def illegal_contact(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:

@@ -9,7 +9,7 @@ import torch
 from wheelleg_exp import managers
 from wheelleg_exp.isaaclab.managers.manager_term_cfg import CommandTermCfg
 from wheelleg_exp.managers import Env
-from wheelleg_exp.sim.ids import ids_where
+from wheelleg_exp.sim.ids import fill_rows, ids_where
 
 
 class CommandTerm(managers.CommandTerm):
@@ -69,7 +69,7 @@ class CommandTerm(managers.CommandTerm):
         """Return the metrics' means over ``env_ids``, zero them, and draw anew."""
         log = {name: value[env_ids].mean() for name, value in self.metrics.items()}
         for value in self.metrics.values():
-            value[env_ids] = 0.0
-        self.command_counter[env_ids] = 0
+            fill_rows(value, env_ids, 0.0)
+        fill_rows(self.command_counter, env_ids, 0)
         self._resample(env_ids)
         return log

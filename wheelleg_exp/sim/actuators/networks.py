@@ -164,7 +164,7 @@ class ActuatorNetLSTM(ActuatorNet):
     def reset(self, env_ids: torch.Tensor) -> None:
         """Forget what was before in ``env_ids``."""
         for memory in (self._hidden, self._cell):
-            memory.view(self._rows)[:, env_ids] = 0.0
+            fill_rows(memory.view(self._rows).transpose(0, 1), env_ids, 0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Return what the network gives, N·m."""
