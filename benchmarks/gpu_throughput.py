@@ -33,7 +33,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
 from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
 
 BLOCK = 20  # steps between the two
-WARM_UP, WARM_UP_CAPTURED = 30, 400  # a number of environments that end together is captured when it comes up again
+WARM_UP, MOST_WARM_UP = 30, 3000  # a number of environments that end together is captured when it comes up again
 
 
 def now(device: torch.device) -> float:
@@ -91,13 +91,24 @@ def actions(env: ManagerBasedRLEnv, steps: int) -> list[torch.Tensor]:
     return [(0.3 * torch.randn(shape, generator=generator)).to(env.device) for _ in range(min(steps, 2 * BLOCK))]
 
 
+def warm_up(env: ManagerBasedRLEnv, todo: list[torch.Tensor]) -> None:
+    """Step until whatever is captured on the way has been."""
+    captured, steps = None, 0
+    while steps < WARM_UP or (env.scene.sim.is_captured and steps < MOST_WARM_UP):
+        env.step(todo[steps % len(todo)])
+        steps += 1
+        if steps % (10 * WARM_UP) == 0:
+            before, captured = captured, env._captured_reset.counts if env._captured_reset else 0
+            if captured == before:
+                break
+
+
 def paired(env: ManagerBasedRLEnv, steps: int) -> tuple[float, float]:
     """Return seconds a step in ``env.step`` and in bare physics, taken in turn: medians of blocks."""
     bare, todo = Bare(env), actions(env, WARM_UP)
     full_times, bare_times = [], []
     with torch.inference_mode():
-        for index in range(WARM_UP_CAPTURED if env.scene.sim.is_captured else WARM_UP):
-            env.step(todo[index % len(todo)])
+        warm_up(env, todo)
         for _ in range(max(1, steps // BLOCK)):
             bare.take_states()
             start = now(env.device)

@@ -91,6 +91,11 @@ class CapturedReset:
         self._first: Captured | None = None
         self._works = True
 
+    @property
+    def counts(self) -> int:
+        """How many numbers of environments that end together have a graph."""
+        return len(self._parts)
+
     def __call__(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Reset ``env_ids``, but for curricula and recorders; return what is logged."""
         count = len(env_ids)

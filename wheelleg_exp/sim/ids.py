@@ -29,8 +29,40 @@ def ids_where_also(mask: torch.Tensor, within: torch.Tensor) -> tuple[torch.Tens
     if not mask.is_cuda:
         found = ids_where(mask)
         return found, ids_where(within) if len(found) else found
-    outer, inner = (ids_where(rows) for rows in torch.stack((mask, within)).cpu())
-    return outer.to(mask.device, non_blocking=True), inner.to(mask.device, non_blocking=True)
+    key = mask.device, len(mask)
+    if key not in _readers:
+        _readers[key] = _Reader(len(mask), mask.device)
+    outer, inner = _readers[key].ids(mask, within)
+    return outer, inner
+
+
+class _Reader:
+    """Brings masks to the host and their indices back by memory that a GPU reaches by itself.
+
+    Args:
+        count: the length of a mask, N.
+        device: the GPU.
+    """
+
+    def __init__(self, count: int, device: torch.device) -> None:
+        self._device = device
+        with torch.inference_mode(False):
+            self._masks = torch.empty(2, count, dtype=torch.bool, pin_memory=True)
+            self._ids = torch.empty(2, count, dtype=torch.long, pin_memory=True)
+
+    def ids(self, *masks: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return the indices at which each of two masks holds. The last call's are on the device by then."""
+        for row, mask in zip(self._masks, masks, strict=True):
+            row.copy_(mask, non_blocking=True)
+        torch.cuda.current_stream(self._device).synchronize()
+        return tuple(self._brought(row, into) for row, into in zip(self._masks, self._ids, strict=True))
+
+    def _brought(self, mask: torch.Tensor, into: torch.Tensor) -> torch.Tensor:
+        found = ids_where(mask)
+        return into[: len(found)].copy_(found).to(self._device, non_blocking=True)
+
+
+_readers: dict[tuple[torch.device, int], _Reader] = {}
 
 
 def is_finite(total: torch.Tensor) -> bool:

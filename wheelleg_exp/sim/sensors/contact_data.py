@@ -65,12 +65,13 @@ class ContactSensorData(Kept):
         """Net normal force, N, (N, T, B, 3), newest first."""
         if self._history is None:
             self._history = torch.stack(self.forces, dim=1)
-            self.forces = list(self._history.unbind(dim=1))
+            self.forces[:] = self._history.unbind(dim=1)
         return self._history
 
     def set_forces(self, forces: list[torch.Tensor]) -> None:
         """Let the forces of the steps kept be others, each (N, B, 3), newest first."""
-        self.forces, self._history = forces, None
+        self.forces[:] = forces  # the list stays: a recorded part of a step knows it
+        self._history = None
 
     def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
         """Take up a sample (N, B, 3), of the environments ``due`` (N,) alone where not of all, and drop the oldest."""
