@@ -47,8 +47,8 @@ class _Reader:
     def __init__(self, count: int, device: torch.device) -> None:
         self._device = device
         with torch.inference_mode(False):
-            self._masks = torch.empty(2, count, dtype=torch.bool, pin_memory=True)
-            self._ids = torch.empty(2, count, dtype=torch.long, pin_memory=True)
+            self._masks = torch.empty(2, count, dtype=torch.bool, device="cpu", pin_memory=True)
+            self._ids = torch.empty(2, count, dtype=torch.long, device="cpu", pin_memory=True)
 
     def ids(self, *masks: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return the indices at which each of two masks holds. The last call's are on the device by then."""

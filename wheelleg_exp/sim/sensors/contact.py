@@ -111,7 +111,7 @@ class ContactSensor(SensorBase):
             self.data.add_filters(len(self.filter_names))
         if self._track_pose:
             self.data.add_pose(self._robot, self.body_names)
-        self._norms = [None] * self._history_length
+        self._norms, self._largest_norm = [None] * self._history_length, None
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
 
     def max_force_norm(self) -> torch.Tensor:
