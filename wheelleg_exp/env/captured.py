@@ -227,7 +227,7 @@ class Captured:
 
     def _try_to_record(self) -> _Variant | None:
         """Record the work; None, and a warning once, where it cannot be, as where it waits for the device."""
-        for streams in ([], self._drawn, self._streams()):  # each that is told costs two launches at every replay
+        for streams in (self._drawn, self._streams()):  # each that is told costs two launches at every replay
             try:
                 return self._record(self._recorder(streams))
             except RuntimeError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -25,15 +24,13 @@ class CudaGraph:
     """A CUDA graph of torch's, in which random streams go on from replay to replay.
 
     Args:
-        generators: the random streams that the work may draw from. Without any, uniform numbers are drawn before each
-            replay: a graph that is told of a stream costs two launches for it.
+        generators: the random streams that the work may draw from.
         pool: memory that graphs share which are never replayed at the same time.
     """
 
     def __init__(self, generators: Sequence[torch.Generator], pool: Any = None) -> None:
         self._generators, self._pool = generators, pool
         self._graph = self._made()
-        self._drawn = _Drawn()
 
     def _made(self) -> torch.cuda.CUDAGraph:
         graph = torch.cuda.CUDAGraph()
@@ -46,8 +43,7 @@ class CudaGraph:
         """Do the work and record it; it runs at the first replay."""
         torch.cuda.synchronize()
         try:
-            before = contextlib.nullcontext() if self._generators else self._drawn
-            with torch.cuda.graph(self._graph, pool=self._pool, capture_error_mode="thread_local"), before:
+            with torch.cuda.graph(self._graph, pool=self._pool, capture_error_mode="thread_local"):
                 work()
         except Exception:  # random streams wait for the end of a capture, and would not be drawn from
             with torch.cuda.graph(self._made(), capture_error_mode="thread_local"):
@@ -56,32 +52,7 @@ class CudaGraph:
 
     def replay(self) -> None:
         """Do the recorded work again."""
-        for numbers, generator in self._drawn.numbers:
-            numbers.uniform_(generator=generator)
         self._graph.replay()
-
-
-class _Drawn(TorchDispatchMode):
-    """Leaves memory for uniform numbers where they are drawn.
-
-    Attributes:
-        numbers: the memory and the random stream of each draw, in their order.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.numbers: list[tuple[torch.Tensor, torch.Generator]] = []
-
-    def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Do an operation, or note a draw."""
-        del types
-        kwargs = dict(kwargs or {})
-        if operation is not torch.ops.aten.rand.generator:
-            return operation(*args, **kwargs)
-        generator = kwargs.pop("generator")
-        with torch.inference_mode(False):  # replays may be without it
-            self.numbers.append((torch.empty(*args, **kwargs), generator))
-        return self.numbers[-1][0]
 
 
 class Touched(TorchDispatchMode):
