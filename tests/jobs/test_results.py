@@ -185,6 +185,17 @@ def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
     assert str(run.path.parent) not in everything  # nothing of where it lay
 
 
+def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_nothing_else(run, written):
+    record = json.loads((written / "small.json").read_text())
+    record["runs"] = [{**record["runs"][0], "id": "another"}]
+    write_json(written / "small.json", record)
+    for name in ("another", "own"):
+        write_json(written / "small" / f"{name}.json", {})
+    words = ["results", "small", str(run.path), *SHORT, "protocol.resamples=50", "--into", str(written)]
+    assert main(words) == 0
+    assert {path.stem for path in (written / "small").iterdir()} == {run.id, "own"}
+
+
 def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_that_length(run):
     data = json.loads((run.path / "manifest.json").read_text())
     longer = {"exact": True, "overrides": ["agent.max_iterations=9"]}

@@ -34,7 +34,9 @@ def write_results(
     reference: Evaluated | None,
     words: Sequence[str],
 ) -> list[Path]:
-    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder, over earlier ones; return the files.
+    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the files.
+
+    They take the place of an earlier result of this name, whose runs' manifests go.
 
     Args:
         name: what the result is called.
@@ -50,13 +52,25 @@ def write_results(
     record = record_of(name, compared, runs, reference, words)
     manifests = [manifest_of(made.run) for made in runs]
     files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
+    earlier = _manifests_of(folder, name)
     with for_people(folder, "written to"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for path, manifest in zip(files, manifests, strict=True):
         write_json(path, manifest)
     write_json(folder / f"{name}.json", record)
     write_text(folder / f"{name}.md", page(record, manifests))
+    for path in earlier.difference(files):
+        path.unlink(missing_ok=True)
     return [folder / f"{name}.md", folder / f"{name}.json", *files]
+
+
+def _manifests_of(folder: Path, name: str) -> set[Path]:
+    """Return the manifests that an earlier record of this name brought."""
+    try:
+        record = read_record(folder / f"{name}.json")
+        return {folder / name / f"{run['id']}.json" for run in record["runs"]}
+    except (RunDirectoryError, LookupError, TypeError):  # there is none, or it is no record: nothing of it is known
+        return set()
 
 
 def compared_with(
