@@ -166,6 +166,28 @@ def test_what_a_term_of_a_users_own_remembers_goes_on():
         assert part().tolist() == [1.0, 1.0]
 
 
+class Differs(TermBase):
+    """Compares two attributes that a user sets between the steps."""
+
+    def __init__(self) -> None:
+        self.now, self.last = torch.zeros(2), torch.zeros(2)
+
+    def work(self) -> torch.Tensor:
+        return self.now - self.last
+
+
+@pytest.mark.parametrize("order", [("now", "last"), ("last", "now")])
+def test_a_tensor_that_is_passed_on_between_two_attributes_keeps_its_numbers(order):
+    term = Differs()
+    values = vars(term)
+    term.__dict__ = {name: values[name] for name in order}  # the order in which they are brought into memory
+    part = Captured(term.work, [term], Tape, lambda: None)
+    for step in range(1, 8):
+        term.last = term.now
+        term.now = torch.full((2,), float(step * step))
+        assert part().tolist() == [2 * step - 1] * 2
+
+
 def test_a_reset_in_which_counting_is_noticed_is_done_once():
     plain, taped = stand(), recorded(stand())
     for env in (plain, taped):

@@ -84,10 +84,10 @@ class _Entry:
         if not all(map(operator.is_, now, self.values)):
             return False
         others = [(leaf, now) for leaf, now in zip(self.leaves, found, strict=True) if now is not leaf[2]]
-        if not all(isinstance(now, torch.Tensor) and _form(now) == _form(leaf[2]) for leaf, now in others):
+        if not all(_is_like(now, leaf[2]) for leaf, now in others):
             return False
-        for (container, key, static), now in others:
-            static.copy_(now)
+        _bring([(static, now) for (_, _, static), now in others])
+        for (container, key, static), _ in others:
             container[key] = static
         return True
 
@@ -171,15 +171,12 @@ class Captured:
     def _enter(self, variant: _Variant) -> list[Slot]:
         """Bring what slots hold into a recording's memory; return those that hold another kind of thing."""
         unlike = [slot for slot in variant.empty if slot.get() is not None]
-        for slot, static in variant.before:
-            now = slot.get()
-            if now is static:
-                continue
-            if isinstance(now, torch.Tensor) and _form(now) == _form(static):
-                static.copy_(now)
-                slot.set(static)
-            else:
-                unlike.append(slot)
+        others = [(slot, static, now) for slot, static in variant.before if (now := slot.get()) is not static]
+        unlike += [slot for slot, static, now in others if not _is_like(now, static)]
+        like = [(slot, static, now) for slot, static, now in others if _is_like(now, static)]
+        _bring([(static, now) for _, static, now in like])
+        for slot, static, _ in like:
+            slot.set(static)
         self._entry = None if unlike else self._entry_of(variant)
         return unlike
 
@@ -287,6 +284,18 @@ class Captured:
             static.copy_(now)
             slot.set(static)
         return result
+
+
+def _is_like(value: Any, static: torch.Tensor) -> bool:
+    return isinstance(value, torch.Tensor) and _form(value) == _form(static)
+
+
+def _bring(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
+    """Copy values into the memory that recordings have for them, though one may lie in that of another."""
+    taken = {static.untyped_storage().data_ptr() for static, _ in pairs} if len(pairs) > 1 else set()
+    apart = [(static, v.clone() if v.untyped_storage().data_ptr() in taken else v) for static, v in pairs]
+    for static, value in apart:
+        static.copy_(value)
 
 
 def _standing(tree: Any) -> Any:
