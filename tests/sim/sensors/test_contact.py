@@ -261,11 +261,51 @@ def test_forces_are_told_apart_by_what_they_come_from(make_env):
     assert torch.equal(data.force_matrix_w_history, kept)
 
 
+def test_friction_takes_up_a_push_and_contacts_are_below_the_cube(make_env):
+    """A resting cube that is pushed below its friction limit: friction is the push turned round."""
+    contact = make_env().cfg["scene"]["sensors"]["contact"]
+    tracked = {"filter_body_names": ["ground", "flywheel"], "track_contact_points": True, "track_friction_forces": True}
+    env = make_env("block", scene={"sensors": {"contact": contact | tracked}})
+    env.reset()
+    wrench = torch.zeros(4, 1, 6)
+    wrench[:, 0, 0], wrench[:, 0, 1] = torch.tensor([0.0, 5.0, -2.0, 4.0]), torch.tensor([0.0, 0.0, 3.0, 4.0])
+    env.scene.robot.set_permanent_wrench(torch.arange(4), [0], wrench)
+    _settle(env)
+    sensor, data = env.scene["contact"], env.scene["contact"].data
+    assert data.friction_forces_w.shape == data.contact_pos_w.shape == (4, 2, 2, 3)
+    torch.testing.assert_close(data.friction_forces_w[:, 0, 0], -wrench[:, 0, :3], atol=0.02, rtol=0)
+    torch.testing.assert_close(data.force_matrix_w[:, 0, 0, 2], torch.full((4,), WEIGHT), atol=0.02, rtol=0)
+    below = env.scene.robot.data.root_pos_w - torch.tensor([0.0, 0.0, 0.1])
+    torch.testing.assert_close(data.contact_pos_w[:, 0, 0], below, atol=1e-3, rtol=0)
+    assert data.contact_pos_w[:, 0, 1].isnan().all()
+    assert data.contact_pos_w[:, 1].isnan().all()
+    assert not data.friction_forces_w[:, 0, 1].any()
+    assert not data.friction_forces_w[:, 1].any()
+    saved, kept = sensor.state_dict(), data.friction_forces_w.clone()
+    sensor.reset(torch.tensor([1]))
+    assert not data.friction_forces_w[1].any()
+    assert data.contact_pos_w[1].isnan().all()
+    assert torch.equal(data.friction_forces_w[2], kept[2])
+    sensor.load_state_dict(saved)
+    assert torch.equal(data.friction_forces_w, kept)
+    assert not data.contact_pos_w[1, 0, 0].isnan().any()
+
+
+@pytest.mark.parametrize("name", ["track_contact_points", "track_friction_forces"])
+def test_contacts_of_nothing_in_particular_are_refused(make_env, name):
+    contact = make_env().cfg["scene"]["sensors"]["contact"] | {name: True}
+    with pytest.raises(WheellegError, match="filter_body_names"):
+        make_env("block", scene={"sensors": {"contact": contact}})
+
+
 def test_two_bodies_push_each_other_with_opposite_forces(make_env, tmp_path):
     """One of the rover's arms is so fat that it reaches the other."""
     thin, fat = '"left_arm" type="capsule" size=".01"', '"left_arm" type="capsule" size=".195"'
     (tmp_path / "fat.xml").write_text((ASSETS / "rover.xml").read_text().replace(thin, fat))
-    contact = make_env().cfg["scene"]["sensors"]["contact"] | {"filter_body_names": [".*"], "track_pose": True}
+    contact = make_env().cfg["scene"]["sensors"]["contact"] | {
+        **{"filter_body_names": [".*"], "track_pose": True},
+        **{"track_contact_points": True, "track_friction_forces": True},
+    }
     env = ManagerBasedRLEnv(env_config(scene={"sensors": {"contact": contact}}), tmp_path / "fat.xml", 0)
     env.reset()
     sensor, data = env.scene["contact"], env.scene["contact"].data
@@ -276,6 +316,9 @@ def test_two_bodies_push_each_other_with_opposite_forces(make_env, tmp_path):
         between = data.force_matrix_w[:, :, order]
         torch.testing.assert_close(between, -between.transpose(1, 2), atol=1e-4, rtol=1e-5)
         torch.testing.assert_close(data.force_matrix_w.sum(dim=2), data.net_forces_w, atol=1e-4, rtol=1e-4)
+        rubbed, points = data.friction_forces_w[:, :, order], data.contact_pos_w[:, :, order]
+        torch.testing.assert_close(rubbed, -rubbed.transpose(1, 2), atol=1e-4, rtol=1e-5)
+        torch.testing.assert_close(points, points.transpose(1, 2), atol=1e-6, rtol=0, equal_nan=True)
         pushed += between.norm(dim=-1).sum(dim=0)
     left, right = sensor.body_names.index("left_arm"), sensor.body_names.index("right_arm")
     assert pushed[left, right] > 1.0
@@ -285,6 +328,10 @@ def test_two_bodies_push_each_other_with_opposite_forces(make_env, tmp_path):
 
 
 def test_what_is_not_tracked_says_what_to_write(env):
-    for name, word in (("force_matrix_w", "filter_body_names"), ("pos_w", "track_pose"), ("quat_w", "track_pose")):
+    words = {
+        **{"force_matrix_w": "filter_body_names", "pos_w": "track_pose", "quat_w": "track_pose"},
+        **{"contact_pos_w": "track_contact_points", "friction_forces_w": "track_friction_forces"},
+    }
+    for name, word in words.items():
         with pytest.raises(WheellegError, match=word):
             getattr(env.scene["contact"].data, name)

@@ -11,20 +11,18 @@ import mujoco
 import torch
 
 from wheelleg_exp.constraints import Count, Names, Natural, NonNegative
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.sensors.base import SensorBase
 from wheelleg_exp.sim.sensors.contact_data import ContactSensorData
+from wheelleg_exp.sim.sensors.contact_pairs import FIELDS, NORMAL, ContactPairs, data_flags, summed, width
 from wheelleg_exp.sim.terrain import GROUND
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
 
-_FOUND, _FORCE, _NORMAL = (
-    1 << int(getattr(mujoco.mjtConDataField, name))
-    for name in ("mjCONDATA_FOUND", "mjCONDATA_FORCE", "mjCONDATA_NORMAL")
-)
-_WIDTH = 7  # found 1, force 3 (contact frame, normal first), normal 3 (world)
+_WIDTH = width(NORMAL)
 
 
 class ContactSensor(SensorBase):
@@ -40,6 +38,8 @@ class ContactSensor(SensorBase):
         filter_body_names: expressions of the bodies, ``ground`` among them, from which forces are told apart; null is
             none.
         track_pose: whether the data has the bodies' poses.
+        track_contact_points: whether the data has the mean place of the contacts with each filtered body.
+        track_friction_forces: whether the data has the friction from each filtered body.
 
     Attributes:
         data: what was measured, from ``connect`` on.
@@ -59,11 +59,14 @@ class ContactSensor(SensorBase):
         update_period: NonNegative = 0.0,
         filter_body_names: Names | None = None,
         track_pose: bool = False,
+        track_contact_points: bool = False,
+        track_friction_forces: bool = False,
     ) -> None:
         super().__init__(update_period)
         filters = filter_body_names or []
         self._filters = [filters] if isinstance(filters, str) else list(filters)
         self._track_pose = track_pose
+        self._tracked = {"track_contact_points": track_contact_points, "track_friction_forces": track_friction_forces}
         self._expressions = body_names
         self._history_length = max(1, history_length)
         self.track_air_time = track_air_time
@@ -78,19 +81,36 @@ class ContactSensor(SensorBase):
         self.filter_names: list[str] = []
         if self._filters:
             _, self.filter_names = match_names(self._filters, [GROUND, *robot.body_names], key=key, what="body")
+        self._require_filters()
         for body in self.body_names:
-            self._sense(spec, body, {})
+            self._sense(spec, body, NORMAL, {})
         for body, other in product(self.body_names, self.filter_names):
             ref = "world" if other == GROUND else other
-            self._sense(spec, body, {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": ref}, f"/{other}")
+            to = {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": ref}
+            self._sense(spec, body, self._fields_of_pairs, to, f"/{other}")
 
-    def _sense(self, spec: mujoco.MjSpec, body: str, ref: dict[str, Any], suffix: str = "") -> None:
+    @property
+    def _fields_of_pairs(self) -> tuple[str, ...]:
+        return FIELDS if any(self._tracked.values()) else NORMAL
+
+    def _require_filters(self) -> None:
+        for name, is_tracked in self._tracked.items():
+            if is_tracked and not self._filters:
+                raise ConfigError(
+                    "needs the bodies whose contacts are told apart",
+                    key=f"{self.key}.{name}",
+                    expected=f"false, or bodies or ground in {self.key}.filter_body_names",
+                )
+
+    def _sense(
+        self, spec: mujoco.MjSpec, body: str, fields: tuple[str, ...], ref: dict[str, Any], suffix: str = ""
+    ) -> None:
         spec.add_sensor(
             name=f"{self.name}/{body}{suffix}",
             type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             objname=body,
-            intprm=[_FOUND | _FORCE | _NORMAL, 0, self._slots],
+            intprm=[data_flags(fields), 0, self._slots],
             **ref,
         )
 
@@ -99,20 +119,23 @@ class ContactSensor(SensorBase):
         super().connect(sim, stream)
         n, bodies, device = sim.num_envs, len(self.body_names), sim.device
         start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
-        width = bodies * self._slots * _WIDTH
-        self._readings = sim.view("sensordata")[:, start : start + width].view(n, bodies, self._slots, _WIDTH)
+        end = start + bodies * self._slots * _WIDTH
+        self._readings = sim.view("sensordata")[:, start:end].view(n, bodies, self._slots, _WIDTH)
         self._pressures, self._normals = self._readings[..., 1].unsqueeze(2), self._readings[..., 4:7]
         self._counts = self._readings[:, :, 0, 0]
-        pairs = bodies * len(self.filter_names)
-        end = start + width + pairs * self._slots * _WIDTH
-        self._pairs = sim.view("sensordata")[:, start + width : end].view(n, pairs, self._slots, _WIDTH)
         self.data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
-        if pairs:
-            self.data.add_filters(len(self.filter_names))
+        if self.filter_names:
+            self._connect_pairs(sim.view("sensordata")[:, end:])
         if self._track_pose:
             self.data.add_pose(self._robot, self.body_names)
         self._norms, self._largest_norm = [None] * self._history_length, None
         self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
+
+    def _connect_pairs(self, behind: torch.Tensor) -> None:
+        fields, bodies, others = self._fields_of_pairs, len(self.body_names), len(self.filter_names)
+        form = len(behind), bodies * others, self._slots, width(fields)
+        self._pairs = ContactPairs(behind[:, : form[1] * form[2] * form[3]].view(form), bodies, fields)
+        self.data.add_filters(others, **self._tracked)
 
     def max_force_norm(self) -> torch.Tensor:
         """Largest norm over the history, N, (N, B)."""
@@ -145,7 +168,7 @@ class ContactSensor(SensorBase):
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         """Sample the forces of the physics step that has just run."""
         # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
-        self.data.take_forces(_summed(self._pressures, self._normals).neg_().float(), due)
+        self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
         torch.maximum(self._found, self._counts, out=self._found)
         if due is None:
             self._norms[:] = [None, *self._norms[:-1]]
@@ -158,11 +181,13 @@ class ContactSensor(SensorBase):
             self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
 
     def _measure_pairs(self, due: torch.Tensor | None) -> None:
-        force = _summed(self._pairs[..., 1].unsqueeze(2), self._pairs[..., 4:7]).neg_().float()
-        before = self.data.force_matrix_w_history
-        force = force.view(len(force), 1, *before.shape[2:])
-        history = torch.cat((force, before[:, :-1]), dim=1)
-        self.data.filtered = history if due is None else torch.where(due.view(-1, 1, 1, 1, 1), history, before)
+        tracked = self._tracked
+        self.data.take_pairs(
+            self._pairs.normal_forces(),
+            self._pairs.points() if tracked["track_contact_points"] else None,
+            self._pairs.friction_forces() if tracked["track_friction_forces"] else None,
+            due,
+        )
 
     def reset(self, ids: torch.Tensor) -> None:
         """Forget forces and times of ``ids``."""
@@ -187,7 +212,7 @@ class ContactSensor(SensorBase):
             "history": self.data.net_forces_w_history.clone(),
             "found": self._found.clone(),
             **{name: value.clone() for name, value in self.data.times.items()},
-            **({"filtered": self.data.force_matrix_w_history.clone()} if self.filter_names else {}),
+            **{name: value.clone() for name, value in self.data.of_pairs().items()},
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -197,8 +222,8 @@ class ContactSensor(SensorBase):
         self._found.copy_(saved["found"])
         for name, value in self.data.times.items():
             value.copy_(saved[name])
-        if self.filter_names:
-            self.data.filtered = saved["filtered"].clone()
+        for name in self.data.of_pairs():
+            setattr(self.data, name, saved[name].clone())
         self._forget_norms()
 
     def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
@@ -223,10 +248,3 @@ class ContactSensor(SensorBase):
             lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
         last.copy_(lasted)
         current.copy_(counted)
-
-
-def _summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """Return pressures (N, B, 1, S) times normals (N, B, S, 3), added up over contacts, (N, B, 3)."""
-    if pressures.is_cuda:  # thousands of tiny products take a GPU's library ten times as long as their sum
-        return (pressures.transpose(2, 3) * normals).sum(dim=2)
-    return torch.matmul(pressures, normals).squeeze(2)

@@ -41,6 +41,8 @@ class ContactSensorData(Kept):
     Attributes:
         forces: net normal force of each step kept, N, (N, B, 3), newest first.
         filtered: ``force_matrix_w_history``; None when forces are not told apart.
+        points: ``contact_pos_w``; None when it is not tracked.
+        friction: ``friction_forces_w``; None when it is not tracked.
         times: the four times by name, s, (N, B); zeros when they are not tracked.
     """
 
@@ -52,6 +54,8 @@ class ContactSensorData(Kept):
         self._history: torch.Tensor | None = None  # of the same forces, once asked for
         self._track_air_time = track_air_time
         self.filtered: torch.Tensor | None = None
+        self.points: torch.Tensor | None = None
+        self.friction: torch.Tensor | None = None
         self._robot: Robot | None = None
         self.times = {name: torch.zeros(num_envs, bodies, device=device) for name in TIMES}
 
@@ -86,10 +90,36 @@ class ContactSensorData(Kept):
     current_contact_time = _time("current_contact_time", "Time since the body touched down, s, 0 in the air, (N, B).")
     last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
 
-    def add_filters(self, count: int) -> None:
-        """Tell the forces of ``count`` other bodies apart."""
+    def add_filters(self, count: int, track_contact_points: bool, track_friction_forces: bool) -> None:
+        """Tell the contacts with ``count`` other bodies apart."""
         n, bodies, _ = self.net_forces_w.shape
         self.filtered = self.net_forces_w.new_zeros(n, len(self.forces), bodies, count, 3)
+        self.points = torch.full_like(self.filtered[:, 0], torch.nan) if track_contact_points else None
+        self.friction = torch.zeros_like(self.filtered[:, 0]) if track_friction_forces else None
+
+    def take_pairs(
+        self,
+        newest: torch.Tensor,
+        points: torch.Tensor | None,
+        friction: torch.Tensor | None,
+        due: torch.Tensor | None,
+    ) -> None:
+        """Take up a sample of what is told apart, each (N, B, M, 3); as ``take_forces``."""
+        before = self.force_matrix_w_history
+        taken = {
+            "filtered": torch.cat((newest.unsqueeze(1), before[:, :-1]), dim=1),
+            "points": points,
+            "friction": friction,
+        }
+        for name, value in taken.items():
+            if value is not None and due is not None:
+                value = torch.where(due.view(-1, *[1] * (value.ndim - 1)), value, getattr(self, name))
+            setattr(self, name, value)
+
+    def of_pairs(self) -> dict[str, torch.Tensor]:
+        """Return what is told apart, by attribute."""
+        found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
+        return {name: value for name, value in found.items() if value is not None}
 
     def add_pose(self, robot: Robot, bodies: list[str]) -> None:
         """Show the poses of the sensed bodies."""
@@ -106,6 +136,20 @@ class ContactSensorData(Kept):
     def force_matrix_w(self) -> torch.Tensor:
         """Normal force of the last physics step from each filtered body, N, (N, B, M, 3)."""
         return self.force_matrix_w_history[:, 0]
+
+    @property
+    def contact_pos_w(self) -> torch.Tensor:
+        """Mean place of the contacts with each filtered body, m, (N, B, M, 3); NaN where there is none."""
+        if self.points is None:
+            self._refuse("places of contacts are not tracked", "track_contact_points", "true, and filter_body_names")
+        return self.points
+
+    @property
+    def friction_forces_w(self) -> torch.Tensor:
+        """Friction of the last physics step from each filtered body, N, (N, B, M, 3)."""
+        if self.friction is None:
+            self._refuse("friction is not tracked", "track_friction_forces", "true, and filter_body_names")
+        return self.friction
 
     @property
     def pos_w(self) -> torch.Tensor:
@@ -134,8 +178,8 @@ class ContactSensorData(Kept):
     def reset(self, ids: torch.Tensor) -> None:
         """Forget forces and times of ``ids``."""
         self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
-        if self.filtered is not None:
-            self.filtered = self.filtered.index_fill(0, ids, 0.0)
+        for name, value in self.of_pairs().items():
+            setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
         if self._track_air_time:  # else they are 0
             for value in self.times.values():
                 value.index_fill_(0, ids, 0.0)
