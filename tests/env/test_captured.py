@@ -62,6 +62,7 @@ def parts(env: ManagerBasedRLEnv) -> list[Captured]:
 @pytest.fixture(autouse=True)
 def _taped(monkeypatch):
     monkeypatch.setattr("wheelleg_exp.env.captured_step.CudaGraph", Tape)
+    monkeypatch.setattr("wheelleg_exp.env.captured_step._OFTEN", 2)
     soon = lambda timers, least, dt: bool((timers <= dt).any())  # noqa: E731  # what is known of a GPU beforehand
     monkeypatch.setattr("wheelleg_exp.managers.command_manager.may_be_due", soon)
     monkeypatch.setattr("wheelleg_exp.managers.finite.is_finite", lambda total: True)  # on a CPU it asks for the number
@@ -109,6 +110,22 @@ def test_a_recorded_reset_draws_from_the_ranges_of_now():
         env._reset_idx(torch.arange(4))
         assert term.command[:4, 0].tolist() == pytest.approx([speed] * 4)
     assert env._captured_reset._parts[4]._variants
+
+
+def test_numbers_that_no_longer_end_together_make_room_for_those_that_do(monkeypatch):
+    monkeypatch.setattr("wheelleg_exp.env.captured_step._MOST_COUNTS", 2)
+    monkeypatch.setattr("wheelleg_exp.env.captured_step._RECENT", 8)
+    plain, env = stand(), recorded(stand())
+    kept = []
+    for count in (9, 9, 7, 7, 9, 3, 3, 3, 3, 2, 1, 2, 2, 3, 2):
+        for each in (plain, env):
+            each._reset_idx(torch.arange(count))
+        kept.append(sorted(env._captured_reset._parts))
+        assert torch.equal(env.scene.sim.state, plain.scene.sim.state)
+    assert kept[4] == [7, 9]
+    assert kept[6] == [3, 9]  # 9 has come up more often than 7
+    assert kept[-1] == [2, 3]
+    assert env._captured_reset._seen.total() == 8
 
 
 class Counts:

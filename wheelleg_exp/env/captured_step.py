@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +12,10 @@ from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.recorders import CudaGraph
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
+_OFTEN, _RECENT = (
+    8,
+    1024,
+)  # a number that came up so often in so many resets has one: recording costs as much as 20 resets
 
 
 class CapturedStep:
@@ -76,7 +80,8 @@ def captured_commands(env: Any) -> Captured:
 class CapturedReset:
     """Resets of some environments as CUDA graphs: one for each number of them that comes up again and again.
 
-    Rows are chosen by indices whose number is a graph's own. Numbers that are rare are reset kernel by kernel.
+    Rows are chosen by indices whose number is a graph's own. Numbers that are rare are reset kernel by kernel. While a
+    policy learns, fewer and fewer environments end together: numbers that no longer come up make room for others.
 
     Args:
         env: the environment, whole but for this.
@@ -84,6 +89,7 @@ class CapturedReset:
 
     def __init__(self, env: Any) -> None:
         self._env = env
+        self._recent: deque[int] = deque()
         self._seen: Counter[int] = Counter()
         self._parts: dict[int, Captured] = {}
         self._ids: dict[int, torch.Tensor] = {}
@@ -99,9 +105,8 @@ class CapturedReset:
     def __call__(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Reset ``env_ids``, but for curricula and recorders; return what is logged."""
         count = len(env_ids)
-        self._seen[count] += 1
-        known = count in self._parts
-        if not self._works or not (known or (self._seen[count] > 1 and len(self._parts) < _MOST_COUNTS)):
+        self._note(count)
+        if not self._works or (count not in self._parts and self._seen[count] < _OFTEN):
             return self._env._reset_rows(env_ids, host=False)
         part = self._parts.get(count) or self._part(count)
         ids = self._ids[count]
@@ -115,7 +120,17 @@ class CapturedReset:
         self._env.scene.robot.mark_written(ids)
         return dict(zip(self._names, values.clone().unbind(), strict=True))
 
+    def _note(self, count: int) -> None:
+        """Note a number of environments, and forget one that was noted long ago."""
+        self._recent.append(count)
+        self._seen[count] += 1
+        if len(self._recent) > _RECENT:
+            self._seen[self._recent.popleft()] -= 1
+
     def _part(self, count: int) -> Captured:
+        if len(self._parts) >= _MOST_COUNTS:
+            rarest = min(self._parts, key=self._seen.__getitem__)
+            del self._parts[rarest], self._ids[rarest]
         ids = self._ids[count] = torch.zeros(count, dtype=torch.long, device=self._env.device)
         env = self._env
         part = Captured(
