@@ -205,6 +205,75 @@ def test_a_tensor_that_is_passed_on_between_two_attributes_keeps_its_numbers(ord
         assert part().tolist() == [2 * step - 1] * 2
 
 
+class Parts(TermBase):
+    """As a user's term whose attributes are one tensor at first, and its own."""
+
+    def __init__(self, *order: str) -> None:
+        one = torch.zeros(2)
+        for name in order:
+            setattr(self, name, one)
+        self.is_double = False
+
+    def work(self) -> torch.Tensor:
+        change = (self.now - self.last) * (2.0 if self.is_double else 1.0)
+        if self.is_double:
+            self.now, self.last = self.now + 0.0, self.last + 0.0
+        return change
+
+
+@pytest.mark.parametrize("doubles", [(), (2, 7, 8, 9)])
+@pytest.mark.parametrize("order", [("now", "last"), ("last", "now")])
+def test_attributes_that_were_one_tensor_may_part(order, doubles):
+    """Also where a second recording is made behind a value that was passed on."""
+    term = Parts(*order)
+    part = Captured(term.work, [term], Tape, lambda: None)
+    for step in range(1, 12):
+        new = torch.full((2,), float(step * step))
+        term.last, term.now = (term.now if step > 4 else new), new
+        term.is_double = step in doubles
+        expected = (2 * step - 1) * (2 if step in doubles else 1) if step > 4 else 0
+        assert part().tolist() == [expected] * 2
+
+
+class Looks(TermBase):
+    """A user's term that looks at a part of its own memory, set between the steps."""
+
+    def __init__(self) -> None:
+        self.memory = torch.arange(20.0)
+        self.seen = self.memory[:4]
+
+    def work(self) -> torch.Tensor:
+        return self.seen.sum() + 0.0
+
+
+@pytest.mark.filterwarnings("ignore:a part of the step is launched kernel by kernel")
+def test_what_is_seen_through_an_attribute_is_not_overwritten():
+    term = Looks()
+    part = Captured(term.work, [term], Tape, lambda: None)
+    for step in range(80):  # so often that it is given up
+        first = 3 * (step % 5)
+        term.seen = term.memory[first : first + 4]
+        assert float(part()) == 4 * first + 6
+        assert torch.equal(term.memory, torch.arange(20.0))
+    assert part._fails
+
+
+def test_what_was_recorded_is_entered_by_a_look_at_places_alone(monkeypatch):
+    """Measurements and resets leave the containers of tensors where they were."""
+    env = recorded(stand("walk"))
+    gen = torch.Generator().manual_seed(1)
+    actions = 0.4 * torch.randn(90, 16, env.action_manager.total_action_dim, generator=gen)
+    for action in actions[:60]:
+        env.step(action)
+    slow = []
+    own = Captured._enter
+    monkeypatch.setattr(Captured, "_enter", lambda part, variant: slow.append(part) or own(part, variant))
+    for action in actions[60:]:
+        env.step(action)
+    fast = [*parts(env), *env._captured_reset._parts.values()]
+    assert len(slow) < 0.1 * 5 * 30, [fast.index(part) for part in slow]
+
+
 def test_a_reset_in_which_counting_is_noticed_is_done_once():
     plain, taped = stand(), recorded(stand())
     for env in (plain, taped):

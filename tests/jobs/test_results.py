@@ -187,13 +187,28 @@ def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, written):
 
 def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_nothing_else(run, written):
     record = json.loads((written / "small.json").read_text())
-    record["runs"] = [{**record["runs"][0], "id": "another"}]
+    record["runs"] = [{**record["runs"][0], "id": name} for name in ("another", "../outside", "folder")]
     write_json(written / "small.json", record)
-    for name in ("another", "own"):
+    for name in ("another", "own", "../outside", "folder.json/in"):
+        (written / "small" / f"{name}.json").parent.mkdir(exist_ok=True)
         write_json(written / "small" / f"{name}.json", {})
     words = ["results", "small", str(run.path), *SHORT, "protocol.resamples=50", "--into", str(written)]
     assert main(words) == 0
-    assert {path.stem for path in (written / "small").iterdir()} == {run.id, "own"}
+    assert {path.stem for path in (written / "small").iterdir()} == {run.id, "own", "folder"}
+    assert (written / "outside.json").is_file()
+
+
+@pytest.mark.parametrize(
+    "text", ['{"format": 2, "runs": [', '{"format": 1}', '{"format": 2, "runs": [3]}', '{"format": 2}']
+)
+def test_what_is_no_result_is_not_written_over(run, tmp_path, capsys, text):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (folder / "small.json").write_text(text)
+    assert main(["results", "small", str(run.path), *SHORT, "--into", str(folder)]) != 0
+    assert str(folder / "small.json") in capsys.readouterr().err
+    assert (folder / "small.json").read_text() == text
+    assert [path.name for path in folder.iterdir()] == ["small.json"]
 
 
 def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_that_length(run):

@@ -47,12 +47,18 @@ def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import evaluated, found, is_run, reference_of
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import shown, tool
-    from wheelleg_exp.jobs.results.record import compared_with, require_one_method, write_results
+    from wheelleg_exp.jobs.results.record import (
+        compared_with,
+        manifests_of_earlier,
+        require_one_method,
+        write_results,
+    )
 
     names = [word for word in args.runs if is_run(word)]
     words = [word for word in args.runs if not is_run(word)]
     if not names:
         raise WheellegError("names no run", key="RUN", expected="the runs that the table is of")
+    manifests_of_earlier(args.name, args.into)  # what is no result is not written over
     chosen = found(args, names)
     require_one_method([directory for directory, _ in chosen])  # and what cannot be made again is no result
     with ConsoleDisplay(quiet=True) as display:

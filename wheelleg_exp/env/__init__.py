@@ -6,6 +6,7 @@
 | `faces` | what Isaac Lab's environments have beside that |
 | `state_elsewhere` | what terms keep beside their own attributes: saved, or refused by name |
 | `captured`, `captured_step` | parts of the step that are recorded and repeated, and which these are |
+| `variants` | what such a recording needs when it is repeated |
 | `slots` | where objects hold what such a part reads and writes |
 | `recorders` | what records: CUDA graphs |
 | `host` | whole tensors brought to the host for whoever records them |

@@ -6,20 +6,21 @@ capture, so it is found out and repeated: which attributes hold other tensors af
 
 from __future__ import annotations
 
-import operator
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 
 from wheelleg_exp.env.recorders import Recorder, Touched
 from wheelleg_exp.env.slots import PLAIN, Slot, entry_of, slots
+from wheelleg_exp.env.variants import Entry, Memory, Variant, bring, form_of, is_like, shared_of
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.term import Term
 
 _MOST_VARIANTS, _MOST_PLAIN = 8, 1000
+_MOST_AGAIN = 64  # times that all is recorded again, because attributes hold what they did not hold before
+_MOST_ENTRIES = 4  # of a part: whether environments have just been reset, and the like, alternates
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
 
 
@@ -31,65 +32,6 @@ class Counting(ConfigError):
     """
 
     found: Any = None
-
-
-@dataclass
-class Memory:
-    """What the parts of one step share, so that they need not copy from one to the other.
-
-    Attributes:
-        rebound: slots that some part lets hold another tensor.
-        statics: the memory of their own that these have, by slot.
-    """
-
-    rebound: set[tuple[int, Any]] = field(default_factory=set)
-    statics: dict[tuple[int, Any], torch.Tensor] = field(default_factory=dict)
-
-
-@dataclass
-class _Variant:
-    """One recording, and what the host does beside it: tensors that slots must hold before, and all they hold after."""
-
-    recorder: Recorder
-    before: list[tuple[Slot, torch.Tensor]]
-    empty: list[Slot]
-    after: list[tuple[Slot, Any]]
-    contents: list[tuple[Slot, dict[Any, Any]]]
-    outputs: Any
-
-
-@dataclass
-class _Entry:
-    """What there was when a recording was entered: as long as it is that, nothing else has to be looked at.
-
-    Attributes:
-        places: containers and the keys in them, of plain values that a recording depends on, and of the containers.
-        values: what was there.
-        leaves: containers and the keys in them, of tensors that a recording reads or writes, and its memory for them.
-        variant: the recording.
-    """
-
-    places: list[tuple[Any, Any]]
-    values: list[Any]
-    leaves: list[tuple[Any, Any, torch.Tensor]]
-    variant: _Variant
-
-    def enter(self) -> bool:
-        """Bring what is there into the recording's memory; return whether the very same things are there."""
-        try:
-            now = [container[key] for container, key in self.places]
-            found = [container[key] for container, key, _ in self.leaves]
-        except LookupError:
-            return False
-        if not all(map(operator.is_, now, self.values)):
-            return False
-        others = [(leaf, now) for leaf, now in zip(self.leaves, found, strict=True) if now is not leaf[2]]
-        if not all(_is_like(now, leaf[2]) for leaf, now in others):
-            return False
-        _bring([(static, now) for (_, _, static), now in others])
-        for (container, key, static), _ in others:
-            container[key] = static
-        return True
 
 
 class Captured:
@@ -119,14 +61,14 @@ class Captured:
         memory: Memory | None = None,
     ) -> None:
         self._memory = memory or Memory()
-        self._entry: _Entry | None = None
+        self._entries: list[Entry] = []  # the last first
         self._work, self._roots, self._recorder, self._forget = work, roots, recorder, forget
         self._streams = streams
         self._plain: dict[tuple[int, Any], Slot] = {} if like is None else dict(like._plain)
         self._drawn: list[torch.Generator] = [] if like is None else like._drawn
         self._runs: int = 0 if like is None else like._runs
-        self._variants: dict[tuple[Any, ...], _Variant] = {}
-        self._fails = False
+        self._variants: dict[tuple[Any, ...], Variant] = {}
+        self._fails, self._again = False, 0
 
     def __call__(self) -> Any:
         """Run the part, or repeat it."""
@@ -136,9 +78,9 @@ class Captured:
         if self._runs < _WARM_UP:
             self._runs += 1
             return self._run_by_itself()
-        if self._entry is not None and self._entry.enter():
-            return self._replay(self._entry.variant)
-        self._entry = None
+        for entry in self._entries:
+            if entry.enter():
+                return self._replay(entry.variant)
         key = tuple(_kind(slot.get()) for slot in self._plain.values())
         variant = self._variants.get(key)
         if variant is None:
@@ -152,11 +94,15 @@ class Captured:
         elif unlike := self._enter(variant):  # others decide what is there when this begins: recordings depend on it
             self._plain |= {slot.name: slot for slot in unlike}
             self._variants.clear()
-            return self._work() if len(self._plain) > _MOST_PLAIN else self()
+            self._entries.clear()
+            self._again += 1
+            if len(self._plain) > _MOST_PLAIN or self._again > _MOST_AGAIN:
+                return self._give_up(f"'{unlike[0].way[0]}' of {type(unlike[0].holder).__name__} is another at each")
+            return self()
         return self._replay(variant)
 
     @staticmethod
-    def _replay(variant: _Variant) -> Any:
+    def _replay(variant: Variant) -> Any:
         """Repeat a recording, and what the host does behind it."""
         variant.recorder.replay()
         for slot, content in variant.contents:
@@ -168,19 +114,22 @@ class Captured:
             slot.set(value)
         return variant.outputs
 
-    def _enter(self, variant: _Variant) -> list[Slot]:
+    def _enter(self, variant: Variant) -> list[Slot]:
         """Bring what slots hold into a recording's memory; return those that hold another kind of thing."""
         unlike = [slot for slot in variant.empty if slot.get() is not None]
         others = [(slot, static, now) for slot, static in variant.before if (now := slot.get()) is not static]
-        unlike += [slot for slot, static, now in others if not _is_like(now, static)]
-        like = [(slot, static, now) for slot, static, now in others if _is_like(now, static)]
-        _bring([(static, now) for _, static, now in like])
+        fits = [is_like(now, static) and id(static) not in variant.shared for _, static, now in others]
+        unlike += [slot for (slot, _, _), fit in zip(others, fits, strict=True) if not fit]
+        like = [other for other, fit in zip(others, fits, strict=True) if fit]
+        bring([(static, now) for _, static, now in like])
         for slot, static, _ in like:
             slot.set(static)
-        self._entry = None if unlike else self._entry_of(variant)
+        others_of = [entry for entry in self._entries if entry.variant is not variant]
+        entry = None if unlike else self._entry_of(variant)
+        self._entries = [*([entry] if entry else []), *others_of][:_MOST_ENTRIES]
         return unlike
 
-    def _entry_of(self, variant: _Variant) -> _Entry | None:
+    def _entry_of(self, variant: Variant) -> Entry | None:
         """Return what there is, on which a recording depends; None when a part of it is not there."""
         found: dict[tuple[int, Any], tuple[Any, Any]] = {}
         leaves = []
@@ -196,7 +145,7 @@ class Captured:
                     found[id(container), key] = container, key
                     container = container[key]
         places = list(found.values())
-        return _Entry(places, [container[key] for container, key in places], leaves, variant)
+        return Entry(places, [container[key] for container, key in places], leaves, variant)
 
     def _run_by_itself(self) -> Any:
         before = [(slot, slot.get()) for slot in slots(self._roots)]
@@ -207,7 +156,7 @@ class Captured:
         for slot, value in before:
             now = slot.get()
             if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
-                if now is not value and _form(now) == _form(value):
+                if now is not value and form_of(now) == form_of(value):
                     self._memory.rebound.add(slot.name)
             elif not isinstance(value, (dict, list)):
                 if type(value) in (int, float) and type(now) in (int, float) and now != value:
@@ -222,7 +171,7 @@ class Captured:
                     self._plain[slot.name] = slot
         return found
 
-    def _try_to_record(self) -> _Variant | None:
+    def _try_to_record(self) -> Variant | None:
         """Record the work; None, and a warning once, where it cannot be, as where it waits for the device."""
         for streams in (self._drawn, self._streams()):  # each that is told costs two launches at every replay
             try:
@@ -233,19 +182,29 @@ class Captured:
         warnings.warn(f"a part of the step is launched kernel by kernel: {reason}", stacklevel=2)
         return None
 
-    def _record(self, recorder: Recorder) -> _Variant:
+    def _give_up(self, reason: str) -> Any:
+        self._fails = True
+        warnings.warn(f"a part of the step is launched kernel by kernel: {reason}", stacklevel=3)
+        return self._work()
+
+    def _record(self, recorder: Recorder) -> Variant:
         found = list(slots(self._roots))
         with torch.inference_mode(False), torch.no_grad():
+            moved = []
             for slot in found:
                 value = slot.get()
                 if slot.name in self._memory.rebound and isinstance(value, torch.Tensor):
                     static = self._memory.statics.get(slot.name)
-                    if static is None or _form(static) != _form(value):
+                    if static is None or form_of(static) != form_of(value):
                         static = value.detach().clone()  # its own, whoever has shared it
                         self._memory.statics[slot.name] = static
                     elif static is not value:
-                        static.copy_(value)
+                        moved.append((slot, static, value))
+                        continue
                     slot.set(static)
+            bring([(static, value) for _, static, value in moved])
+            for slot, static, _ in moved:
+                slot.set(static)
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
         others = [(slot, slot.get()) for slot in found if type(slot.get()) in PLAIN]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
@@ -269,7 +228,7 @@ class Captured:
         touched.note((outputs, [value for _, value in after], [whole for _, whole in contents]))  # handed on
         empty = [slot for slot, value in others if value is None]
         before = [(slot, value) for slot, value in tensors if touched.has(value)]
-        return _Variant(recorder, before, empty, after, contents, _standing(outputs[0]))
+        return Variant(recorder, before, shared_of(before), empty, after, contents, _standing(outputs[0]))
 
     def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
         """Do the work, and write what slots hold then into the memory that they held before."""
@@ -278,24 +237,12 @@ class Captured:
         found = []
         for slot, static in tensors:
             now = slot.get()
-            if now is not static and isinstance(now, torch.Tensor) and _form(now) == _form(static):
+            if now is not static and isinstance(now, torch.Tensor) and form_of(now) == form_of(static):
                 found.append((slot, static, now.clone() if now.untyped_storage().data_ptr() in statics else now))
         for slot, static, now in found:
             static.copy_(now)
             slot.set(static)
         return result
-
-
-def _is_like(value: Any, static: torch.Tensor) -> bool:
-    return isinstance(value, torch.Tensor) and _form(value) == _form(static)
-
-
-def _bring(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
-    """Copy values into the memory that recordings have for them, though one may lie in that of another."""
-    taken = {static.untyped_storage().data_ptr() for static, _ in pairs} if len(pairs) > 1 else set()
-    apart = [(static, v.clone() if v.untyped_storage().data_ptr() in taken else v) for static, v in pairs]
-    for static, value in apart:
-        static.copy_(value)
 
 
 def _standing(tree: Any) -> Any:
@@ -310,10 +257,6 @@ def _standing(tree: Any) -> Any:
 def _kind(value: Any) -> Any:
     """Return what a recording depends on: a plain value, or what kind of thing there is."""
     return value if type(value) in PLAIN else type(value)
-
-
-def _form(value: torch.Tensor) -> tuple[Any, ...]:
-    return value.shape, value.dtype, value.device
 
 
 def _differs(now: Any, was: dict[Any, Any]) -> bool:

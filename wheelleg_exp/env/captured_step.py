@@ -99,7 +99,7 @@ class CapturedReset:
 
     @property
     def counts(self) -> int:
-        """How many numbers of environments that end together have a graph."""
+        """How many numbers of environments that end together have a graph, or are about to."""
         return len(self._parts)
 
     def __call__(self, env_ids: torch.Tensor) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Sequence
 
 import torch
@@ -29,7 +30,7 @@ def ids_where_also(mask: torch.Tensor, within: torch.Tensor) -> tuple[torch.Tens
     if not mask.is_cuda:
         found = ids_where(mask)
         return found, ids_where(within) if len(found) else found
-    key = mask.device, len(mask)
+    key = mask.device, len(mask), torch.cuda.current_stream(mask.device).cuda_stream, threading.get_ident()
     if key not in _readers:
         _readers[key] = _Reader(len(mask), mask.device)
     outer, inner = _readers[key].ids(mask, within)
@@ -62,7 +63,7 @@ class _Reader:
         return into[: len(found)].copy_(found).to(self._device, non_blocking=True)
 
 
-_readers: dict[tuple[torch.device, int], _Reader] = {}
+_readers: dict[tuple[torch.device, int, int, int], _Reader] = {}  # also by stream and thread
 
 
 def is_finite(total: torch.Tensor) -> bool:

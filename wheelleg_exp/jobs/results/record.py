@@ -47,30 +47,40 @@ def write_results(
         words: the overrides that the runs were evaluated with.
 
     Raises:
-        RunDirectoryError: a run was not trained in one go, or began with another that is not there any more.
+        RunDirectoryError: a run was not trained in one go, or began with another that is not there any more; or what
+            stands under this name is no result.
     """
     record = record_of(name, compared, runs, reference, words)
     manifests = [manifest_of(made.run) for made in runs]
     files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
-    earlier = _manifests_of(folder, name)
+    earlier = manifests_of_earlier(name, folder)
     with for_people(folder, "written to"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for path, manifest in zip(files, manifests, strict=True):
         write_json(path, manifest)
     write_json(folder / f"{name}.json", record)
     write_text(folder / f"{name}.md", page(record, manifests))
-    for path in earlier.difference(files):
-        path.unlink(missing_ok=True)
+    with for_people(folder, "written to"):
+        for path in earlier.difference(files):
+            path.unlink(missing_ok=True)
     return [folder / f"{name}.md", folder / f"{name}.json", *files]
 
 
-def _manifests_of(folder: Path, name: str) -> set[Path]:
-    """Return the manifests that an earlier record of this name brought."""
-    try:
-        record = read_record(folder / f"{name}.json")
-        return {folder / name / f"{run['id']}.json" for run in record["runs"]}
-    except (RunDirectoryError, LookupError, TypeError):  # there is none, or it is no record: nothing of it is known
+def manifests_of_earlier(name: str, folder: Path) -> set[Path]:
+    """Return the manifests in ``NAME/`` that an earlier record of this name brought.
+
+    Raises:
+        RunDirectoryError: it is no record: what belongs to it is not known.
+    """
+    path = folder / f"{name}.json"
+    if not path.exists():
         return set()
+    try:
+        found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
+    except (LookupError, TypeError) as error:
+        expected = "what wheelleg results has written, or no such file"
+        raise RunDirectoryError("names no runs", key=str(path), expected=expected) from error
+    return {path for path in found if path.parent == folder / name and path.is_file()}
 
 
 def compared_with(
