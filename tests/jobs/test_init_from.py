@@ -60,6 +60,18 @@ def test_the_first_rollout_is_made_with_the_other_run_s_networks_to_the_bit(trai
     assert same(networks(run.checkpoint(0), "actor", "critic"), networks(last, "actor", "critic"))
 
 
+def test_check_finds_what_training_would_refuse_to_begin_with(trained: Trained):
+    words = ["task=stand", *TINY, f"init_from={trained.run.path}"]
+    assert wheelleg("check", *words).status == 0
+    said = wheelleg("check", *words, "agent.actor.activation=relu")
+    assert said.status == 2
+    assert "agent.actor.activation" in said.err
+    assert "was trained with" in said.err
+    said = wheelleg("check", *words, "init_from=nothing", "--json")
+    assert said.status == 2
+    assert [mistake["key"] for mistake in json.loads(said.out)["mistakes"]] == ["init_from"]
+
+
 def test_the_policy_alone_leaves_the_critic_as_it_is_drawn(trained: Trained, tmp_path):
     frozen = ("agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed")
     run = train(tmp_path, trained.run.path, *frozen, "init_from_what=policy")

@@ -36,6 +36,8 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.config.checking.collect import find_mistakes
 
     composed, mistakes = find_mistakes(args.overrides, config_dirs=args.config_dirs)
+    if not mistakes and composed is not None and composed.config.get("init_from") is not None:
+        mistakes = _of_initial(composed, quiet=args.json)
     if mistakes:
         return _wrong(mistakes, as_json=args.json)
     assert composed is not None
@@ -46,6 +48,21 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(f"no mistakes in the task '{composed.config['task']['name']}'")
     return EXIT_OK
+
+
+def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
+    """Return why the task cannot begin with the networks that it names; print what their policy reads otherwise."""
+    from wheelleg_exp.config.problems import parts
+    from wheelleg_exp.jobs.train.initial import initial_file
+
+    notes: list[str] = []
+    try:
+        with initial_file(composed.config, notes.append):
+            for line in notes if not quiet else ():
+                print(line)
+            return []
+    except ConfigError as error:
+        return list(parts(error))
 
 
 def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
