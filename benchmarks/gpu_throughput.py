@@ -33,7 +33,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
 from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
 
 BLOCK = 20  # steps between the two
-WARM_UP, MOST_WARM_UP = 30, 3000  # a number of environments that end together is captured when it comes up again
+WARM_UP, MOST_WARM_UP = 30, 3000  # a number of environments that end together is captured when it has come up often
 
 
 def now(device: torch.device) -> float:

@@ -97,7 +97,9 @@ class Captured:
             self._entries.clear()
             self._again += 1
             if len(self._plain) > _MOST_PLAIN or self._again > _MOST_AGAIN:
-                return self._give_up(f"'{unlike[0].way[0]}' of {type(unlike[0].holder).__name__} is another at each")
+                slot = unlike[0]
+                self._give_up(f"'{slot.way[0]}' of {type(slot.holder).__name__} holds other memory again and again")
+                return self._work()
             return self()
         return self._replay(variant)
 
@@ -178,14 +180,12 @@ class Captured:
                 return self._record(self._recorder(streams))
             except RuntimeError as error:
                 reason = str(error).splitlines()[0]
-        self._fails = True
-        warnings.warn(f"a part of the step is launched kernel by kernel: {reason}", stacklevel=2)
+        self._give_up(reason)
         return None
 
-    def _give_up(self, reason: str) -> Any:
+    def _give_up(self, reason: str) -> None:
         self._fails = True
         warnings.warn(f"a part of the step is launched kernel by kernel: {reason}", stacklevel=3)
-        return self._work()
 
     def _record(self, recorder: Recorder) -> Variant:
         found = list(slots(self._roots))

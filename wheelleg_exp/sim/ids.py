@@ -33,8 +33,7 @@ def ids_where_also(mask: torch.Tensor, within: torch.Tensor) -> tuple[torch.Tens
     key = mask.device, len(mask), torch.cuda.current_stream(mask.device).cuda_stream, threading.get_ident()
     if key not in _readers:
         _readers[key] = _Reader(len(mask), mask.device)
-    outer, inner = _readers[key].ids(mask, within)
-    return outer, inner
+    return _readers[key].ids(mask, within)
 
 
 class _Reader:
@@ -51,12 +50,12 @@ class _Reader:
             self._masks = torch.empty(2, count, dtype=torch.bool, device="cpu", pin_memory=True)
             self._ids = torch.empty(2, count, dtype=torch.long, device="cpu", pin_memory=True)
 
-    def ids(self, *masks: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def ids(self, outer: torch.Tensor, inner: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the indices at which each of two masks holds. The last call's are on the device by then."""
-        for row, mask in zip(self._masks, masks, strict=True):
-            row.copy_(mask, non_blocking=True)
+        self._masks[0].copy_(outer, non_blocking=True)
+        self._masks[1].copy_(inner, non_blocking=True)
         torch.cuda.current_stream(self._device).synchronize()
-        return tuple(self._brought(row, into) for row, into in zip(self._masks, self._ids, strict=True))
+        return self._brought(self._masks[0], self._ids[0]), self._brought(self._masks[1], self._ids[1])
 
     def _brought(self, mask: torch.Tensor, into: torch.Tensor) -> torch.Tensor:
         found = ids_where(mask)
