@@ -84,8 +84,7 @@ def clients(session: nox.Session) -> None:
 def results(session: nox.Session) -> None:
     """Train and evaluate what the tables of docs/results name, all or the named ones, and compare to the bit."""
     names = session.posargs or sorted(path.stem for path in Path("docs/results").glob("*.json"))
-    for name in names:
-        session.run(sys.executable, "-c", _MAIN, "results", name, "--again")
+    session.run(sys.executable, "-c", _MAIN, "results", *names, "--again")
 
 
 @nox.session

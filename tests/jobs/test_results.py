@@ -147,11 +147,32 @@ def test_folders_of_the_users_own_are_handed_on(written, capsys, monkeypatch):
     assert f"--config-dir {written}" in told.splitlines()[-1]
 
 
-@pytest.mark.parametrize("word", ["latest", "protocol=walk", "--reference", "--kept"])
+@pytest.mark.parametrize("word", ["--reference", "--kept"])
 def test_what_is_made_again_is_not_said_twice(written, capsys, word):
     status, told = again(written, capsys, word)
     assert status == 2
     assert "--again: what is made again stands in the record" in told
+
+
+@pytest.mark.parametrize("word", ["latest", "protocol=walk", "smal"])
+def test_only_results_are_made_again_and_all_are_looked_for_before_any_is(written, capsys, word):
+    status, told = again(written, capsys, word)
+    assert status == 2
+    assert f"NAME: there is no result '{word}'" in told
+    assert "wheelleg train" not in told
+
+
+def test_what_two_results_share_is_trained_once(run, written, capsys, monkeypatch):
+    assert main(["results", "other", str(run.path), *SHORT, "protocol.resamples=50", "--into", str(written)]) == 0
+    trained, train = [], again_of._train
+    monkeypatch.setattr(again_of, "_train", lambda words: (trained.append(words), train(words)))
+    status, told = again(written, capsys, "other")
+    assert status == 0
+    assert [line for line in told.splitlines() if "reproduced" in line] == [
+        "small: reproduced to the bit",
+        "other: reproduced to the bit",
+    ]
+    assert len(trained) == 1
 
 
 def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, once, capsys):

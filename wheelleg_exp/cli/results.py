@@ -20,7 +20,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "runs",
         nargs="*",
         metavar="RUN|OVERRIDE",
-        help="runs that differ by their seed, and protocol=walk; none with --again",
+        help="runs that differ by their seed, and protocol=walk; with --again further names: what runs they share is "
+        "trained once",
     )
     parser.add_argument("--into", type=Path, default=FOLDER, metavar="DIR", help=f"where it stands (default: {FOLDER})")
     parser.add_argument(
@@ -28,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--kept", action="store_true", help="take what a run has kept of this protocol")
     parser.add_argument(
-        "--again", action="store_true", help="train and evaluate what the record names, and compare to the bit"
+        "--again", action="store_true", help="train and evaluate what the records name, and compare to the bit"
     )
     add_config_dir(parser)
     add_root(parser)
@@ -78,24 +79,38 @@ def _told_into(folder: Path) -> str:
 def _again(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs.results.again import again
     from wheelleg_exp.jobs.results.record import read_manifests, read_record, require_own_page
+    from wheelleg_exp.run.directory import RunDirectory
 
-    if args.runs or args.reference or args.kept:
+    if args.reference or args.kept:
         raise WheellegError(
-            "what is made again stands in the record", key="--again", expected="no runs, overrides or options beside it"
+            "what is made again stands in the record", key="--again", expected="no options of evaluations beside it"
         )
     pages = sorted(path.stem for path in args.into.glob("*.json"))
-    if args.name not in pages:
-        raise WheellegError(
-            f"there is no result '{args.name}' in {args.into}",
-            key="NAME",
-            expected="one of " + (", ".join(pages) or "(there are none)"),
-            nearest=nearest_name(args.name, pages),
-        )
-    record = read_record(args.into / f"{args.name}.json")
-    manifests = read_manifests(record, args.into)
-    require_own_page(record, manifests, args.into)
+    records = []
+    for name in dict.fromkeys((args.name, *args.runs)):  # all are looked at before anything is trained
+        if name not in pages:
+            raise WheellegError(
+                f"there is no result '{name}' in {args.into}",
+                key="NAME",
+                expected="one of "
+                + (", ".join(pages) or "(there are none)")
+                + "; what is made again stands in the record",
+                nearest=nearest_name(name, pages),
+            )
+        record = read_record(args.into / f"{name}.json")
+        manifests = read_manifests(record, args.into)
+        require_own_page(record, manifests, args.into)
+        records.append((name, record, manifests))
+    differ = False
+    trained: dict[str, RunDirectory] = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
-        found = again(record, manifests, Path(folder), lambda text: print(text, flush=True), args.config_dirs)
-    for line in (*found.differences, f"{args.name}: {found.verdict}"):
-        print(line)
-    return EXIT_FINDING if found.differences else EXIT_OK
+        for name, record, manifests in records:
+            found = again(record, manifests, Path(folder), _say, args.config_dirs, trained)
+            for line in (*found.differences, f"{name}: {found.verdict}"):
+                _say(line)
+            differ = differ or bool(found.differences)
+    return EXIT_FINDING if differ else EXIT_OK
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)

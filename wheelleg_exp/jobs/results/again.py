@@ -56,15 +56,17 @@ def again(
     root: Path,
     say: Callable[[str], None],
     config_dirs: Sequence[Path] = (),
+    trained: dict[str, RunDirectory] | None = None,
 ) -> Again:
     """Train and evaluate what a record names, and compare every number of the record.
 
     Args:
         record: of the result.
         manifests: of its runs.
-        root: an empty folder for the runs.
+        root: a folder for the runs, with those of ``trained`` and no others.
         say: told what is being done.
         config_dirs: the user's config folders, that runs or protocol may be of.
+        trained: runs that have been made again, by what they are made of; those that this makes are added.
 
     Raises:
         SimulationFailure: a training ended with an error.
@@ -74,7 +76,7 @@ def again(
         say(f"differs: {line}")
     if differs:
         say("equal bits are promised on the same kind of machine alone: other numbers say nothing against the page")
-    trained: dict[str, RunDirectory] = {}
+    trained = {} if trained is None else trained
     runs: list[Evaluated] = []
     for number, kept in enumerate(record["runs"], start=1):
         run = _trained(kept["train"], root, trained, say, config_dirs)
