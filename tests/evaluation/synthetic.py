@@ -11,13 +11,14 @@ DT = 1 / 60
 
 
 def parts(n: int = 1) -> RobotParts:
-    """Return two legs of one joint and two wheels; limits of 2 and 10 N·m, 0.5 kg."""
+    """Return two legs of one joint and two wheels; 0.2 m apart; limits of 2 and 10 N·m, 0.5 kg."""
     index = torch.tensor
     return RobotParts(
         joint_names=("hip_a", "hip_b", "roll_a", "roll_b"),
         wheels=index([2, 3]),
         contacts="contacts",
         wheel_bodies=index([0, 1]),
+        wheel_offsets=index([0.1, -0.1]),
         left=index([0]),
         right=index([1]),
         sign=index([-1.0]),

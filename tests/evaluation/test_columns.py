@@ -163,6 +163,17 @@ def test_power_above_ten_hertz_is_told_from_power_below(hertz, share):
     assert one(motors.smoothness(made, parts(), 1.0), "fast_power_share") == pytest.approx(share, abs=1e-4)
 
 
+def test_both_errors_come_together_at_the_wheels():
+    """Too fast by 0.03 m/s is that at each wheel; turning too fast by 0.4 rad/s is 0.04 m/s at 0.1 m to either side."""
+    made = still(11.0, 4)
+    made.command[..., 0], made.command[..., 2] = 0.3, 0.5
+    made.vel[..., 0], made.ang[..., 2] = 0.3, 0.5
+    made.vel[:, 1, 0], made.ang[:, 2, 2] = 0.33, 0.9
+    made.vel[:, 3, 0], made.ang[:, 3, 2] = 0.33, 0.9
+    columns = walking.wheel_error(made, parts(4), 1.0)
+    assert columns["error_wheels_m_s"].tolist() == pytest.approx([0.0, 0.03, 0.04, 0.05], abs=1e-6)
+
+
 def test_standing_still_earns_the_score_of_standing_still_and_tracking_all():
     made = still(11.0, 3)
     made.command[..., 0] = 0.3

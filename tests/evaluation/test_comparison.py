@@ -136,6 +136,29 @@ def test_push_recovery_has_one_line(kick, pulse, said):
     assert "95 % interval" in line
 
 
+def test_both_kinds_of_push_have_to_tell_so_and_each_is_tested_by_itself():
+    scatter = 1e-4 * (noise(1) - 1.0)
+    found = differences([pushed(0.6 + scatter, 0.7 + scatter)], [pushed(0.3 + scatter, 0.3 + scatter)])
+
+    def but(own: float, corrected: float, name: str) -> str:
+        rows = [
+            replace(row, test=replace(row.test, p=own), p=corrected) if row.metric == name else row for row in found
+        ]
+        return push_verdict(rows, "A", "B")
+
+    assert but(0.03, 0.2, "push/limit_0s").startswith("A is better in push recovery than B")
+    assert ", p 0.03)" in but(0.03, 0.2, "push/limit_0s")
+    assert but(0.06, 0.2, "push/limit_0s").startswith("A is better in some pushes, not in all, than B")
+
+
+def test_single_directions_are_counted():
+    scatter = 1e-4 * (noise(1) - 1.0)
+    aside = np.where(np.arange(N) % (N // 2) < N // 4, 0.6, 0.1)  # 0° farther, 90° not
+    found = differences([pushed(aside + scatter, aside + scatter)], [pushed(0.3 + scatter, 0.3 + scatter)])
+    said = "Of 4 directions and kinds by themselves it is better in 2 and worse in 2."
+    assert push_verdict(found, "A", "B").endswith(said)
+
+
 def test_where_no_pushes_were_measured_there_is_no_line():
     one = made(1.0, 1e-3)
     assert push_verdict(differences([one], [one]), "A", "B") == ""

@@ -86,6 +86,8 @@ def test_who_never_moves_has_no_skill_however_well_it_stands(walks):
     assert found.value("walk/gain_vx") == pytest.approx(0.0, abs=0.05)
     assert found.value("walk/error_wz") == pytest.approx(0.4 * np.sqrt(6 / 8), rel=0.02)  # of eight moving cells six
     assert found.value("walk/commandable_area") <= 1 / 9
+    at_the_wheels = np.hypot(0.2, 0.056 * 0.4) * np.sqrt(6 / 8)  # 0.112 m apart
+    assert found.value("walk/error_wheels") == pytest.approx(at_the_wheels, rel=0.02)
 
 
 def test_who_goes_the_wrong_way_is_worse_than_who_stands(walks):

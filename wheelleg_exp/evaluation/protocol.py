@@ -219,7 +219,7 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     columns |= motors.effort(made, parts, settle, options.torque_deadband)
     columns |= motors.energy(made, parts, settle) | motors.smoothness(made, parts, settle)
     if test == "walk" and options.walk is not None:
-        columns |= walking.tracking(made, settle, options.walk)
+        columns |= walking.tracking(made, settle, options.walk) | walking.wheel_error(made, parts, settle)
         columns |= walking.within_band(made, columns, options.walk)
     if test == "steps" and options.steps is not None:
         told = rollout.scenarios.commands()[:, 1].to(made.command.device)

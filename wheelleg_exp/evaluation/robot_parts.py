@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from wheelleg_exp.evaluation.task import contact_sensor
 from wheelleg_exp.lint.anatomy.examine import anatomy_of
+from wheelleg_exp.lint.anatomy.parts import Anatomy, Wheel
 from wheelleg_exp.lint.robot_facts import at_default
 from wheelleg_exp.managers import Env
 
@@ -21,6 +24,7 @@ class RobotParts:
         wheels: joints of driven wheels that carry the robot, (W,).
         contacts: name of the contact sensor that senses every body.
         wheel_bodies: the wheels' bodies, as columns of that sensor, (W,).
+        wheel_offsets: how far to the left of the base each wheel stands, m, (W,); None where no way is forwards.
         left: driven joints of the legs on the left, (P,).
         right: their mirror images, (P,).
         sign: the image of ``left`` at q is ``right`` at sign · q, (P,).
@@ -34,6 +38,7 @@ class RobotParts:
     wheels: torch.Tensor
     contacts: str
     wheel_bodies: torch.Tensor
+    wheel_offsets: torch.Tensor | None
     left: torch.Tensor
     right: torch.Tensor
     sign: torch.Tensor
@@ -68,6 +73,7 @@ def parts_of(env: Env) -> RobotParts:
         wheels=indices([names.index(wheel.joint) for wheel in wheels]),
         contacts=contacts,
         wheel_bodies=indices([bodies.index(wheel.body) for wheel in wheels]),
+        wheel_offsets=_offsets(anatomy, wheels, device),
         left=indices([names.index(pair.left) for pair in pairs]),
         right=indices([names.index(pair.right) for pair in pairs]),
         sign=torch.tensor([float(pair.sign) for pair in pairs], device=device),
@@ -79,3 +85,10 @@ def parts_of(env: Env) -> RobotParts:
         mass=float(model.body_mass[robot.body_ids.tolist()].sum()),
         gravity=float(sum(g * g for g in model.opt.gravity) ** 0.5),
     )
+
+
+def _offsets(anatomy: Anatomy, wheels: Sequence[Wheel], device: torch.device) -> torch.Tensor | None:
+    if anatomy.forward is None:
+        return None
+    left = np.cross(anatomy.up, anatomy.forward)
+    return torch.tensor([float(left @ np.array(wheel.contact)) for wheel in wheels], device=device)

@@ -7,6 +7,7 @@ import torch
 from wheelleg_exp.evaluation.measuring.standing import Columns
 from wheelleg_exp.evaluation.options import Walk
 from wheelleg_exp.evaluation.over_time import Trajectories, mean, rms
+from wheelleg_exp.evaluation.robot_parts import RobotParts
 
 
 def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
@@ -36,6 +37,21 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
         columns[f"score_{name}"] = earned / steps
         columns[f"still_{name}"] = (-(command**2) / std**2).exp()
     return columns
+
+
+def wheel_error(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
+    """Return ``error_wheels_m_s``: RMS of how much faster the base is over each wheel than it was told to be; (N,).
+
+    At a distance y to the left of the base it is told to move at v - w y, with the commanded speed v and yaw rate w:
+    what both errors come to on the ground. Nothing of a robot that has no way forwards.
+    """
+    if parts.wheel_offsets is None:
+        return {}
+    forwards = (made.vel[..., 0] - made.command[..., 0]).double()
+    turning = (made.ang[..., 2] - made.command[..., 2]).double()
+    settled = made.counted(settle_s)
+    each = torch.stack([rms(forwards - turning * offset, settled) for offset in parts.wheel_offsets.double()])
+    return {"error_wheels_m_s": each.square().mean(dim=0).sqrt()}
 
 
 def errors(made: Trajectories, settle_s: float) -> Columns:
