@@ -31,8 +31,8 @@ def plant(point: str) -> None:
             kill()
         path.write_bytes(data)
 
-    def torn(self, iteration):
-        done = write(self, iteration)
+    def torn(self, iteration, due):
+        done = write(self, iteration, due)
         if iteration.index == int(number):
             path = self._directory.iterations
             text = path.read_bytes()

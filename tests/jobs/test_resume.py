@@ -30,6 +30,7 @@ from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.listing import summarize
 from wheelleg_exp.run.lock import RunLock
 from wheelleg_exp.run.manifest import SNAPSHOT
+from wheelleg_exp.sim.batch import BatchEngine
 
 pytestmark = pytest.mark.train
 
@@ -143,10 +144,10 @@ def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
 def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_others(straight, tmp_path, monkeypatch):
     write = outputs.Outputs.write
 
-    def interrupted(self, iteration):
+    def interrupted(self, iteration, due):
         if iteration.index == 1:
             os.kill(os.getpid(), signal.SIGINT)
-        return write(self, iteration)
+        return write(self, iteration, due)
 
     with monkeypatch.context() as patch:
         patch.setattr(outputs.Outputs, "write", interrupted)
@@ -188,6 +189,20 @@ def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
     require_equal(run, straight)
     assert events_left(run) == [0, 1, 2, 3]
     assert [entry["iteration"] for entry in manifest(run)["resumes"]] == [1, 2, 4]
+
+
+def test_an_engine_that_repeats_no_bits_leaves_digests_with_checkpoints_alone(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(BatchEngine, "exact", False)
+        said = wheelleg("train", *FOUR, "agent.save_interval=2", f"run.root={tmp_path}")
+    assert said.status == 0, said.err
+    path = only(tmp_path)
+    assert [bool(line["digests"]) for line in lines(path)] == [True, False, True, True]
+    assert wheelleg("verify", path).status == 0
+    (path / "model_3.pt").unlink()
+    (path / "model_2.pt").unlink()
+    resume(path)
+    assert (path / "model_3.pt").is_file()
 
 
 def test_without_a_checkpoint_a_run_begins_anew(run, straight):

@@ -125,10 +125,14 @@ class Outputs:
         """Why films are missing; None when none are."""
         return None if self._films is None else self._films.ended
 
-    def write(self, iteration: Iteration) -> dict[str, str]:
+    def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
         """Write one iteration's scalars and digests; return the digests.
 
         The next recorded episode begins here when it is due.
+
+        Args:
+            iteration: what it came to.
+            due: whether its checkpoint follows, were training not stopped.
 
         Raises:
             RunDirectoryError: the run directory is not there any more.
@@ -143,9 +147,11 @@ class Outputs:
                 self._tensorboard.add_scalar(key, value, iteration.index)
             self._tensorboard.flush()
         self._state, self._last = self._trainer.state_dict(), iteration.index
-        found, equal = digests_of_all(self._trainer.ranks, self._state)
-        if not equal and self.parted is None:
-            self.parted = iteration.index
+        found: dict[str, str] = {}
+        if are_digested(self._trainer, due):
+            found, equal = digests_of_all(self._trainer.ranks, self._state)
+            if not equal and self.parted is None:
+                self.parted = iteration.index
         line = {
             "iteration": iteration.index,
             "digest_format": digests.FORMAT,
@@ -180,6 +186,11 @@ class Outputs:
             return None
         name = f"model_{self._last}.pt"
         return name if (self._directory.path / name).is_file() else self.checkpoint(self._last)
+
+
+def are_digested(trainer: Trainer, due: bool) -> bool:
+    """Return whether an iteration is digested: always where its state can be met again, else when a checkpoint is due."""
+    return due or trainer.env.env.scene.sim.exact
 
 
 def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:

@@ -214,13 +214,14 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
             display.note(f"scalars and config go to {outputs.sent_to}")
         stop.check(trainer.ranks.any(stop.requested))
         for iteration in _learned(training, outputs, results):
-            training.proof.check(iteration.index, outputs.write(iteration))
+            due = iteration.index + 1 == total or iteration.index % agent["save_interval"] == 0
+            training.proof.check(iteration.index, outputs.write(iteration, due))
             display.iteration(iteration, total)
             for line in stuck.take(iteration.index, iteration.scalars):
                 display.note(line)
             stopped = trainer.ranks.any(stop.requested)
             last = stopped or iteration.index + 1 == total
-            if last or iteration.index % agent["save_interval"] == 0:
+            if due or stopped:
                 results["checkpoint"] = outputs.checkpoint(iteration.index)
             if last:
                 seconds = _seconds(training.earlier) + time.perf_counter() - started
