@@ -189,7 +189,7 @@ class Outputs:
 
 
 def are_digested(trainer: Trainer, due: bool) -> bool:
-    """Return whether an iteration is digested: always where its state can be met again, else when a checkpoint is due."""
+    """Return whether an iteration is digested: where its state can be met again, else when a checkpoint is due."""
     return due or trainer.env.env.scene.sim.exact
 
 
