@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.jobs.results import again as again_of
+from wheelleg_exp.jobs.results import record as records
 from wheelleg_exp.jobs.results.page import machines_of, page
 from wheelleg_exp.jobs.results.record import (
     manifest_of,
@@ -274,8 +276,27 @@ def test_runs_of_one_result_differ_by_their_seed_alone(run):
     with tempfile.TemporaryDirectory() as folder:
         other = RunDirectory(shutil.copytree(run.path, Path(folder) / "small" / "other"))
         write_json(other.path / "manifest.json", {**data, "resumes": [longer]})
-        with pytest.raises(RunDirectoryError, match="was trained otherwise than"):
+        said = f"was trained otherwise than {run.id}: with agent.max_iterations=9, without agent.max_iterations="
+        with pytest.raises(RunDirectoryError, match=re.escape(said)):
             require_one_method([run, other])
+
+
+@pytest.mark.parametrize(
+    ("words", "iteration", "said"),
+    [
+        (["env.num_envs=8"], 9, "what it began with was trained with env.num_envs=8"),
+        ([], 19, "it began with another checkpoint"),
+    ],
+)
+def test_what_runs_began_with_is_of_one_method_too(run, monkeypatch, words, iteration, said):
+    def begun(iteration: int, *words: str) -> dict[str, Any]:
+        parent = {"overrides": ["task=walk", *words], "begins_with": None, "iteration": None}
+        return {"overrides": ["task=velocity"], "begins_with": parent, "iteration": iteration}
+
+    recipes = iter([begun(9), begun(iteration, *words)])
+    monkeypatch.setattr(records, "recipe", lambda _: next(recipes))
+    with pytest.raises(RunDirectoryError, match=f"was trained otherwise than {run.id}: {said};"):
+        require_one_method([run, run])
 
 
 def test_a_student_is_no_result_because_its_teacher_is_not_kept(run):

@@ -204,7 +204,7 @@ def require_one_method(runs: Sequence[RunDirectory]) -> None:
     for run, other in zip(runs[1:], others, strict=True):
         if other != first:
             raise RunDirectoryError(
-                f"was trained otherwise than {runs[0].id}",
+                f"was trained otherwise than {runs[0].id}: {_unlike(other, first)}",
                 key=run.id,
                 expected="runs that differ by their seed alone (wheelleg diff names all else)",
             )
@@ -213,6 +213,21 @@ def require_one_method(runs: Sequence[RunDirectory]) -> None:
 def _method(made: Mapping[str, Any]) -> dict[str, Any]:
     words = sorted(word for word in made["overrides"] if not word.startswith("seed="))
     return {**made, "overrides": words, "begins_with": made["begins_with"] and _method(made["begins_with"])}
+
+
+def _unlike(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return in words what the commands of two trainings differ in, or of those that they began with."""
+    words = set(one["overrides"]), set(other["overrides"])
+    told = [
+        f"{side} {word}"
+        for side, mine, its in (("with", *words), ("without", *words[::-1]))
+        for word in sorted(mine - its)
+    ]
+    if told:
+        return ", ".join(told)
+    if one["begins_with"] and other["begins_with"] and one["begins_with"] != other["begins_with"]:
+        return f"what it began with was trained {_unlike(one['begins_with'], other['begins_with'])}"
+    return "it began with another checkpoint"
 
 
 def parameters(run: RunDirectory) -> str:
