@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from wheelleg_exp.evaluation.statistics import clustered, holm, interquartile_mean, mcnemar, noise_floor, wilcoxon
+from wheelleg_exp.evaluation.statistics import (
+    clustered,
+    holm,
+    interquartile_mean,
+    mann_whitney,
+    mcnemar,
+    noise_floor,
+    wilcoxon,
+)
 
 
 def generator() -> np.random.Generator:
@@ -34,6 +42,13 @@ def test_wilcoxon_agrees_with_ranks_by_hand():
     found = wilcoxon(np.zeros(5), np.array([1.0, 2.0, -3.0, 4.0, 5.0]))
     assert found.p == pytest.approx(2 * 5 / 32)
     assert found.difference == 2.0
+    assert found.effect == pytest.approx((12 - 3) / 15)
+
+
+def test_the_effect_of_ranks_is_how_often_the_second_is_larger_less_how_often_the_first_is():
+    """Of nine pairs of 1, 3, 4 and 2, 5, 6 the second is larger in seven."""
+    found = mann_whitney(np.array([1.0, 3.0, 4.0]), np.array([2.0, 5.0, 6.0]))
+    assert found.effect == pytest.approx((7 - 2) / 9)
 
 
 def test_wilcoxon_agrees_with_its_normal_approximation():

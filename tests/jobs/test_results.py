@@ -156,6 +156,28 @@ def test_what_is_made_again_is_not_said_twice(written, capsys, word):
     assert "--again: what is made again stands in the record" in told
 
 
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda record: record.pop("runs"), "small.json: lacks what a record has: 'runs'"),
+        (lambda record: record.update(runs=[]), "small.md: is not the page of its record"),
+        (
+            lambda record: record["runs"][0]["train"].pop("overrides"),
+            "small.json: lacks what a record has: 'overrides'",
+        ),
+        (lambda record: record.update(name="other"), "small.json: is of 'other'; expected a record of its own name"),
+    ],
+)
+def test_a_record_that_lacks_something_is_told_by_its_file(written, capsys, damage, said):
+    record = json.loads((written / "small.json").read_text())
+    damage(record)
+    write_json(written / "small.json", record)
+    status, told = again(written, capsys)
+    assert status == 2, told
+    assert said in told
+    assert "wheelleg train" not in told
+
+
 @pytest.mark.parametrize("word", ["latest", "protocol=walk", "smal"])
 def test_only_results_are_made_again_and_all_are_looked_for_before_any_is(written, capsys, word):
     status, told = again(written, capsys, word)
@@ -310,7 +332,7 @@ def test_a_page_that_there_is_not_is_told_with_those_that_there_are(written, cap
     assert main(["results", "smal", "--again", "--into", str(written)]) == 2
     said = capsys.readouterr().err
     assert "there is no result 'smal'" in said
-    assert "one of small" in said
+    assert "names of results with --again, no runs and no overrides: small; did you mean 'small'?" in said
 
 
 @pytest.mark.parametrize("name", ["../outside", "a/b", "", ".."])

@@ -25,7 +25,7 @@ from wheelleg_exp.jobs.resume import changes as resume_changes
 from wheelleg_exp.jobs.resume import differences as circumstances
 from wheelleg_exp.jobs.train import outputs
 from wheelleg_exp.recording.reading.digest import entity_digests
-from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.listing import summarize
 from wheelleg_exp.run.lock import RunLock
@@ -191,18 +191,32 @@ def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
     assert [entry["iteration"] for entry in manifest(run)["resumes"]] == [1, 2, 4]
 
 
-def test_an_engine_that_repeats_no_bits_leaves_digests_with_checkpoints_alone(tmp_path, monkeypatch):
+def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_alone(tmp_path, monkeypatch):
+    """Elsewhere those of the networks, so that a checkpoint of a stop is held against the log as well."""
+    write = outputs.Outputs.write
+
+    def interrupted(self, iteration, due):
+        if iteration.index == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        return write(self, iteration, due)
+
     with monkeypatch.context() as patch:
         patch.setattr(BatchEngine, "exact", False)
-        said = wheelleg("train", *FOUR, "agent.save_interval=2", f"run.root={tmp_path}")
-    assert said.status == 0, said.err
+        patch.setattr(outputs.Outputs, "write", interrupted)
+        said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
+    assert said.status == 130, said.err
     path = only(tmp_path)
-    assert [bool(line["digests"]) for line in lines(path)] == [True, False, True, True]
+    first, second = (line["digests"] for line in lines(path))
+    assert len(first) > 3
+    assert list(second) == ["parameters"]
     assert wheelleg("verify", path).status == 0
-    (path / "model_3.pt").unlink()
-    (path / "model_2.pt").unlink()
-    resume(path)
-    assert (path / "model_3.pt").is_file()
+    state = torch.load(path / "model_1.pt", weights_only=True)
+    assert second == digests.of_state(digests.networks(state))
+    next(iter(state["actor_state_dict"].values())).view(-1)[0] += 1.0
+    (path / "model_1.pt").write_bytes(checkpoint.serialize(state))
+    told = wheelleg("verify", path)
+    assert told.status == 1
+    assert "does not agree with the log's digests of parameters" in told.out
 
 
 def test_without_a_checkpoint_a_run_begins_anew(run, straight):

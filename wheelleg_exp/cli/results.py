@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from wheelleg_exp.cli.common import add_config_dir, add_root
@@ -78,38 +79,39 @@ def _told_into(folder: Path) -> str:
 
 def _again(args: argparse.Namespace) -> int:
     from wheelleg_exp.jobs.results.again import again
-    from wheelleg_exp.jobs.results.record import read_manifests, read_record, require_own_page
+    from wheelleg_exp.jobs.results.record import read_result
     from wheelleg_exp.run.directory import RunDirectory
 
-    if args.reference or args.kept:
-        raise WheellegError(
-            "what is made again stands in the record", key="--again", expected="no options of evaluations beside it"
-        )
-    pages = sorted(path.stem for path in args.into.glob("*.json"))
-    records = []
-    for name in dict.fromkeys((args.name, *args.runs)):  # all are looked at before anything is trained
-        if name not in pages:
-            raise WheellegError(
-                f"there is no result '{name}' in {args.into}",
-                key="NAME",
-                expected="one of "
-                + (", ".join(pages) or "(there are none)")
-                + "; what is made again stands in the record",
-                nearest=nearest_name(name, pages),
-            )
-        record = read_record(args.into / f"{name}.json")
-        manifests = read_manifests(record, args.into)
-        require_own_page(record, manifests, args.into)
-        records.append((name, record, manifests))
+    names = list(dict.fromkeys((args.name, *args.runs)))
+    _require_results(args, names)
+    records = {name: read_result(name, args.into) for name in names}  # all, before anything is trained
     differ = False
     trained: dict[str, RunDirectory] = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
-        for name, record, manifests in records:
+        for name, (record, manifests) in records.items():
             found = again(record, manifests, Path(folder), _say, args.config_dirs, trained)
             for line in (*found.differences, f"{name}: {found.verdict}"):
                 _say(line)
             differ = differ or bool(found.differences)
     return EXIT_FINDING if differ else EXIT_OK
+
+
+def _require_results(args: argparse.Namespace, names: Sequence[str]) -> None:
+    """Raise WheellegError unless all are written results, and nothing is asked for that stands in their records."""
+    if args.reference or args.kept:
+        raise WheellegError(
+            "what is made again stands in the record", key="--again", expected="no options of evaluations beside it"
+        )
+    pages = sorted(path.stem for path in args.into.glob("*.json"))
+    missing = [name for name in names if name not in pages]
+    if missing:
+        raise WheellegError(
+            f"there is no result {' and no '.join(repr(name) for name in missing)} in {args.into}",
+            key="NAME",
+            expected="names of results with --again, no runs and no overrides: "
+            + (", ".join(pages) or "(there are none)"),
+            nearest=nearest_name(missing[0], pages),
+        )
 
 
 def _say(text: str) -> None:

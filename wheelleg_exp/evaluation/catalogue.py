@@ -123,7 +123,7 @@ def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
         yield Metric(f"walk/gain_{axis}", test, (f"command_{axis}", f"velocity_{axis}"), gain, better="")
         yield Metric(f"walk/sign_{axis}", test, (f"sign_{axis}",), mean, better="higher", rows=rows)
         yield Metric(f"walk/skill_{axis}", test, (f"score_{axis}", f"still_{axis}"), skill, better="higher", rows=rows)
-    yield Metric("walk/error_wheels", test, ("error_wheels_m_s",), quadratic, "m/s", rows=surviving)
+    yield Metric("walk/error_wheels", test, ("error_wheels_m_s",), quadratic, "m/s", "", surviving)
     errors = ("cell", "off_vx", "off_wz")
     yield Metric("walk/commandable_area", test, errors, partial(area, band=band), better="higher")
     yield Metric("walk/in_band", test, ("in_band",), mean, better="higher")

@@ -74,8 +74,8 @@ class Difference:
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
         if not sure or not self.better or value == 0.0 or math.isnan(value):
             return ""
-        if self.test is not None and self.test.difference * value < 0.0:
-            return ""  # most episodes differ one way, the means, by a few, the other
+        if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
+            return ""  # most episodes differ one way, the means, or the ranks that were tested, by a few, the other
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
     def as_dict(self) -> dict[str, Any]:

@@ -43,6 +43,9 @@ class Test:
         untied: how many of the pairs differ; None without pairs.
         difference: of shares, or the median of the pairs' differences: the second minus the first; of medians
             without pairs.
+        effect: which way the test itself points, and how far, from -1 to 1, above 0 where the second is larger: of
+            ranks the rank-biserial correlation (Kerby, 2014), of outcomes the difference of shares. Ranks may point
+            another way than the median, where many differ a little one way and some far the other.
     """
 
     test: str
@@ -50,6 +53,7 @@ class Test:
     pairs: int
     untied: int | None
     difference: float
+    effect: float
 
 
 def interquartile_mean(values: Array) -> float:
@@ -136,7 +140,8 @@ def mcnemar(first: Array, second: Array) -> Test:
     """
     won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
     p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
-    return Test("McNemar", p, len(first), won + lost, (won - lost) / max(1, len(first)))
+    share = (won - lost) / max(1, len(first))
+    return Test("McNemar", p, len(first), won + lost, share, share)
 
 
 def wilcoxon(first: Array, second: Array) -> Test:
@@ -149,21 +154,30 @@ def wilcoxon(first: Array, second: Array) -> Test:
     difference = np.asarray(second, dtype=np.float64) - first
     untied = int(np.count_nonzero(difference))
     p = float(stats.wilcoxon(difference, zero_method="wilcox").pvalue) if untied else 1.0
-    return Test("Wilcoxon", p, len(difference), untied, float(np.median(difference)) if len(difference) else 0.0)
+    median = float(np.median(difference)) if len(difference) else 0.0
+    moved = difference[difference != 0.0]
+    ranks = stats.rankdata(np.abs(moved))
+    effect = float((ranks * np.sign(moved)).sum() / ranks.sum()) if untied else 0.0
+    return Test("Wilcoxon", p, len(difference), untied, median, effect)
 
 
 def fisher(first: Array, second: Array) -> Test:
     """Return Fisher's exact test of outcomes, 1 or 0, of two policies on scenarios of their own."""
     table = [[int(column.sum()), int(len(column) - column.sum())] for column in (first, second)]
     p = float(stats.fisher_exact(table).pvalue)
-    return Test("Fisher", p, min(len(first), len(second)), None, float(second.mean() - first.mean()))
+    share = float(second.mean() - first.mean())
+    return Test("Fisher", p, min(len(first), len(second)), None, share, share)
 
 
 def mann_whitney(first: Array, second: Array) -> Test:
     """Return the Mann-Whitney test of errors of two policies on scenarios of their own."""
     equal = len(np.unique(np.concatenate((first, second)))) == 1
-    p = 1.0 if equal else float(stats.mannwhitneyu(first, second).pvalue)
-    return Test("Mann-Whitney", p, min(len(first), len(second)), None, float(np.median(second) - np.median(first)))
+    found = stats.mannwhitneyu(second, first)
+    effect = float(2.0 * found.statistic / (len(first) * len(second)) - 1.0)
+    median = float(np.median(second) - np.median(first))
+    return Test(
+        "Mann-Whitney", 1.0 if equal else float(found.pvalue), min(len(first), len(second)), None, median, effect
+    )
 
 
 def holm(tests: Mapping[str, float]) -> dict[str, float]:

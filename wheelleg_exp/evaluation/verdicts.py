@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from wheelleg_exp.evaluation.comparison import Difference
 
@@ -40,8 +39,6 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     """Return in one line whether a method recovers from harder pushes than another; empty where none were measured.
 
     It is better where it survives harder pushes of every kind (at once, and over each length of a pulse) beyond chance.
-    Since each kind has to tell so, each is tested by itself, whatever else is: all do so by chance no more often than
-    one of them (Berger, Multiparameter hypothesis testing and acceptance sampling, 1982).
 
     Args:
         found: the differences.
@@ -53,8 +50,7 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     limits = [(kind, rows[_LIMIT + kind]) for kind in kinds if _LIMIT + kind in rows]
     if not limits:
         return ""
-    alone = {_by_itself(row).outcome for _, row in limits}
-    outcomes = alone if len(alone) == 1 else {row.outcome for _, row in limits}
+    outcomes = {row.outcome for _, row in limits}
     if len(outcomes) == 1:
         word = f"{outcomes.pop() or 'neither better nor worse'} in push recovery than"
     elif {"better", "worse"} <= outcomes:
@@ -65,18 +61,13 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     single = [row for name, row in rows.items() if name.startswith(_LIMIT) and "°" in name]
     counts = [(len([row for row in single if row.outcome == word]), word) for word in ("better", "worse")]
     told = " and ".join(f"{word} in {count}" for count, word in counts if count)
-    return said + (f" Of {len(single)} directions and kinds by themselves it is {told}." if told else "")
-
-
-def _by_itself(row: Difference) -> Difference:
-    """Return a difference with the p of its own test."""
-    return row if row.test is None else replace(row, p=row.test.p)
+    return said + (f" Of {len(single)} directions and kinds it is {told}." if told else "")
 
 
 def _limit(kind: str, row: Difference) -> str:
     what = "a kick" if kind == "0s" else f"a push over {kind.removesuffix('s')} s"
     apart = f"{row.interval.value:+.3g}, 95 % interval {row.interval.low:+.3g} to {row.interval.high:+.3g}"
-    sure = "" if row.test is None else f", p {row.test.p:.2g}"
+    sure = "" if row.p is None else f", p {row.p:.2g}"
     return f"{what} of {row.first:.3g} against {row.second:.3g} {row.unit} ({apart}{sure})"
 
 

@@ -35,6 +35,11 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
 
 
+def networks(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return of a checkpoint's tree what ``parameters`` is the digest of."""
+    return {key: value for key, value in state.items() if _part_of(key) == "parameters"}
+
+
 def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dict[str, str]:
     """Return the digests of the first process's parts with those of the others' parts of the same names."""
     if not others:

@@ -38,12 +38,12 @@ def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, st
 
     Args:
         ranks: the processes.
-        state: this one's.
+        state: this one's, or a part of it.
     """
     mine = digests.of_state(state)
     if not ranks.together:
         return mine, True
-    own = digests.of_state({key: state[key] for key in OWN})
+    own = digests.of_state({key: state[key] for key in OWN if key in state})
     shared = {name: digest for name, digest in mine.items() if name not in own}
     told = ranks.tell_all({"own": own, "shared": shared})
     equal = all(one["shared"] == told[0]["shared"] for one in told)

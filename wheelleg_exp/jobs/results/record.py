@@ -144,6 +144,28 @@ def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, An
     return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
 
 
+def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return a result's record and the manifests of its runs, which its page agrees with.
+
+    Raises:
+        RunDirectoryError: something is missing or damaged, or not what ``write_results`` has written.
+    """
+    path = folder / f"{name}.json"
+    record = read_record(path)
+    try:
+        if record["name"] != name:
+            raise RunDirectoryError(f"is of '{record['name']}'", key=str(path), expected="a record of its own name")
+        manifests = read_manifests(record, folder)
+        recipes = [made["train"]["overrides"] for made in record["runs"]]
+        require_own_page(record, manifests, folder)
+    except (LookupError, TypeError, AttributeError) as error:
+        expected = "what wheelleg results has written"
+        raise RunDirectoryError(f"lacks what a record has: {error}", key=str(path), expected=expected) from error
+    if not recipes:
+        raise RunDirectoryError("names no runs", key=str(path), expected="what wheelleg results has written")
+    return record, manifests
+
+
 def require_own_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:
     """Raise RunDirectoryError unless a record's page says what the record says."""
     path = folder / f"{record['name']}.md"

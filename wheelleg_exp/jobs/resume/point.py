@@ -45,8 +45,8 @@ class ResumePoint:
 
     @property
     def dropped(self) -> dict[int, Mapping[str, str]]:
-        """Digests of the iterations past the checkpoint, which are computed again; of those that have any."""
-        later = (line.content for line in self.lines[self.iteration :] if line.digests)
+        """Digests of the iterations past the checkpoint, which are computed again."""
+        later = (line.content for line in self.lines[self.iteration :])
         return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
 
     @property

@@ -147,11 +147,9 @@ class Outputs:
                 self._tensorboard.add_scalar(key, value, iteration.index)
             self._tensorboard.flush()
         self._state, self._last = self._trainer.state_dict(), iteration.index
-        found: dict[str, str] = {}
-        if are_digested(self._trainer, due):
-            found, equal = digests_of_all(self._trainer.ranks, self._state)
-            if not equal and self.parted is None:
-                self.parted = iteration.index
+        found, equal = digests_of_all(self._trainer.ranks, digested(self._trainer, self._state, due))
+        if not equal and self.parted is None:
+            self.parted = iteration.index
         line = {
             "iteration": iteration.index,
             "digest_format": digests.FORMAT,
@@ -188,9 +186,13 @@ class Outputs:
         return name if (self._directory.path / name).is_file() else self.checkpoint(self._last)
 
 
-def are_digested(trainer: Trainer, due: bool) -> bool:
-    """Return whether an iteration is digested: where its state can be met again, else when a checkpoint is due."""
-    return due or trainer.env.env.scene.sim.exact
+def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
+    """Return of an iteration's state what is digested.
+
+    All where a checkpoint is due or the engine repeats to the bit, and else the networks, which all processes share and
+    each checkpoint has: to hash what will not be met again takes longer than a GPU takes to learn from it.
+    """
+    return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
 
 
 def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
