@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Literal
 
 import torch
 
@@ -55,23 +56,35 @@ class push_by_adding_velocity(TermBase):
         velocity_range: ``x``, ``y``, ``z`` in m/s; ``roll``, ``pitch``, ``yaw`` in rad/s.
         generator: the term's random stream.
         asset_cfg: the robot.
+        frame: ``world``, as Isaac Lab; ``yaw`` are level axes that turn with the robot: x forwards, y to the left.
     """
 
     adds = True
     settings = ("_low", "_high")
 
     def __init__(
-        self, env: Env, velocity_range: PoseRange, generator: torch.Generator, asset_cfg: SceneEntityCfg = _ROBOT
+        self,
+        env: Env,
+        velocity_range: PoseRange,
+        generator: torch.Generator,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+        frame: Literal["world", "yaw"] = "world",
     ) -> None:
         self._low, self._high = bounds(velocity_range, POSE, "velocity_range", env.device)
         self._generator = generator
         self._robot = env.scene[asset_cfg.name]
+        self._turns = frame == "yaw"
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         """Push."""
         ids = all_ids(env, env_ids)
         velocity = rotation.uniform(self._low, self._high, ids.shape[0], self._generator)
         data = self._robot.data
+        if self._turns:
+            yaw = data.heading_w[ids]
+            cos, sin = yaw.cos().unsqueeze(1), yaw.sin().unsqueeze(1)
+            x, y, z = velocity.view(-1, 2, 3).unbind(dim=2)
+            velocity = torch.stack((cos * x - sin * y, sin * x + cos * y, z), dim=2).flatten(1)
         if self.adds:
             velocity += data.root_vel_w[ids]
         self._robot.write_root_velocity_to_sim(velocity, ids)
@@ -81,7 +94,7 @@ push_by_setting_velocity = push_by_adding_velocity
 
 
 class set_root_velocity(push_by_adding_velocity):
-    """Set the root's CoM velocity to U(range), world axes, whatever it was."""
+    """Set the root's CoM velocity to U(range), world axes (or ``frame``'s), whatever it was."""
 
     adds = False
 
