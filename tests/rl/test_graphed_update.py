@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import copy
+import json
 import os
 
 import pytest
 import torch
+from jobs.ranks import end, start
+from jobs.small import TINY
 
 from wheelleg_exp.rl.graphed_update import GraphedUpdate, can, is_plain
 
@@ -86,3 +89,55 @@ def test_what_it_does_not_do_is_rsl_rls(make_trainer):
     trainer = make_trainer()
     assert not can(trainer.algorithm)  # on a CPU
     assert not is_plain(make_trainer("agent.algorithm.optimizer=sgd").algorithm)
+
+
+# Each process updates one trainer as rsl_rl does and another as graphs would, with environments of its own.
+_TOGETHER = """
+import json, os, sys
+os.environ["MASTER_PORT"] = str(json.loads(sys.argv[2])[0])
+*words, mjcf = json.loads(sys.argv[1])[0]
+from pathlib import Path
+import torch
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.rl.graphed_update import GraphedUpdate, is_plain
+from wheelleg_exp.rl.ranks import joined
+from wheelleg_exp.rl.trainer import Trainer
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+torch.set_num_threads(1)
+with joined() as ranks:
+    config, said = compose(words).config, []
+    for is_ours in (True, False):
+        env = ManagerBasedRLEnv(config["env"], Path(mjcf), ranks.seed(0))
+        trainer = Trainer(RslRlVecEnv(env, None), config["agent"], 0, ranks=ranks)
+        algorithm = trainer.algorithm
+        assert is_plain(algorithm) and algorithm.is_multi_gpu
+        algorithm.broadcast_parameters()
+        update, rates, losses = GraphedUpdate(algorithm) if is_ours else algorithm.update, [], []
+        for index in range(3):
+            torch.manual_seed(2 * index + ranks.rank)
+            trainer._collect()
+            torch.manual_seed(100 + index + ranks.rank)
+            losses.append(update())
+            rates.append(algorithm.learning_rate)
+        weights = torch.cat([p.detach().flatten() for n in trainer.networks() for p in n.parameters()])
+        said.append([rates, losses, weights.tolist()])
+    print(json.dumps(said), flush=True)
+"""
+
+
+def test_processes_that_train_together_update_as_rsl_rl_does(mjcf, tmp_path):
+    words = ["task=stand", *TINY, "agent.algorithm.desired_kl=0.002", str(mjcf)]
+    found = end(start([words], tmp_path, _TOGETHER))
+    assert all(out for _, out, _ in found), found
+    ours, theirs = zip(*(json.loads(out) for _, out, _ in found), strict=True)
+    for (rates, losses, weights), (their_rates, their_losses, their_weights) in zip(ours, theirs, strict=True):
+        assert rates == pytest.approx(their_rates, rel=1e-6)
+        for mine, others in zip(losses, their_losses, strict=True):
+            assert mine == pytest.approx(others, rel=1e-5, abs=1e-5)
+        assert weights == pytest.approx(their_weights, abs=1e-5)
+    assert ours[0][0] == ours[1][0]
+    assert len(set(ours[0][0])) > 1  # the learning rate has changed
+    assert ours[0][2] == ours[1][2]
+    assert ours[0][1] != ours[1][1]  # each has learned from samples of its own

@@ -2,7 +2,8 @@
 
 rsl_rl asks the GPU in every minibatch for the divergence that sets the learning rate, and for three losses, and
 launches some three hundred kernels. Here the learning rate and the sums of the losses stay on the GPU; networks,
-losses, the clipping of gradients and Adam are the same functions. What it does not do (``can``) rsl_rl itself does.
+losses, the clipping of gradients and Adam are the same functions. Where several processes train together, what they
+tell each other in a minibatch is part of the graph. What it does not do (``can``) rsl_rl itself does.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5  # rsl_rl's bounds of an adaptive 
 
 
 def can(algorithm: Any) -> bool:
-    """Return whether an algorithm's update is one that this does: PPO by itself, on a GPU."""
+    """Return whether an algorithm's update is one that this does: plain PPO, on a GPU."""
     return torch.device(algorithm.device).type == "cuda" and is_plain(algorithm)
 
 
@@ -27,7 +28,7 @@ def is_plain(algorithm: Any) -> bool:
     """Return whether it is rsl_rl's PPO, with Adam, without what is beside it, and its networks are perceptrons."""
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
-    beside = algorithm.rnd or algorithm.symmetry or algorithm.is_multi_gpu or algorithm.use_mixed_precision
+    beside = algorithm.rnd or algorithm.symmetry or algorithm.use_mixed_precision
     networks = (algorithm.actor, algorithm.critic)
     others = any(type(network).forward is not MLPModel.forward for network in networks)
     compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
@@ -154,11 +155,17 @@ class GraphedUpdate:
         entropy = actor.output_entropy.mean()
         if algorithm.desired_kl is not None and algorithm.schedule == "adaptive":
             with torch.no_grad():
-                self._adapt(actor.get_kl_divergence(old_params, actor.output_distribution_params).mean())
+                divergence = actor.get_kl_divergence(old_params, actor.output_distribution_params).mean()
+                if algorithm.is_multi_gpu:
+                    torch.distributed.all_reduce(divergence)
+                    divergence /= algorithm.gpu_world_size
+                self._adapt(divergence)
         surrogate = self._surrogate(log_prob - old_log_prob.squeeze(-1), advantages.squeeze(-1))
         value = self._value(values, old_values, returns)
         algorithm.optimizer.zero_grad()
         (surrogate + algorithm.value_loss_coef * value - algorithm.entropy_coef * entropy).backward()
+        if algorithm.is_multi_gpu:
+            algorithm.reduce_parameters()
         for network in (algorithm.actor, algorithm.critic):
             nn.utils.clip_grad_norm_(network.parameters(), algorithm.max_grad_norm)
         algorithm.optimizer.step()

@@ -50,7 +50,7 @@ class Learning:
             stay float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 where the CPU has units for it,
             tf32 on a GPU. Acting is float32 in any case.
         graph_update: on a GPU, whether PPO's acting and update are CUDA graphs, the learning rate kept on the GPU; what
-            rsl_rl's PPO has beside it (RND, symmetry, recurrent networks, several GPUs) is updated by rsl_rl itself.
+            rsl_rl's PPO has beside it (RND, symmetry, recurrent networks) is updated by rsl_rl itself.
     """
 
     algorithm: Section
