@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -32,14 +34,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _own_projects() -> Iterator[None]:
-    """Let no module's tests leave a user's project behind: the next ones may run in any order, in any process."""
+def _own_projects(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let no module's tests leave a user's project or code behind: the next ones may run in any order, in any process.
+
+    A training takes what was imported from outside the environment for a part of its source.
+    """
     from wheelleg_exp import packages
 
-    before = dict(packages._joined)
+    before, known = dict(packages._joined), set(sys.modules)
     yield
     packages._joined.clear()
     packages._joined.update(before)
+    base = f"{tmp_path_factory.getbasetemp()}{os.sep}"
+    for name in set(sys.modules) - known:
+        if (getattr(sys.modules[name], "__file__", None) or "").startswith(base):
+            del sys.modules[name]
 
 
 @pytest.fixture
