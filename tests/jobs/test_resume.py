@@ -141,7 +141,8 @@ def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
     assert all(entry["exact"] for entry in entries), entries
 
 
-def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_others(straight, tmp_path, monkeypatch):
+def interrupt_iteration_1(patch: pytest.MonkeyPatch) -> None:
+    """Press Ctrl-C when the second iteration's outputs are about to be written."""
     write = outputs.Outputs.write
 
     def interrupted(self, iteration, due):
@@ -149,8 +150,12 @@ def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_
             os.kill(os.getpid(), signal.SIGINT)
         return write(self, iteration, due)
 
+    patch.setattr(outputs.Outputs, "write", interrupted)
+
+
+def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_others(straight, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(outputs.Outputs, "write", interrupted)
+        interrupt_iteration_1(patch)
         said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
     run = only(tmp_path)
     assert said.status == 130
@@ -193,16 +198,9 @@ def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
 
 def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_alone(tmp_path, monkeypatch):
     """Elsewhere those of the networks, so that a checkpoint of a stop is held against the log as well."""
-    write = outputs.Outputs.write
-
-    def interrupted(self, iteration, due):
-        if iteration.index == 1:
-            os.kill(os.getpid(), signal.SIGINT)
-        return write(self, iteration, due)
-
     with monkeypatch.context() as patch:
         patch.setattr(BatchEngine, "exact", False)
-        patch.setattr(outputs.Outputs, "write", interrupted)
+        interrupt_iteration_1(patch)
         said = wheelleg("train", *FOUR, "agent.save_interval=3", f"run.root={tmp_path}")
     assert said.status == 130, said.err
     path = only(tmp_path)

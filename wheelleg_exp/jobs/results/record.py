@@ -156,13 +156,10 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
         if record["name"] != name:
             raise RunDirectoryError(f"is of '{record['name']}'", key=str(path), expected="a record of its own name")
         manifests = read_manifests(record, folder)
-        recipes = [made["train"]["overrides"] for made in record["runs"]]
         require_own_page(record, manifests, folder)
     except (LookupError, TypeError, AttributeError) as error:
         expected = "what wheelleg results has written"
         raise RunDirectoryError(f"lacks what a record has: {error}", key=str(path), expected=expected) from error
-    if not recipes:
-        raise RunDirectoryError("names no runs", key=str(path), expected="what wheelleg results has written")
     return record, manifests
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.train import training
-from wheelleg_exp.jobs.train.outputs import digested
+from wheelleg_exp.jobs.train.outputs import checkpoint_due, digested
 from wheelleg_exp.rl.rank_errors import ToldByFirst
 from wheelleg_exp.rl.rank_states import digests_of_all, whole
 from wheelleg_exp.rl.ranks import Ranks
@@ -67,7 +67,7 @@ def run(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest) -> None:
         for iteration in trainer.learn(until=total):
             trainer.env.env.recorder_manager.take()
             state = trainer.state_dict()
-            due = iteration.index + 1 == total or iteration.index % agent["save_interval"] == 0
+            due = checkpoint_due(iteration.index, agent)
             digests_of_all(ranks, digested(trainer, state, due))
             stopped = ranks.any(stop.requested)
             unsaved = not (due or stopped)

@@ -186,6 +186,11 @@ class Outputs:
         return name if (self._directory.path / name).is_file() else self.checkpoint(self._last)
 
 
+def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
+    """Return whether an iteration has a checkpoint whether training is stopped or not: every so many, and the last."""
+    return iteration + 1 == int(agent["max_iterations"]) or iteration % int(agent["save_interval"]) == 0
+
+
 def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
     """Return of an iteration's state what is digested.
 

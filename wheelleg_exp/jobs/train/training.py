@@ -25,7 +25,7 @@ from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.jobs.threads import dependent_products, set_threads, thread_notes
 from wheelleg_exp.jobs.train.films import require_graphics
 from wheelleg_exp.jobs.train.initial import initial_file, kept_initial
-from wheelleg_exp.jobs.train.outputs import Outputs, keep_failure, summary
+from wheelleg_exp.jobs.train.outputs import Outputs, checkpoint_due, keep_failure, summary
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
 from wheelleg_exp.jobs.train.stuck import StuckCurricula
 from wheelleg_exp.jobs.train.teacher import find_teacher, kept_teacher
@@ -214,7 +214,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
             display.note(f"scalars and config go to {outputs.sent_to}")
         stop.check(trainer.ranks.any(stop.requested))
         for iteration in _learned(training, outputs, results):
-            due = iteration.index + 1 == total or iteration.index % agent["save_interval"] == 0
+            due = checkpoint_due(iteration.index, agent)
             training.proof.check(iteration.index, outputs.write(iteration, due))
             display.iteration(iteration, total)
             for line in stuck.take(iteration.index, iteration.scalars):
