@@ -47,7 +47,9 @@ def _own_projects(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     packages._joined.update(before)
     base = f"{tmp_path_factory.getbasetemp()}{os.sep}"
     for name in set(sys.modules) - known:
-        if (getattr(sys.modules[name], "__file__", None) or "").startswith(base):
+        module = sys.modules[name]
+        places = [getattr(module, "__file__", None) or "", *map(str, getattr(module, "__path__", ()))]
+        if any(place.startswith(base) for place in places):
             del sys.modules[name]
 
 

@@ -160,7 +160,7 @@ def test_what_is_made_again_is_not_said_twice(written, capsys, word):
     ("damage", "said"),
     [
         (lambda record: record.pop("runs"), "small.json: lacks what a record has: 'runs'"),
-        (lambda record: record.update(runs=[]), "small.md: is not the page of its record"),
+        (lambda record: record.update(runs=[]), "small.json: names no runs"),
         (
             lambda record: record["runs"][0]["train"].pop("overrides"),
             "small.json: lacks what a record has: 'overrides'",

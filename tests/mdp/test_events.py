@@ -320,8 +320,8 @@ def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
 RANGES = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "yaw": [0.5, 0.5]}
 
 
-def _moving(make_env, name, **more):
-    env = make_env(events={"p": _event(name, mode="custom", velocity_range=RANGES, **more)})
+def _moving(make_env, name):
+    env = make_env(events={"p": _event(name, mode="custom", velocity_range=RANGES)})
     env.reset()
     pos = env.scene.robot.data.root_pos_w.clone()
     quat = torch.nn.functional.normalize(torch.tensor([[1.0, 0.5, -0.3, 0.2]]), dim=1).expand(4, 4)
@@ -340,15 +340,21 @@ def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes(make_env, name):
 
 
 def test_a_push_in_the_yaw_frame_turns_with_the_robot(make_env):
-    """RANGES are 1 forwards and -2 to the left; a robot with the quaternion of _moving looks along its own x axis."""
-    w, x, y, z = (part / 1.38**0.5 for part in (1.0, 0.5, -0.3, 0.2))
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    forwards, left = (math.cos(yaw), math.sin(yaw)), (-math.sin(yaw), math.cos(yaw))
-    pushed = [0.1 + forwards[0] - 2 * left[0], 0.2 + forwards[1] - 2 * left[1], 0.3]
-    data = _moving(make_env, "push_by_adding_velocity", frame="yaw")
-    torch.testing.assert_close(data.root_lin_vel_w[[0, 2]], torch.tensor([pushed] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_ang_vel_w[[0, 2]], torch.tensor([[1.0, 2.0, 3.5]] * 2), atol=1e-5, rtol=0)
-    torch.testing.assert_close(data.root_lin_vel_w[[1, 3]], torch.tensor([[0.1, 0.2, 0.3]] * 2), atol=1e-5, rtol=0)
+    """Four robots that look to the front, to the left, backwards and 30 degrees to the right; the middle two pushed."""
+    ranges = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "z": [3.0, 3.0], "roll": [4.0, 4.0], "yaw": [0.5, 0.5]}
+    node = _event("push_by_adding_velocity", mode="custom", velocity_range=ranges, frame="yaw")
+    env = make_env(events={"p": node})
+    env.reset()
+    yaw = torch.tensor([0.0, math.pi / 2, math.pi, -math.pi / 6])
+    pitch = torch.full((4,), 0.3)  # a robot that leans is pushed along the ground all the same
+    pose = (env.scene.robot.data.root_pos_w, rotation.quat_from_euler_xyz(torch.zeros(4), pitch, yaw))
+    env.scene.robot.write_root_pose_to_sim(torch.cat(pose, dim=1), ALL)
+    env.scene.robot.write_root_velocity_to_sim(torch.zeros(4, 6), ALL)
+    env.apply_event("custom", torch.tensor([1, 2]))
+    moved = torch.tensor([[0.0, 0.0, 0.0], [2.0, 1.0, 3.0], [-1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
+    turned = torch.tensor([[0.0, 0.0, 0.0], [0.0, 4.0, 0.5], [-4.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+    torch.testing.assert_close(env.scene.robot.data.root_lin_vel_w, moved, atol=1e-5, rtol=0)
+    torch.testing.assert_close(env.scene.robot.data.root_ang_vel_w, turned, atol=1e-5, rtol=0)
 
 
 def test_a_velocity_that_is_set_is_the_drawn_one(make_env):

@@ -155,6 +155,8 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
     try:
         if record["name"] != name:
             raise RunDirectoryError(f"is of '{record['name']}'", key=str(path), expected="a record of its own name")
+        if not record["runs"]:
+            raise RunDirectoryError("names no runs", key=str(path), expected="what wheelleg results has written")
         manifests = read_manifests(record, folder)
         require_own_page(record, manifests, folder)
     except (LookupError, TypeError, AttributeError) as error:

@@ -49,7 +49,7 @@ apply_external_force_torque = set_permanent_body_wrench
 
 
 class push_by_adding_velocity(TermBase):
-    """Add U(range) to the root's CoM velocity, world axes. Isaac Lab calls it ``push_by_setting_velocity``.
+    """Add U(range) to the root's CoM velocity, in the axes of ``frame``. Isaac Lab: ``push_by_setting_velocity``.
 
     Args:
         env: the environment.
@@ -94,7 +94,7 @@ push_by_setting_velocity = push_by_adding_velocity
 
 
 class set_root_velocity(push_by_adding_velocity):
-    """Set the root's CoM velocity to U(range), world axes (or ``frame``'s), whatever it was."""
+    """Set the root's CoM velocity to U(range), in the axes of ``frame``, whatever it was."""
 
     adds = False
 
