@@ -47,9 +47,9 @@ def _own_projects(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     packages._joined.update(before)
     base = f"{tmp_path_factory.getbasetemp()}{os.sep}"
     for name in set(sys.modules) - known:
-        module = sys.modules[name]
-        places = [getattr(module, "__file__", None) or "", *map(str, getattr(module, "__path__", ()))]
-        if any(place.startswith(base) for place in places):
+        spec = getattr(sys.modules[name], "__dict__", {}).get("__spec__")  # torch's answer to any name at all
+        places = (getattr(spec, "origin", None), *(getattr(spec, "submodule_search_locations", None) or ()))
+        if any(place and place.startswith(base) for place in places):
             del sys.modules[name]
 
 

@@ -159,8 +159,8 @@ def test_a_tilt_limit_lies_between_the_drawn_tilt_and_upside_down(limit, wrong):
     assert bool(found("episode_end", case(terminations=node, events=events))) == wrong
 
 
-def push(x, y=0.0, facts=FACTS):
-    node = term("events.push_by_setting_velocity", mode="interval", interval_range_s=[1, 2])
+def push(x, y=0.0, facts=FACTS, **more):
+    node = term("events.push_by_setting_velocity", mode="interval", interval_range_s=[1, 2], **more)
     node["velocity_range"] = {"x": [-x, x], "y": [-y, y]}
     return case(facts, events={"push": node})
 
@@ -171,7 +171,10 @@ def test_a_push_is_held_against_the_capture_point():
     assert finding.figures["limit"] == pytest.approx(2.0 / math.sqrt(10.0))
     assert "more than it can take" in finding.message
     assert found("push_size", push(0.7)) == []  # 1.1 times the figure, which is on the safe side
-    assert found("push_size", push(0.3, 4.0)) == []  # sideways the track holds it
+    assert found("push_size", push(0.3, 4.0, frame="yaw")) == []  # sideways the track holds it
+    (finding,) = found("push_size", push(0.3, 4.0))  # who has turned meets it from the front
+    assert finding.figures["push"] == 4.0
+    assert [list(advice) for advice in finding.advice] == [["env.events.push.velocity_range.y"]] * 2
 
 
 def test_a_push_below_a_fifth_of_the_limit_tests_nothing():

@@ -34,7 +34,8 @@ def push_size(case: Case) -> Iterator[Finding]:
 
     The largest push that wheels can catch is a/w: their acceleration, limited by friction or by the drive, over the
     rate of the pendulum. Well beyond it every policy falls; below a fifth of it no policy is told from another.
-    Pushes from the side are left out.
+    Pushes to the side are left out where they are drawn in the robot's own axes: wheels catch nothing sideways, and
+    their track holds what comes from there. Those along the world's y axis meet a robot that has turned from the front.
     Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
     """
     balance = case.facts.balance
@@ -42,8 +43,9 @@ def push_size(case: Case) -> Iterator[Finding]:
         return
     limit = largest_push(case, balance)
     for term in case.terms("events", *_PUSHES):
-        ranges = term.node["velocity_range"]
-        push = largest(ranges.get("x"))  # wheels catch nothing sideways, and their track holds what comes from there
+        ranges, axes = term.node["velocity_range"], "x" if term.node.get("frame") == "yaw" else "xy"
+        pushes = {axis: largest(ranges.get(axis)) for axis in axes}
+        push = max(pushes.values())
         if push > _MARGIN * limit or 0.0 < push < _WEAK * limit:
             much = push > limit
             weak, strong = at_least(_WEAK * limit), at_most(limit)
@@ -53,7 +55,14 @@ def push_size(case: Case) -> Iterator[Finding]:
                 f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}",
                 f"between {weak:g} and {strong:g} m/s",
                 {"push": push, "limit": limit, "ratio": push / limit},
-                tuple({f"{term.path}.velocity_range.x": [-size, size]} for size in (weak, strong)),
+                tuple(
+                    {
+                        f"{term.path}.velocity_range.{axis}": [-size, size]
+                        for axis, found in pushes.items()
+                        if found == push or found > limit
+                    }
+                    for size in (weak, strong)
+                ),
             )
 
 
