@@ -100,8 +100,10 @@ def differing(kept: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
             yield f"{key} is {now[key]}, and was {kept[key]}"
     for name in dict.fromkeys([*kept["metrics"], *now["metrics"]]):
         was, is_now = kept["metrics"].get(name), now["metrics"].get(name)
-        if was != is_now:
+        if _value(was) != _value(is_now):
             yield f"{name} is {_value(is_now)}, and was {_value(was)}"
+        else:
+            yield from _unequal(was, is_now, name)  # what it is, not how much
 
 
 def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
