@@ -130,6 +130,15 @@ def test_other_networks_are_told(written, once, capsys):
     assert "run 1: the networks are " in told
 
 
+def test_a_word_that_is_another_where_the_numbers_are_equal_is_told(written, once, capsys):
+    record = json.loads((written / "small.json").read_text())
+    record["runs"][0]["evaluation"]["metrics"]["stand/time_to_failure"]["better"] = "lower"
+    rewritten(written, record)
+    status, told = again(written, capsys)
+    assert status == 1
+    assert "run 1: stand/time_to_failure.better is higher, and was lower" in told
+
+
 def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(written, capsys):
     page = written / "small.md"
     page.write_text(page.read_text().replace("| survival |", "| Survival |"))
