@@ -12,6 +12,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
+from wheelleg_exp.managers.asking import Asked
 from wheelleg_exp.managers.term import TermBase
 
 # What a graph cannot hold: the host waits for a number, or brings one.
@@ -56,7 +57,7 @@ def stand(task: str = "stand") -> ManagerBasedRLEnv:
 
 def parts(env: ManagerBasedRLEnv) -> list[Captured]:
     step = env._captured
-    return [step.act, step.act_again, step.judge, env._captured_look, env._captured_commands]
+    return [step.act, step.act_again, step.judge, step.reward, env._captured_look, env._captured_commands]
 
 
 @pytest.fixture(autouse=True)
@@ -100,6 +101,37 @@ def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_wei
     resets = taped._captured_reset._parts.values()
     assert sum(len(part._variants) for part in resets) >= 2
     assert not any(part._fails for part in resets)
+
+
+class AskedLate(Asked):
+    """Tells those whose rewards alone have failed late, as a GPU does."""
+
+    def ids(self, also, at_once):
+        self.also = torch.zeros_like(also) if at_once else also.clone()
+        return super().ids(also & ~self.also, at_once)
+
+    def late(self):
+        return self.also.nonzero().squeeze(1)
+
+
+@pytest.mark.parametrize("watched", [False, True])
+def test_whose_reward_is_no_number_ends_in_that_step_though_it_is_known_late(monkeypatch, watched):
+    late, seen = [], []
+    for env, made in ((stand("walk"), Asked), (recorded(stand("walk")), AskedLate)):
+        monkeypatch.setattr("wheelleg_exp.env.env.ask", lambda *masks, made=made: late.append(made(*masks)) or late[-1])
+        env.observers += [lambda: None] if watched else []
+        for index in range(7):
+            fails = index == 5
+            env.action_manager.action[3] = 1e30 if fails else 0.0  # the rate of actions is infinite then
+            observations, reward, terminated, _, extras = env.step(torch.zeros(16, 6))
+            keys = extras.get("non_finite", {"keys": {}})["keys"]
+            assert keys == ({3: ["env.rewards.action_rate"]} if fails else {})
+            assert terminated.nonzero().tolist() == ([[3]] if fails else [])
+            assert reward.isfinite().all()
+            seen += [observations["critic"], reward]
+        assert int(env.episode_length_buf[3]) == 1
+    assert sum(len(asked.late()) for asked in late) == (0 if watched else 1)
+    assert all(map(torch.equal, seen[: len(seen) // 2], seen[len(seen) // 2 :]))
 
 
 def test_a_recorded_reset_draws_from_the_ranges_of_now():

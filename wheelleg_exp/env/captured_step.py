@@ -19,7 +19,7 @@ _OFTEN, _RECENT = (
 
 
 class CapturedStep:
-    """The part of an environment's step from its actions to its rewards: CUDA graphs around the engine's own.
+    """The parts of an environment's step from its actions to its rewards: CUDA graphs around the engine's own.
 
     The engine's graphs end early where all simulations have converged, which a capture of torch's cannot hold.
 
@@ -37,18 +37,24 @@ class CapturedStep:
         self.act = part(lambda: env._act(env._action))
         self.act_again = part(env._act_again)
         self.judge = part(lambda: env._judge(None))
+        self.reward = part(lambda: env._work_out_rewards(None))
 
     def __call__(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return which environments are done and which have failed, (N,) bool."""
+        """Return which environments have ended, and whose physics has failed, (N,) bool."""
         env = self._env
-        env.reward_manager.take_present_weights()
         self.act()
         for substep in range(env.decimation):
             if substep:
                 self.act_again()
             env.scene.sim.step()
-        done, failed = self.judge()
-        return done, failed
+        ended, failed = self.judge()
+        return ended, failed
+
+    def rewards(self) -> torch.Tensor:
+        """Return whose rewards are not finite, (N,) bool."""
+        self._env.reward_manager.take_present_weights()
+        failed: torch.Tensor = self.reward()
+        return failed
 
 
 def captured_look(env: Any) -> Captured:

@@ -24,11 +24,12 @@ from wheelleg_exp.managers import (
     SceneManager,
     TerminationManager,
 )
+from wheelleg_exp.managers.asking import ask
 from wheelleg_exp.managers.finite import failures, require_finite_observations
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.memory import require_memory
-from wheelleg_exp.sim.ids import ids_where, ids_where_also
+from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.state import cloned, on_device
@@ -139,10 +140,8 @@ class ManagerBasedRLEnv(EnvFaces):
             SimulationFailure: observations, or what an event wrote, are not finite: the run cannot go on.
         """
         waiting = self._waiting()
-        done, failed = self._simulate(action, waiting)
-        if waiting is not None:
-            failed &= ~waiting
-        ended, broken = ids_where_also(done | failed, failed)  # all before is whole tensors of fixed shape
+        asked = ask(*self._simulate(action, waiting))  # which have ended: a GPU has the rewards to do meanwhile
+        ended, broken = asked.ids(self._reward(waiting), at_once=self._is_watched())
         self.extras.pop("non_finite", None)
         if len(ended):
             self._end_failed(broken)
@@ -160,6 +159,9 @@ class ManagerBasedRLEnv(EnvFaces):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
+        if len(late := asked.late()):  # whose rewards alone have failed, for which no GPU was to wait
+            self._end_failed(late)
+            self._reset_idx(late)
         self._command()
         self.event_manager.apply_interval(self.step_dt)
         self.scene.show_written()
@@ -170,15 +172,25 @@ class ManagerBasedRLEnv(EnvFaces):
         reward = self.reward_buf if self._captured is None else self.reward_buf.clone()
         return observations, reward, terminated.clone(), time_outs.clone(), self.extras
 
+    def _graphs(self, waiting: torch.Tensor | None) -> CapturedStep | None:
+        """Return what does this step, where it is captured."""
+        return self._captured if waiting is None and not self.recorder_manager.active_terms else None
+
+    def _is_watched(self) -> bool:
+        """Return whether somebody looks at all episodes that end, before any environment is reset."""
+        lookers = self.observers or self.recorder_manager.active_terms
+        return bool(lookers) or self.keep_final_obs or self.autoreset != "same_step"
+
     def _simulate(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Act, simulate and judge: return which environments are done and which have failed, (N,) bool."""
-        if self._captured is not None and waiting is None and not self.recorder_manager.active_terms:
-            count = self.common_step_counter
-            self._action.copy_(action)
-            done, failed = self._captured()
-            self.common_step_counter = count + 1
-            return done, failed
-        return self._act_and_judge(action, waiting)
+        """Act, simulate and judge: return which environments have ended, and whose physics has failed, (N,) bool."""
+        graphs = self._graphs(waiting)
+        if graphs is None:
+            return self._act_and_judge(action, waiting)
+        count = self.common_step_counter
+        self._action.copy_(action)
+        ended, failed = graphs()
+        self.common_step_counter = count + 1
+        return ended, failed
 
     def _act_and_judge(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
         self._act(action)
@@ -205,14 +217,25 @@ class ManagerBasedRLEnv(EnvFaces):
         self.scene.write_data_to_sim()
 
     def _judge(self, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Take up the last physics step, and judge: which environments are done and which have failed, (N,) bool."""
+        """Take up the last physics step, and judge: which environments have ended, and whose physics has failed."""
         self.recorder_manager.record_post_physics_decimation_step()
         self.scene.update()
         self.episode_length_buf += 1
         self.common_step_counter += 1
-        done = self.termination_manager.compute(waiting)
+        done, failed = self.termination_manager.compute(waiting), self.scene.unstable()
+        if waiting is not None:
+            failed = failed & ~waiting
+        return done | failed, failed
+
+    def _reward(self, waiting: torch.Tensor | None) -> torch.Tensor:
+        """Work out the rewards: return whose are not finite, (N,) bool."""
+        graphs = self._graphs(waiting)
+        return self._work_out_rewards(waiting) if graphs is None else graphs.rewards()
+
+    def _work_out_rewards(self, waiting: torch.Tensor | None) -> torch.Tensor:
         self.reward_buf = self.reward_manager.compute(self.step_dt, waiting)
-        return done, self.scene.unstable() | self.reward_manager.failed
+        failed = self.reward_manager.failed
+        return failed if waiting is None else failed & ~waiting
 
     def _command(self) -> None:
         """Advance the commands."""
@@ -312,7 +335,8 @@ class ManagerBasedRLEnv(EnvFaces):
         """
         if len(env_ids):
             self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
-            self.extras["non_finite"] = failures(self, env_ids[self.scene.unstable()[env_ids]])
+            told = failures(self, env_ids[self.scene.unstable()[env_ids]])
+            self.extras.setdefault("non_finite", told)["keys"].update(told["keys"])
             self.termination_manager.force(env_ids)
 
     def state_dict(self) -> dict[str, Any]:

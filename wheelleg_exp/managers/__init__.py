@@ -7,6 +7,7 @@
 | `environment` | what terms may ask of the environment |
 | `entity` | members of the scene, and named ranges, as terms take them |
 | `returned`, `finite` | what terms return, told by the key of the term |
+| `asking` | what a step asks of a device, which waits late or never |
 | `recorded_rows` | what recorders note, cut into episodes |
 | `streams` | random draws, a stream for each term |
 | `buffers`, `observation_term` | history of samples, and what becomes of one |

@@ -12,8 +12,9 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.managers.asking import is_finite
 from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.sim.ids import ids_where, is_finite
+from wheelleg_exp.sim.ids import ids_where
 
 KEPT = 16  # environments whose state is kept, of those that fail together
 PHYSICS = "env.sim"

@@ -1,0 +1,142 @@
+"""What a step asks of a device: which environments, and whether a number is one. A GPU is waited for late, or never."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import torch
+
+from wheelleg_exp.sim.ids import ids_where
+
+
+class Asked:
+    """The indices at which masks hold, which are known at once.
+
+    Args:
+        outer: a mask, (N,).
+        inner: another, which holds nowhere else, (N,).
+    """
+
+    def __init__(self, outer: torch.Tensor, inner: torch.Tensor) -> None:
+        self._outer, self._inner = outer, inner
+
+    def ids(self, also: torch.Tensor, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the indices at which each mask holds, or ``also`` (N,) does.
+
+        Args:
+            also: a mask that has been asked for later.
+            at_once: whether it is waited for; else ``late`` tells where it holds.
+        """
+        del at_once
+        found = ids_where(self._outer | also)
+        return found, ids_where(self._inner | also) if len(found) else found
+
+    def late(self) -> torch.Tensor:
+        """Return the indices at which ``also`` of the last call holds, unless that call has told them."""
+        return self._outer.new_zeros(0, dtype=torch.long)
+
+
+class _AskedOfGpu(Asked):
+    """Brings masks to the host and their indices back by memory that a GPU reaches by itself.
+
+    What is launched between ``begin`` and ``ids`` runs while the host waits for the masks and works out the indices.
+
+    Args:
+        count: the length of a mask, N.
+        device: the GPU.
+    """
+
+    def __init__(self, count: int, device: torch.device) -> None:
+        self._device = device
+        with torch.inference_mode(False):
+            self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=True)
+            self._ids = torch.empty(3, count, dtype=torch.long, device="cpu", pin_memory=True)
+            self._none = torch.zeros(0, dtype=torch.long, device=device)
+        self._events = torch.cuda.Event(), torch.cuda.Event()
+        self._waited = True
+
+    def begin(self, outer: torch.Tensor, inner: torch.Tensor) -> Asked:
+        """Let two masks go to the host."""
+        self._masks[0].copy_(outer, non_blocking=True)
+        self._masks[1].copy_(inner, non_blocking=True)
+        self._events[0].record(torch.cuda.current_stream(self._device))
+        return self
+
+    def ids(self, also: torch.Tensor, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the indices; those of the last call are on the device by then."""
+        outer, inner, later = self._masks
+        later.copy_(also, non_blocking=True)
+        self._events[1].record(torch.cuda.current_stream(self._device))
+        self._events[at_once].synchronize()
+        self._waited = at_once
+        if at_once:
+            outer, inner = outer | later, inner | later
+        return self._brought(outer, self._ids[0]), self._brought(inner, self._ids[1])
+
+    def late(self) -> torch.Tensor:
+        """Return the indices that ``ids`` has not waited for."""
+        if self._waited:
+            return self._none
+        self._events[1].synchronize()
+        return self._brought(self._masks[2], self._ids[2])
+
+    def _brought(self, mask: torch.Tensor, into: torch.Tensor) -> torch.Tensor:
+        found = ids_where(mask)
+        if not len(found):
+            return self._none
+        return into[: len(found)].copy_(found).to(self._device, non_blocking=True)
+
+
+def ask(outer: torch.Tensor, inner: torch.Tensor) -> Asked:
+    """Ask where a mask (N,) holds, and where another does that holds nowhere else; a GPU goes on meanwhile."""
+    if not outer.is_cuda:
+        return Asked(outer, inner)
+    key = outer.device, len(outer), torch.cuda.current_stream(outer.device).cuda_stream, threading.get_ident()
+    if key not in _readers:
+        _readers[key] = _AskedOfGpu(len(outer), outer.device)
+    return _readers[key].begin(outer, inner)
+
+
+_readers: dict[tuple[torch.device, int, int, int], _AskedOfGpu] = {}  # also by stream and thread
+
+
+def is_finite(total: torch.Tensor) -> bool:
+    """Return whether a number (a tensor of one) is finite.
+
+    A GPU is not waited for: there a number that is none is noticed some checks later, and from then on every check
+    waits, until ``_PATIENCE`` of them have found none.
+    """
+    if not total.is_cuda:
+        return math.isfinite(float(total))
+    if total.device not in _watches:
+        _watches[total.device] = _Watch(total.device)
+    return _watches[total.device].is_finite(total)
+
+
+class _Watch:
+    """Takes note of numbers on a GPU that are none, and looks at the note when it has come."""
+
+    def __init__(self, device: torch.device) -> None:
+        with torch.inference_mode(False):
+            self._sum, self._zero = torch.zeros(2, device=device).unbind()
+        self._told = torch.zeros((), device="cpu", pin_memory=True)
+        self._checks, self._waits = 0, 0
+
+    def is_finite(self, total: torch.Tensor) -> bool:
+        if self._waits == 0 and math.isnan(self._told):
+            self._waits = _PATIENCE
+            self._sum.zero_()
+            self._told.zero_()
+        if self._waits > 0:
+            self._waits -= 1
+            return math.isfinite(float(total))
+        self._sum.addcmul_(total, self._zero)  # infinity and what is no number make it NaN for good: one kernel
+        self._checks += 1
+        if self._checks % _EVERY == 0:
+            self._told.copy_(self._sum, non_blocking=True)
+        return True
+
+
+_EVERY, _PATIENCE = 16, 256  # checks
+_watches: dict[torch.device, _Watch] = {}
