@@ -35,6 +35,7 @@ HOST = {
     "sim/robot_spec.py": "edits the robot before it is compiled",
     "sim/root_frame.py": "edits the robot before it is compiled",
     "sim/scene.py": "digests the compiled model",
+    "managers/asking.py": "looks at masks that have come to the host",
     "managers/recorded_rows.py": "what recorders note leaves the device",
     "managers/recorder_manager.py": "the same",
     "managers/curriculum_manager.py": "takes what a user's term returned",

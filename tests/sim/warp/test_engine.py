@@ -172,6 +172,15 @@ def test_a_broken_simulation_is_told_until_its_reset_and_breaks_no_other(sim, ba
     assert not sim.unstable().any()
 
 
+@pytest.mark.parametrize("name", ["qpos", "qvel"])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_spoils_the_total_of_its_own_rows(sim, name, bad):
+    sim.view(name)[2, -1] = bad
+    for rows, spoilt in ((torch.tensor([0, 2]), True), (torch.tensor([3, 1, 0]), False), (slice(None), True)):
+        found = sim.total(rows if isinstance(rows, slice) else rows.to(sim.device))
+        assert bool(found.isfinite()) is not spoilt
+
+
 def test_rays_go_as_far_as_the_geometry_says(sim):
     sim.view("qpos")[:, 2] = torch.tensor([0.3, 0.5, 0.7, 5.0])
     origins = torch.tensor([(0.0, 0.0, 2.0), (3.0, 0.0, 2.0)], device=sim.device).expand(N, -1, -1)

@@ -18,6 +18,7 @@ from wheelleg_exp.sim.warp.room import Overflow, room_for
 
 _HUGE = 1e10  # MuJoCo's mjMAXVAL, beyond which it takes a number for wrong
 _LEAST_MATCHES = 8
+_MOTION = ("qpos", "qvel")
 
 
 class WarpEngine(Engine):
@@ -67,6 +68,8 @@ class WarpEngine(Engine):
         self._overflow = Overflow(mjw.OverflowType, wp.to_torch(self._d.overflow), self.room)
         self._current: set[str] = set()
         self._bad = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
+        self._all_ids = torch.arange(num_envs, device=self.device)
+        self._rows = self._flat_state()
         self._still: set[int] = set()
         kinds = model.sensor_type
         self._has_sensors = bool((kinds != int(mujoco.mjtSensor.mjSENS_CONTACT)).any())
@@ -79,6 +82,18 @@ class WarpEngine(Engine):
             value = torch.as_tensor(getattr(data, name)).reshape(1, *view.shape[1:])
             found[name] = value.to(self.device, view.dtype)
         return found
+
+    def _flat_state(self) -> dict[str, tuple[Any, Any, float]]:
+        """Return what a reset works on, for Warp: numbers by name, those at first, and how large they may stay."""
+        from wheelleg_exp.sim.warp import kernels  # which imports Warp
+
+        self._kernels = kernels
+        self._bad_flags = self._wp.from_torch(self._bad)
+        numbers = {name: view for name, view in self._state.items() if view.dtype is torch.float32 and view.numel()}
+        return {
+            name: (kernels.flat(view), kernels.flat(self._initial[name])[0], _HUGE if name in _MOTION else 0.0)
+            for name, view in numbers.items()
+        }
 
     @property
     def state(self) -> torch.Tensor:  # type: ignore[override]  # nobody writes it
@@ -180,21 +195,38 @@ class WarpEngine(Engine):
 
     def reset(self, ids: torch.Tensor) -> None:
         """Zero all of ``ids`` but positions and velocities; of these what is NaN or huge."""
+        with self._graphs.here():
+            rows = self._wp.from_torch(ids)
+            for values, initial, most in self._rows.values():
+                self._launch(self._kernels.restore, (len(ids), values.shape[1]), rows, values, initial, most)
         for name, view in self._state.items():
-            if name in ("qpos", "qvel"):
-                rows = view[ids]
-                view[ids] = torch.where(rows.abs() < _HUGE, rows, self._initial[name])
-            else:
+            if name not in self._rows:
                 view.index_copy_(0, ids, self._initial[name].expand(len(ids), *view.shape[1:]))
         self._bad.index_fill_(0, ids, False)
+
+    def _launch(self, kernel: Any, dim: int | tuple[int, int], *inputs: Any) -> None:
+        self._wp.launch(kernel, dim=dim, inputs=inputs, device=self._graphs.place)
+
+    def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
+        """Return 0, or what is no number where positions or velocities of some simulations are not finite."""
+        total = torch.zeros(1, device=self.device)
+        ids = self._all_ids[rows] if isinstance(rows, slice) else rows
+        with self._graphs.here():
+            found, ids_there = self._wp.from_torch(total), self._wp.from_torch(ids)
+            for name in _MOTION:
+                values = self._rows[name][0]
+                self._launch(self._kernels.spoil, (len(ids), values.shape[1]), values, ids_there, found)
+        return total[0]
 
     def unstable(self) -> torch.Tensor:
         """Return which simulations (N,) bool have gone to NaN or huge values since their reset.
 
         mujoco-warp goes on with such numbers, which never reach another simulation.
         """
-        sane = (self.view("qpos").abs() < _HUGE).all(dim=1) & (self.view("qvel").abs() < _HUGE).all(dim=1)
-        self._bad |= ~(sane & (self.view("ctrl").abs() < _HUGE).all(dim=1))
+        with self._graphs.here():
+            for name in (*_MOTION, "ctrl"):
+                if name in self._rows:
+                    self._launch(self._kernels.note_huge, self.num_envs, self._rows[name][0], _HUGE, self._bad_flags)
         self._overflow.look()
         return self._bad.clone()
 
