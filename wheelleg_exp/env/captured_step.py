@@ -10,6 +10,7 @@ import torch
 
 from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.recorders import CudaGraph
+from wheelleg_exp.managers.finite import note_observations
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
 _OFTEN, _RECENT = (
@@ -58,19 +59,25 @@ class CapturedStep:
 
 
 def captured_look(env: Any) -> Captured:
-    """Return the observations of an environment, as CUDA graphs.
+    """Return the observations of an environment, and the note whether they are numbers, as CUDA graphs.
 
     Args:
         env: the environment, whole but for this.
     """
     manager = env.observation_manager
     manager.in_masks = True
+
+    def work() -> Any:
+        found = manager.compute()
+        note_observations(env)
+        return found
+
     invalidate = env.scene.robot.data.invalidate
-    return Captured(manager.compute, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
+    return Captured(work, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)
 
 
 def captured_commands(env: Any) -> Captured:
-    """Return the step of commands none of which is drawn, as a CUDA graph.
+    """Return the step of commands none of which is drawn, and of events' timers, as a CUDA graph.
 
     Args:
         env: the environment, whole but for this.
@@ -78,6 +85,7 @@ def captured_commands(env: Any) -> Captured:
 
     def work() -> None:
         env.command_manager.compute(env.step_dt, draws=False)
+        env.event_manager.advance_timers(env.step_dt)
 
     invalidate = env.scene.robot.data.invalidate
     return Captured(work, [env], CudaGraph, invalidate, env.streams.all, memory=env._captured_memory)

@@ -163,11 +163,11 @@ class ManagerBasedRLEnv(EnvFaces):
             self._end_failed(late)
             self._reset_idx(late)
         self._command()
-        self.event_manager.apply_interval(self.step_dt)
+        self.event_manager.apply_due(self.step_dt)
         self.scene.show_written()
         observations = self._observe()
         if self.autoreset == "same_step":  # else those that have failed still show it
-            require_finite_observations(self)
+            require_finite_observations(self, is_noted=self._captured_look is not None)
         terminated, time_outs = self.termination_manager.terminated, self.termination_manager.time_outs
         reward = self.reward_buf if self._captured is None else self.reward_buf.clone()
         return observations, reward, terminated.clone(), time_outs.clone(), self.extras
@@ -238,13 +238,12 @@ class ManagerBasedRLEnv(EnvFaces):
         return failed if waiting is None else failed & ~waiting
 
     def _command(self) -> None:
-        """Advance the commands."""
-        if self._captured_commands is None:
-            self.command_manager.compute(self.step_dt)
-        elif self.command_manager.may_draw(self.step_dt):
-            self.command_manager.compute(self.step_dt, draws=True)
-        else:
+        """Advance the commands, and the timers of events."""
+        if self._captured_commands is not None and not self.command_manager.may_draw(self.step_dt):
             self._captured_commands()
+            return
+        self.command_manager.compute(self.step_dt, draws=None if self._captured_commands is None else True)
+        self.event_manager.advance_timers(self.step_dt)
 
     def _observe(self) -> Observations:
         """Return the observations; those of a graph are copied out of its memory."""

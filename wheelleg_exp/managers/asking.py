@@ -114,9 +114,28 @@ def is_finite(total: torch.Tensor) -> bool:
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
-    if total.device not in _watches:
-        _watches[total.device] = _Watch(total.device)
-    return _watches[total.device].is_finite(total)
+    watch = _watch(total.device)
+    if not watch.is_calm():
+        return math.isfinite(float(total))
+    watch.note(total)
+    return True
+
+
+def note(total: torch.Tensor) -> None:
+    """Take note of whether a number (a tensor of one, on a GPU) is finite, for ``is_calm``; a graph can."""
+    _watch(total.device).note(total)
+
+
+def is_calm(device: torch.device) -> bool:
+    """Return whether no number that is none has been noted of late, as far as the host knows; of a CPU nothing is."""
+    return device.type == "cuda" and _watch(device).is_calm()
+
+
+def _watch(device: torch.device) -> _Watch:
+    index = torch.cuda.current_device() if device.index is None else device.index
+    if index not in _watches:
+        _watches[index] = _Watch(torch.device("cuda", index))
+    return _watches[index]
 
 
 class _Watch:
@@ -128,15 +147,19 @@ class _Watch:
         self._told = torch.zeros((), device="cpu", pin_memory=True)
         self._checks, self._waits = 0, 0
 
-    def is_finite(self, total: torch.Tensor) -> bool:
+    def note(self, total: torch.Tensor) -> None:
+        """Add what is 0 for a number and NaN for good for what is none, infinity too: one kernel."""
+        self._sum.addcmul_(total, self._zero)
+
+    def is_calm(self) -> bool:
+        """Return whether nothing was noted; when something was, False for the next ``_PATIENCE`` times."""
         if self._waits == 0 and math.isnan(self._told):
             self._waits = _PATIENCE
             self._sum.zero_()
             self._told.zero_()
         if self._waits > 0:
             self._waits -= 1
-            return math.isfinite(float(total))
-        self._sum.addcmul_(total, self._zero)  # infinity and what is no number make it NaN for good: one kernel
+            return False
         self._checks += 1
         if self._checks % _EVERY == 0:
             self._told.copy_(self._sum, non_blocking=True)
@@ -144,4 +167,4 @@ class _Watch:
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[torch.device, _Watch] = {}
+_watches: dict[int, _Watch] = {}  # by the GPU's index

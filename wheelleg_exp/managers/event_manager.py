@@ -95,14 +95,22 @@ class EventManager(ManagerBase):
 
     def apply_interval(self, dt: float) -> None:
         """Advance the timers by ``dt`` seconds and run the terms whose time is up, then those of every step."""
-        for name, term in self._modes.get("interval", {}).items():
+        self.advance_timers(dt)
+        self.apply_due(dt)
+
+    def advance_timers(self, dt: float) -> None:
+        """Let the timers run down by ``dt`` seconds; ``fired`` says whose time is up."""
+        for name in self._modes.get("interval", {}):
             time_left = self._time_left[name]
             time_left -= dt
-            due = time_left < 1e-6
-            self.fired[name] = due
-            if not may_be_due(time_left, float(term.fields["interval_range_s"][0]), dt):
+            self.fired[name] = time_left < 1e-6
+
+    def apply_due(self, dt: float) -> None:
+        """Run the terms whose time is up since the timers ran down by ``dt`` seconds, then those of every step."""
+        for name, term in self._modes.get("interval", {}).items():
+            if not may_be_due(self._time_left[name], float(term.fields["interval_range_s"][0]), dt):
                 continue
-            ids = ids_where(due)
+            ids = ids_where(self.fired[name])
             if not len(ids):
                 continue
             if term.fields.get("is_global_time", False):

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.managers.asking import is_finite
+from wheelleg_exp.managers.asking import is_calm, is_finite, note
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.sim.ids import ids_where
 
@@ -114,23 +114,36 @@ def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: tor
             raise failure(env, path, f"wrote numbers that are not finite into {name}", found)
 
 
-def require_finite_observations(env: Env, only: torch.Tensor | None = None) -> None:
+def note_observations(env: Env) -> None:
+    """Let a GPU note whether the present observations are numbers; nothing waits for it."""
+    if env.device.type == "cuda" and (parts := _parts(env)):
+        note(functools.reduce(torch.add, [part.sum() for part in parts]))
+
+
+def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
     """Refuse observations that are no numbers.
 
     Args:
         env: the environment.
         only: environments (N,) bool that are looked at; None is all.
+        is_noted: whether ``note_observations`` has seen them.
 
     Raises:
         SimulationFailure: with the key of the first such term.
     """
-    groups = env.observation_manager.distinct()
-    parts = [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
+    if is_noted and is_calm(env.device):
+        return
+    parts = _parts(env)
     if parts and may_fail(part.sum() for part in parts):
         for path, part in _observed(env):
             bad = failed_rows(part if only is None else part.masked_fill(~only.view(-1, *[1] * (part.ndim - 1)), 0.0))
             if len(bad):
                 raise failure(env, path, "gave observations that are not finite", bad)
+
+
+def _parts(env: Env) -> list[torch.Tensor]:
+    groups = env.observation_manager.distinct()
+    return [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
 
 
 def _observed(env: Env) -> Iterator[tuple[str, torch.Tensor]]:
