@@ -160,6 +160,9 @@ class Captured:
             if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
                 if now is not value and form_of(now) == form_of(value):
                     self._memory.rebound.add(slot.name)
+            elif value is None and isinstance(now, torch.Tensor):  # worked out when it was asked for
+                self._memory.rebound.add(slot.name)
+                self._plain[slot.name] = slot
             elif not isinstance(value, (dict, list)):
                 if type(value) in (int, float) and type(now) in (int, float) and now != value:
                     told = Counting(
@@ -208,12 +211,13 @@ class Captured:
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
         others = [(slot, slot.get()) for slot in found if type(slot.get()) in PLAIN]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
+        empty = [slot for slot, value in others if value is None]
         outputs: list[Any] = []
         touched = Touched()
 
         def work() -> None:
             with touched:
-                outputs.append(self._work_and_write_back(tensors))
+                outputs.append(self._work_and_write_back(tensors, empty))
 
         try:
             recorder.record(work)
@@ -226,19 +230,20 @@ class Captured:
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
         touched.note((outputs, [value for _, value in after], [whole for _, whole in contents]))  # handed on
-        empty = [slot for slot, value in others if value is None]
         before = [(slot, value) for slot, value in tensors if touched.has(value)]
         return Variant(recorder, before, shared_of(before), empty, after, contents, _standing(outputs[0]))
 
-    def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
-        """Do the work, and write what slots hold then into the memory that they held before."""
+    def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]], empty: Sequence[Slot]) -> Any:
+        """Do the work, and write what slots hold then into the memory that they held before, or hold elsewhere."""
         result = self._work()
-        statics = {static.untyped_storage().data_ptr() for _, static in tensors}
+        homes = [*tensors, *((slot, self._memory.statics.get(slot.name)) for slot in empty)]
+        taken = {home.untyped_storage().data_ptr() for _, home in homes if home is not None}
         found = []
-        for slot, static in tensors:
+        for slot, home in homes:
             now = slot.get()
-            if now is not static and isinstance(now, torch.Tensor) and form_of(now) == form_of(static):
-                found.append((slot, static, now.clone() if now.untyped_storage().data_ptr() in statics else now))
+            if home is None or now is home or not is_like(now, home):
+                continue
+            found.append((slot, home, now.clone() if now.untyped_storage().data_ptr() in taken else now))
         for slot, static, now in found:
             static.copy_(now)
             slot.set(static)
