@@ -103,6 +103,37 @@ def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_wei
     assert not any(part._fails for part in resets)
 
 
+def _clips_what_is_seen(env: ManagerBasedRLEnv, who: str) -> list[int]:
+    """Let somebody clip observed angular velocities, once within a step; return when, as it is done."""
+    terms = [terms["base_ang_vel"] for terms in env.observation_manager._groups.values()]
+    done: list[int] = []
+
+    def clip(*_):
+        if env.common_step_counter > 8 and not done:
+            done.append(env.common_step_counter)
+            for term in terms:
+                term._clip = (-0.1, 0.1)
+        return True
+
+    if who == "an observer":
+        env.observers.append(clip)
+    elif who == "a curriculum":
+        env.curriculum_manager.compute = clip
+    else:
+        env.event_manager.apply_due = clip
+    return done
+
+
+@pytest.mark.parametrize("who", ["an observer", "a curriculum", "an event"])
+def test_what_somebody_changes_within_a_step_is_seen_in_that_step(who):
+    plain, taped = stand("walk"), recorded(stand("walk"))
+    done = [_clips_what_is_seen(env, who) for env in (plain, taped)]
+    for _ in range(40):
+        ours, theirs = taped.step(torch.zeros(16, 6)), plain.step(torch.zeros(16, 6))
+        assert torch.equal(ours[0]["policy"], theirs[0]["policy"])
+    assert done[0] == done[1] != []
+
+
 class AskedLate(Asked):
     """Tells those whose rewards alone have failed late, as a GPU does."""
 

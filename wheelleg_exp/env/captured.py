@@ -14,7 +14,7 @@ import torch
 
 from wheelleg_exp.env.recorders import Recorder, Touched
 from wheelleg_exp.env.slots import PLAIN, Slot, entry_of, slots
-from wheelleg_exp.env.variants import Entry, Memory, Variant, bring, form_of, is_like, shared_of
+from wheelleg_exp.env.variants import Entry, Memory, Variant, bring, form_of, is_like, places_of, shared_of
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.term import Term
 
@@ -74,22 +74,23 @@ class Captured:
         """Run the part, or repeat it."""
         self._forget()
         if self._fails:
-            return self._work()
+            return self._work_itself()
         if self._runs < _WARM_UP:
             self._runs += 1
             return self._run_by_itself()
+        self._memory.look()
         for entry in self._entries:
-            if entry.enter():
+            if entry.enter(self._memory.version):
                 return self._replay(entry.variant)
         key = tuple(_kind(slot.get()) for slot in self._plain.values())
         variant = self._variants.get(key)
         if variant is None:
             if len(self._variants) >= _MOST_VARIANTS:
-                return self._work()
+                return self._work_itself()
             found = self._try_to_record()  # which has begun with what is there
             if found is None:
                 self._forget()
-                return self._work()
+                return self._work_itself()
             variant = self._variants[key] = found
         elif unlike := self._enter(variant):  # others decide what is there when this begins: recordings depend on it
             self._plain |= {slot.name: slot for slot in unlike}
@@ -99,9 +100,13 @@ class Captured:
             if len(self._plain) > _MOST_PLAIN or self._again > _MOST_AGAIN:
                 slot = unlike[0]
                 self._give_up(f"'{slot.way[0]}' of {type(slot.holder).__name__} holds other memory again and again")
-                return self._work()
+                return self._work_itself()
             return self()
         return self._replay(variant)
+
+    def _work_itself(self) -> Any:
+        self._memory.is_seen = False  # what is not recorded may change whatever it likes
+        return self._work()
 
     @staticmethod
     def _replay(variant: Variant) -> Any:
@@ -133,28 +138,26 @@ class Captured:
 
     def _entry_of(self, variant: Variant) -> Entry | None:
         """Return what there is, on which a recording depends; None when a part of it is not there."""
-        found: dict[tuple[int, Any], tuple[Any, Any]] = {}
+        looked_at = self._plain | {slot.name: slot for slot in variant.empty}
+        self._memory.settings_of(looked_at)
+        self._memory.look()
+        moving = [slot for name, slot in looked_at.items() if name in self._memory.moving]
         leaves = []
-        statics = {slot.name: static for slot, static in variant.before}
-        for slot in (*self._plain.values(), *variant.empty, *(slot for slot, _ in variant.before)):
-            container: Any = vars(slot.holder)
-            for depth, key in enumerate(slot.way, 1):
-                if entry_of(container, key, slot) is slot:
-                    return None
-                if depth == len(slot.way) and slot.name in statics:
-                    leaves.append((container, key, statics[slot.name]))
-                else:
-                    found[id(container), key] = container, key
-                    container = container[key]
-        places = list(found.values())
-        return Entry(places, [container[key] for container, key in places], leaves, variant)
+        for slot, static in variant.before:
+            around = slot.around()
+            if around is slot or entry_of(around, slot.way[-1], slot) is slot:
+                return None
+            leaves.append((around, slot.way[-1], static))
+        places = places_of([*moving, *(slot.up() for slot, _ in variant.before if len(slot.way) > 1)])
+        return None if places is None else Entry(self._memory.version, places, leaves, variant)
 
     def _run_by_itself(self) -> Any:
         before = [(slot, slot.get()) for slot in slots(self._roots)]
         states = [(stream, stream.get_state()) for stream in self._streams()]
-        found = self._work()
+        found = self._work_itself()
         moved = [stream for stream, state in states if not torch.equal(stream.get_state(), state)]
         self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
+        self._memory.let_move([slot.name for slot, value in before if type(value) in PLAIN and slot.get() is not value])
         for slot, value in before:
             now = slot.get()
             if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
@@ -229,6 +232,7 @@ class Captured:
             raise
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
+        self._memory.let_move([slot.name for slot, value in others if slot.get() is not value])
         touched.note((outputs, [value for _, value in after], [whole for _, whole in contents]))  # handed on
         before = [(slot, value) for slot, value in tensors if touched.has(value)]
         return Variant(recorder, before, shared_of(before), empty, after, contents, _standing(outputs[0]))

@@ -100,7 +100,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
-        self._captured_memory = Memory()
+        self._captured_memory = Memory(is_told=True)
         self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
         self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
         self._captured_reset = CapturedReset(self) if self.scene.sim.is_captured else None
@@ -139,6 +139,9 @@ class ManagerBasedRLEnv(EnvFaces):
         Raises:
             SimulationFailure: observations, or what an event wrote, are not finite: the run cannot go on.
         """
+        self._captured_memory.is_seen = (
+            False  # who called may have changed settings, and so may whatever is not recorded
+        )
         waiting = self._waiting()
         asked = ask(*self._simulate(action, waiting))  # which have ended: a GPU has the rewards to do meanwhile
         ended, broken = asked.ids(self._reward(waiting), at_once=self._is_watched())
@@ -162,8 +165,11 @@ class ManagerBasedRLEnv(EnvFaces):
         if len(late := asked.late()):  # whose rewards alone have failed, for which no GPU was to wait
             self._end_failed(late)
             self._reset_idx(late)
+        if self._is_watched():
+            self._captured_memory.is_seen = False
         self._command()
-        self.event_manager.apply_due(self.step_dt)
+        if self.event_manager.apply_due(self.step_dt):
+            self._captured_memory.is_seen = False
         self.scene.show_written()
         observations = self._observe()
         if self.autoreset == "same_step":  # else those that have failed still show it
@@ -243,6 +249,7 @@ class ManagerBasedRLEnv(EnvFaces):
             self._captured_commands()
             return
         self.command_manager.compute(self.step_dt, draws=None if self._captured_commands is None else True)
+        self._captured_memory.is_seen = False
         self.event_manager.advance_timers(self.step_dt)
 
     def _observe(self) -> Observations:
@@ -288,12 +295,14 @@ class ManagerBasedRLEnv(EnvFaces):
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
         """Reset ``env_ids``: the curriculum sees the terminal state, events set the new one, then the records."""
         self.curriculum_manager.compute(env_ids)
+        self._captured_memory.is_seen = False
         if self._captured_reset is None:
             log = self._reset_rows(env_ids)
         else:
             log = self._captured_reset(env_ids)
             for manager in (self.curriculum_manager, self.recorder_manager):
                 log.update(manager.reset(env_ids))
+            self._captured_memory.is_seen &= not self.curriculum_manager.remembers
         self.extras["log"] = log
         self.extras["log_is_fresh"] = True
 

@@ -34,7 +34,11 @@ class Slot:
         self.holder, self.way = holder, way
         self.name = (id(holder), *way)
 
-    def _around(self) -> Any:
+    def up(self) -> Slot:
+        """Return the place that holds what holds it."""
+        return Slot(self.holder, self.way[:-1])
+
+    def around(self) -> Any:
         """Return what holds it directly; itself when that is not there."""
         found = vars(self.holder)
         for key in self.way[:-1]:
@@ -45,12 +49,12 @@ class Slot:
 
     def get(self) -> Any:
         """Return what it holds; itself when it is not there."""
-        around = self._around()
+        around = self.around()
         return self if around is self else entry_of(around, self.way[-1], self)
 
     def set(self, value: Any) -> None:
         """Let it hold a value; itself takes it away."""
-        around, key = self._around(), self.way[-1]
+        around, key = self.around(), self.way[-1]
         if around is self:
             return
         if value is self:

@@ -4,27 +4,96 @@ from __future__ import annotations
 
 import operator
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 
 from wheelleg_exp.env.recorders import Recorder
-from wheelleg_exp.env.slots import Slot
+from wheelleg_exp.env.slots import PLAIN, Slot, entry_of
 
 
 @dataclass
 class Memory:
-    """What the parts of one step share, so that they need not copy from one to the other.
+    """What the parts of one step share, so that they need not copy from one to the other, nor look twice.
+
+    Plain values that no part changes are settings: somebody else may change one between two parts, so all are looked
+    at before each, or, where others tell when they have done something, only then.
 
     Attributes:
+        is_told: whether others tell, by ``is_seen``, when they have done something.
         rebound: slots that some part lets hold another tensor.
         statics: the memory of their own that these have, by slot.
+        moving: slots with plain values that parts change: what a recording begins with, it looks at by itself.
+        is_seen: whether nobody has done anything since settings were looked at.
+        version: how often settings were found to be others.
     """
 
+    is_told: bool = False
     rebound: set[tuple[int, Any]] = field(default_factory=set)
     statics: dict[tuple[int, Any], torch.Tensor] = field(default_factory=dict)
+    moving: set[tuple[int, Any]] = field(default_factory=set)
+    is_seen: bool = False
+    version: int = 0
+    _settings: dict[tuple[int, Any], Slot] = field(default_factory=dict)
+    _kept: Places | None = None
+
+    def let_move(self, names: Collection[tuple[int, Any]]) -> None:
+        """Take note of slots that a part has changed."""
+        self.moving |= set(names)
+        if self._settings.keys() & self.moving:
+            self._settings = {name: slot for name, slot in self._settings.items() if name not in self.moving}
+            self._kept = None
+
+    def settings_of(self, plain: Mapping[tuple[int, Any], Slot]) -> None:
+        """Take those of some slots for settings that no part changes."""
+        new = {name: slot for name, slot in plain.items() if name not in self.moving and name not in self._settings}
+        if new:
+            self._settings |= new
+            self._kept = None
+
+    def look(self) -> None:
+        """Note whether a setting is another than it was."""
+        if self.is_told and self.is_seen and self._kept is not None:
+            return
+        if self._kept is None or not self._kept.hold():
+            self._kept = places_of(self._settings.values())
+            self.version += 1
+        self.is_seen = True
+
+
+class Places:
+    """Containers and keys in them, and what was there.
+
+    Args:
+        places: containers and keys in them.
+    """
+
+    def __init__(self, places: Sequence[tuple[Any, Any]]) -> None:
+        self._places = list(places)
+        self._values = [container[key] for container, key in places]
+
+    def hold(self) -> bool:
+        """Return whether the very same things are there; one tensor is as good as another."""
+        try:
+            now = [container[key] for container, key in self._places]
+        except LookupError:
+            return False
+        return all(map(operator.is_, now, self._values)) or all(map(_is_alike, now, self._values))
+
+
+def places_of(slots: Iterable[Slot]) -> Places | None:
+    """Return where slots are, their containers among them; None when one is not there."""
+    found: dict[tuple[int, Any], tuple[Any, Any]] = {}
+    for slot in slots:
+        container: Any = vars(slot.holder)
+        for key in slot.way:
+            if entry_of(container, key, slot) is slot:
+                return None
+            found[id(container), key] = container, key
+            container = container[key]
+    return Places(list(found.values()))
 
 
 @dataclass
@@ -48,25 +117,24 @@ class Entry:
     """What there was when a recording was entered: as long as it is that, nothing else has to be looked at.
 
     Attributes:
-        places: containers and the keys in them, of plain values that a recording depends on, and of the containers.
-        values: what was there.
+        version: of the settings.
+        places: where plain values are that a recording depends on, and containers.
         leaves: containers and the keys in them, of tensors that a recording reads or writes, and its memory for them.
         variant: the recording.
     """
 
-    places: list[tuple[Any, Any]]
-    values: list[Any]
+    version: int
+    places: Places
     leaves: list[tuple[Any, Any, torch.Tensor]]
     variant: Variant
 
-    def enter(self) -> bool:
+    def enter(self, version: int) -> bool:
         """Bring what is there into the recording's memory; return whether the very same things are there."""
+        if version != self.version or not self.places.hold():
+            return False
         try:
-            now = [container[key] for container, key in self.places]
             found = [container[key] for container, key, _ in self.leaves]
         except LookupError:
-            return False
-        if not all(map(operator.is_, now, self.values)) and not all(map(_is_alike, now, self.values)):
             return False
         others = [(leaf, now) for leaf, now in zip(self.leaves, found, strict=True) if now is not leaf[2]]
         if not all(is_like(now, leaf[2]) and id(leaf[2]) not in self.variant.shared for leaf, now in others):
@@ -93,7 +161,9 @@ def shared_of(before: Sequence[tuple[Slot, torch.Tensor]]) -> set[int]:
 
 def _is_alike(now: Any, was: Any) -> bool:
     """Return whether a recording that does not read it holds for one as for the other."""
-    return now is was or (isinstance(now, torch.Tensor) and isinstance(was, torch.Tensor))
+    if now is was or (isinstance(now, torch.Tensor) and isinstance(was, torch.Tensor)):
+        return True
+    return type(now) is type(was) and type(now) in PLAIN and bool(now == was)
 
 
 def is_like(value: Any, static: torch.Tensor) -> bool:

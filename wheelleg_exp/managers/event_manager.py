@@ -105,8 +105,13 @@ class EventManager(ManagerBase):
             time_left -= dt
             self.fired[name] = time_left < 1e-6
 
-    def apply_due(self, dt: float) -> None:
-        """Run the terms whose time is up since the timers ran down by ``dt`` seconds, then those of every step."""
+    def apply_due(self, dt: float) -> bool:
+        """Run the terms whose time is up since the timers ran down by ``dt`` seconds, then those of every step.
+
+        Returns:
+            Whether any ran.
+        """
+        ran = False
         for name, term in self._modes.get("interval", {}).items():
             if not may_be_due(self._time_left[name], float(term.fields["interval_range_s"][0]), dt):
                 continue
@@ -119,8 +124,11 @@ class EventManager(ManagerBase):
             else:
                 self._draw_timer(name, term, ids)
                 self._run(name, term, ids)
+            ran = True
         for name, term in self._modes.get("step", {}).items():
             self._run(name, term, None)
+            ran = True
+        return ran
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
         """Run a term; what it writes must be numbers."""

@@ -90,12 +90,21 @@ class ManagerBase(Kept):
         for name, term in self._terms.items():
             term.load_state_dict(saved["terms"][name])
 
+    @property
+    def remembers(self) -> bool:
+        """Whether a term has something to do at resets."""
+        return any(_remembers(term.func) for term in self._terms.values())
+
     def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:
         for name, term in self._terms.items():
             remembers: Any = term.func
-            if isinstance(remembers, TermBase) and name not in but and type(remembers).reset is not TermBase.reset:
+            if name not in but and _remembers(remembers):
                 with term.blamed():
                     remembers.reset(env_ids)
+
+
+def _remembers(func: Any) -> bool:
+    return isinstance(func, TermBase) and type(func).reset is not TermBase.reset
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
