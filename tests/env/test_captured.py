@@ -12,7 +12,6 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
-from wheelleg_exp.managers.asking import Asked
 from wheelleg_exp.managers.term import TermBase
 
 # What a graph cannot hold: the host waits for a number, or brings one.
@@ -134,35 +133,60 @@ def test_what_somebody_changes_within_a_step_is_seen_in_that_step(who):
     assert done[0] == done[1] != []
 
 
-class AskedLate(Asked):
-    """Tells those whose rewards alone have failed late, as a GPU does."""
-
-    def ids(self, also, at_once):
-        self.also = torch.zeros_like(also) if at_once else also.clone()
-        return super().ids(also & ~self.also, at_once)
-
-    def late(self):
-        return self.also.nonzero().squeeze(1)
+def _fails(env: ManagerBasedRLEnv, who: str) -> torch.Tensor:
+    """Let something be no number in the coming step; return the actions for it."""
+    action = torch.zeros(16, 6)
+    if "a reward" in who:
+        env.action_manager.action[3] = 1e30  # the rate of actions is infinite then
+    if "physics" in who:
+        action[5] = torch.nan
+    if "which ends" in who:
+        env.episode_length_buf[3] = env.max_episode_length
+    if "as another" in who:
+        env.episode_length_buf[9] = env.max_episode_length
+    return action
 
 
 @pytest.mark.parametrize("watched", [False, True])
-def test_whose_reward_is_no_number_ends_in_that_step_though_it_is_known_late(monkeypatch, watched):
-    late, seen = [], []
-    for env, made in ((stand("walk"), Asked), (recorded(stand("walk")), AskedLate)):
-        monkeypatch.setattr("wheelleg_exp.env.env.ask", lambda *masks, made=made: late.append(made(*masks)) or late[-1])
+@pytest.mark.parametrize(
+    "who", ["a reward", "physics", "a reward and physics", "a reward which ends", "a reward as another"]
+)
+def test_whose_reward_is_no_number_ends_in_that_step_though_it_is_known_late(watched, who):
+    found = []
+    for env in (stand("walk"), recorded(stand("walk"))):
         env.observers += [lambda: None] if watched else []
+        resets = []
+        env.curriculum_manager.compute = lambda ids, resets=resets: resets.append(ids.tolist())
         for index in range(7):
-            fails = index == 5
-            env.action_manager.action[3] = 1e30 if fails else 0.0  # the rate of actions is infinite then
-            observations, reward, terminated, _, extras = env.step(torch.zeros(16, 6))
-            keys = extras.get("non_finite", {"keys": {}})["keys"]
-            assert keys == ({3: ["env.rewards.action_rate"]} if fails else {})
-            assert terminated.nonzero().tolist() == ([[3]] if fails else [])
+            env.action_manager.action.zero_()
+            action = _fails(env, who) if index == 5 else torch.zeros(16, 6)
+            observations, reward, terminated, _, extras = env.step(action)
             assert reward.isfinite().all()
-            seen += [observations["critic"], reward]
-        assert int(env.episode_length_buf[3]) == 1
-    assert sum(len(asked.late()) for asked in late) == (0 if watched else 1)
-    assert all(map(torch.equal, seen[: len(seen) // 2], seen[len(seen) // 2 :]))
+            keys = extras.get("non_finite", {"keys": {}})["keys"]
+            log = float(extras["log"]["Episode_Reward/alive"]) if index == 5 and "another" in who else 0.0
+            rows = torch.tensor([0, 1, 2])  # of others than those are drawn
+            found.append(
+                (
+                    observations["critic"][rows],
+                    reward if index < 6 else reward[rows],
+                    terminated,
+                    keys,
+                    log,
+                    sorted(i for ids in resets for i in ids),
+                )
+            )
+    plain, taped = found[:7], found[7:]
+    for theirs, ours in zip(plain, taped, strict=True):
+        assert all(map(torch.equal, theirs[:3], ours[:3]))
+        assert theirs[3] == ours[3]
+        assert theirs[5] == ours[5]
+    assert plain[5][3]
+    assert not plain[6][3]
+    if (
+        "another" in who
+    ):  # alive for 6 steps of 1/60 s in episodes of 0.5 s; of the other's the sixth counts for nothing
+        assert plain[5][4] == pytest.approx((0.2 + 0.5 / 3) / 2)
+        assert taped[5][4] == pytest.approx(plain[5][4] if watched else 0.2)
 
 
 def test_a_recorded_reset_draws_from_the_ranges_of_now():

@@ -157,15 +157,12 @@ class Captured:
         found = self._work_itself()
         moved = [stream for stream, state in states if not torch.equal(stream.get_state(), state)]
         self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
-        self._memory.let_move([slot.name for slot, value in before if type(value) in PLAIN and slot.get() is not value])
+        self._memory.let_move([slot.name for slot, value in before if _moves(value, slot.get())])
         for slot, value in before:
             now = slot.get()
             if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
                 if now is not value and form_of(now) == form_of(value):
                     self._memory.rebound.add(slot.name)
-            elif value is None and isinstance(now, torch.Tensor):  # worked out when it was asked for
-                self._memory.rebound.add(slot.name)
-                self._plain[slot.name] = slot
             elif not isinstance(value, (dict, list)):
                 if type(value) in (int, float) and type(now) in (int, float) and now != value:
                     told = Counting(
@@ -220,7 +217,7 @@ class Captured:
 
         def work() -> None:
             with touched:
-                outputs.append(self._work_and_write_back(tensors, empty))
+                outputs.append(self._work_and_write_back(tensors))
 
         try:
             recorder.record(work)
@@ -232,22 +229,20 @@ class Captured:
             raise
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
-        self._memory.let_move([slot.name for slot, value in others if slot.get() is not value])
+        self._memory.let_move([slot.name for slot, value in [*tensors, *others] if _moves(value, slot.get())])
         touched.note((outputs, [value for _, value in after], [whole for _, whole in contents]))  # handed on
         before = [(slot, value) for slot, value in tensors if touched.has(value)]
         return Variant(recorder, before, shared_of(before), empty, after, contents, _standing(outputs[0]))
 
-    def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]], empty: Sequence[Slot]) -> Any:
-        """Do the work, and write what slots hold then into the memory that they held before, or hold elsewhere."""
+    def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
+        """Do the work, and write what slots hold then into the memory that they held before."""
         result = self._work()
-        homes = [*tensors, *((slot, self._memory.statics.get(slot.name)) for slot in empty)]
-        taken = {home.untyped_storage().data_ptr() for _, home in homes if home is not None}
+        statics = {static.untyped_storage().data_ptr() for _, static in tensors}
         found = []
-        for slot, home in homes:
+        for slot, static in tensors:
             now = slot.get()
-            if home is None or now is home or not is_like(now, home):
-                continue
-            found.append((slot, home, now.clone() if now.untyped_storage().data_ptr() in taken else now))
+            if now is not static and is_like(now, static):
+                found.append((slot, static, now.clone() if now.untyped_storage().data_ptr() in statics else now))
         for slot, static, now in found:
             static.copy_(now)
             slot.set(static)
@@ -261,6 +256,11 @@ def _standing(tree: Any) -> Any:
     if isinstance(tree, (list, tuple)):
         return type(tree)(_standing(value) for value in tree)
     return tree
+
+
+def _moves(value: Any, now: Any) -> bool:
+    """Return whether a plain value became another, or something else, or something else a plain value."""
+    return now is not value and (type(value) in PLAIN or type(now) in PLAIN)
 
 
 def _kind(value: Any) -> Any:

@@ -69,7 +69,8 @@ def captured_look(env: Any) -> Captured:
 
     def work() -> Any:
         found = manager.compute()
-        note_observations(env)
+        if env.autoreset == "same_step":  # else those that have failed still show it
+            note_observations(env)
         return found
 
     invalidate = env.scene.robot.data.invalidate

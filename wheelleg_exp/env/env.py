@@ -24,7 +24,7 @@ from wheelleg_exp.managers import (
     SceneManager,
     TerminationManager,
 )
-from wheelleg_exp.managers.asking import ask
+from wheelleg_exp.managers.asking import Asked
 from wheelleg_exp.managers.finite import failures, require_finite_observations
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
@@ -100,7 +100,9 @@ class ManagerBasedRLEnv(EnvFaces):
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
+        self._asked = Asked(self.num_envs, self.device)
         self._captured_memory = Memory(is_told=True)
+        self._has_foreign_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
         self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
         self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
         self._captured_reset = CapturedReset(self) if self.scene.sim.is_captured else None
@@ -139,12 +141,10 @@ class ManagerBasedRLEnv(EnvFaces):
         Raises:
             SimulationFailure: observations, or what an event wrote, are not finite: the run cannot go on.
         """
-        self._captured_memory.is_seen = (
-            False  # who called may have changed settings, and so may whatever is not recorded
-        )
-        waiting = self._waiting()
-        asked = ask(*self._simulate(action, waiting))  # which have ended: a GPU has the rewards to do meanwhile
-        ended, broken = asked.ids(self._reward(waiting), at_once=self._is_watched())
+        self._captured_memory.is_seen = False  # who calls may have changed settings
+        waiting, watched = self._waiting(), self._is_watched()
+        self._asked.begin(*self._simulate(action, waiting))  # which have ended: a GPU has the rewards to do meanwhile
+        ended, broken = self._asked.ids(self._reward(waiting), at_once=watched)
         self.extras.pop("non_finite", None)
         if len(ended):
             self._end_failed(broken)
@@ -162,13 +162,10 @@ class ManagerBasedRLEnv(EnvFaces):
             self.recorder_manager.record_pre_reset(ended)
             self._reset_idx(ended)
             self.recorder_manager.record_post_reset(ended)
-        if len(late := asked.late()):  # whose rewards alone have failed, for which no GPU was to wait
-            self._end_failed(late)
-            self._reset_idx(late)
-        if self._is_watched():
-            self._captured_memory.is_seen = False
+        self._end_late(*self._asked.late())
+        self._captured_memory.is_seen &= not watched
         self._command()
-        if self.event_manager.apply_due(self.step_dt):
+        if self.event_manager.apply_due(self.step_dt) or self._has_foreign_refresh:
             self._captured_memory.is_seen = False
         self.scene.show_written()
         observations = self._observe()
@@ -183,9 +180,9 @@ class ManagerBasedRLEnv(EnvFaces):
         return self._captured if waiting is None and not self.recorder_manager.active_terms else None
 
     def _is_watched(self) -> bool:
-        """Return whether somebody looks at all episodes that end, before any environment is reset."""
+        """Return whether all that end have to be known before anything is reset."""
         lookers = self.observers or self.recorder_manager.active_terms
-        return bool(lookers) or self.keep_final_obs or self.autoreset != "same_step"
+        return self._captured is None or bool(lookers) or self.keep_final_obs or self.autoreset != "same_step"
 
     def _simulate(self, action: torch.Tensor, waiting: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
         """Act, simulate and judge: return which environments have ended, and whose physics has failed, (N,) bool."""
@@ -343,9 +340,22 @@ class ManagerBasedRLEnv(EnvFaces):
         """
         if len(env_ids):
             self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
-            told = failures(self, env_ids[self.scene.unstable()[env_ids]])
+            told = failures(self, env_ids, env_ids[self.scene.unstable()[env_ids]])
             self.extras.setdefault("non_finite", told)["keys"].update(told["keys"])
             self.termination_manager.force(env_ids)
+
+    def _end_late(self, failed: torch.Tensor, alone: torch.Tensor) -> None:
+        """End the episodes whose rewards were found not to be finite when the others were being reset.
+
+        Args:
+            failed: environments whose rewards have failed, and not their physics, (n,).
+            alone: those of them that nothing else has ended.
+        """
+        self._end_failed(failed)
+        if len(alone):
+            log = self.extras.get("log") if self.extras["log_is_fresh"] else None
+            self._reset_idx(alone)
+            self.extras["log"] = log or self.extras["log"]  # of those that have ended in the usual way
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that the coming steps depend on.

@@ -16,7 +16,7 @@ _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
     """Cfg GroupLayout Reference RobotLayout RobotOptions SimOptions TensorForm Captured CapturedStep CapturedReset
-    Memory TermState Graphs cfg options spec model asked extras
+    Asked Memory TermState Graphs cfg options spec model asked extras
     common_step_counter _captured _captured_look _captured_reset _captured_commands _captured_memory""".split()  # noqa: SIM905
 )
 _OF_A_TERM = frozenset(("name", "path", "target", "generator", "_made_with", "_has_worked"))  # stand still too

@@ -75,7 +75,7 @@ class Places:
         self._values = [container[key] for container, key in places]
 
     def hold(self) -> bool:
-        """Return whether the very same things are there; one tensor is as good as another."""
+        """Return whether the same things are there, or equal ones; one tensor is as good as another."""
         try:
             now = [container[key] for container, key in self._places]
         except LookupError:
@@ -160,7 +160,7 @@ def shared_of(before: Sequence[tuple[Slot, torch.Tensor]]) -> set[int]:
 
 
 def _is_alike(now: Any, was: Any) -> bool:
-    """Return whether a recording that does not read it holds for one as for the other."""
+    """Return whether a recording holds for one as for the other: equal plain values, or tensors, which leaves tell."""
     if now is was or (isinstance(now, torch.Tensor) and isinstance(was, torch.Tensor)):
         return True
     return type(now) is type(was) and type(now) in PLAIN and bool(now == was)

@@ -3,107 +3,79 @@
 from __future__ import annotations
 
 import math
-import threading
 from typing import Any
 
 import numpy as np
 import torch
 
-from wheelleg_exp.sim.ids import ids_where
-
 
 class Asked:
-    """The indices at which masks hold, which are known at once.
+    """Which environments have ended: masks that go to the host, and their indices that come back.
 
-    Args:
-        outer: a mask, (N,).
-        inner: another, which holds nowhere else, (N,).
-    """
-
-    def __init__(self, outer: torch.Tensor, inner: torch.Tensor) -> None:
-        self._outer, self._inner = outer, inner
-
-    def ids(self, also: torch.Tensor, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the indices at which each mask holds, or ``also`` (N,) does.
-
-        Args:
-            also: a mask that has been asked for later.
-            at_once: whether it is waited for; else ``late`` tells where it holds.
-        """
-        del at_once
-        found = ids_where(self._outer | also)
-        return found, ids_where(self._inner | also) if len(found) else found
-
-    def late(self) -> torch.Tensor:
-        """Return the indices at which ``also`` of the last call holds, unless that call has told them."""
-        return self._outer.new_zeros(0, dtype=torch.long)
-
-
-class _AskedOfGpu(Asked):
-    """Brings masks to the host and their indices back by memory that a GPU reaches by itself.
-
-    What is launched between ``begin`` and ``ids`` runs while the host waits for the masks and works out the indices.
+    What is launched on a GPU between ``begin`` and ``ids`` runs while the host waits and works out the indices.
 
     Args:
         count: the length of a mask, N.
-        device: the GPU.
+        device: where the masks are.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
-        self._device = device
+        self._device, on_gpu = device, device.type == "cuda"
         with torch.inference_mode(False):
-            self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=True)
-            self._ids = torch.empty(3, count, dtype=torch.long, device="cpu", pin_memory=True)
-            self._seen, self._found = self._masks.numpy(), self._ids.numpy()  # NumPy asks in a tenth of torch's time
+            self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=on_gpu)
+            self._ids = torch.empty(4, count if on_gpu else 0, dtype=torch.long, device="cpu", pin_memory=on_gpu)
             self._none = torch.zeros(0, dtype=torch.long, device=device)
-        self._events = torch.cuda.Event(), torch.cuda.Event()
-        self._waited = True
+        self._seen, self._found = self._masks.numpy(), self._ids.numpy()  # NumPy asks in a tenth of torch's time
+        self._events = [torch.cuda.Event(), torch.cuda.Event()] if on_gpu else []
+        self._is_late = False
 
-    def begin(self, outer: torch.Tensor, inner: torch.Tensor) -> Asked:
-        """Let two masks go to the host."""
+    def begin(self, outer: torch.Tensor, inner: torch.Tensor) -> None:
+        """Let a mask (N,) go to the host, and another that holds nowhere else."""
         self._masks[0].copy_(outer, non_blocking=True)
         self._masks[1].copy_(inner, non_blocking=True)
-        self._events[0].record(torch.cuda.current_stream(self._device))
-        return self
+        self._record(0)
 
     def ids(self, also: torch.Tensor, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the indices; those of the last call are on the device by then."""
+        """Return the indices at which each mask holds, or ``also`` (N,) does; they are on the device by then.
+
+        Args:
+            also: a third mask, which is known later.
+            at_once: whether it is waited for; else ``late`` tells where it holds.
+        """
         self._masks[2].copy_(also, non_blocking=True)
-        self._events[1].record(torch.cuda.current_stream(self._device))
-        self._events[at_once].synchronize()
-        self._waited = at_once
+        self._record(1)
+        self._wait_for(int(at_once))
         outer, inner, later = self._seen
         if at_once:
             outer, inner = outer | later, inner | later
+        self._is_late = not at_once
         return self._brought(outer, 0), self._brought(inner, 1)
 
-    def late(self) -> torch.Tensor:
-        """Return the indices that ``ids`` has not waited for."""
-        if self._waited:
-            return self._none
-        self._events[1].synchronize()
-        return self._brought(self._seen[2], 2)
+    def late(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return where the third mask holds and the second does not, and where alone it holds: what ``ids`` left."""
+        if not self._is_late:
+            return self._none, self._none
+        self._wait_for(1)
+        outer, inner, later = self._seen
+        return self._brought(later & ~inner, 2), self._brought(later & ~outer, 3)
+
+    def _record(self, index: int) -> None:
+        if self._events:
+            self._events[index].record(torch.cuda.current_stream(self._device))
+
+    def _wait_for(self, index: int) -> None:
+        if self._events:
+            self._events[index].synchronize()
 
     def _brought(self, mask: np.ndarray[Any, Any], row: int) -> torch.Tensor:
         (found,) = mask.nonzero()
         count = len(found)
         if not count:
             return self._none
+        if not self._events:
+            return torch.from_numpy(found)
         self._found[row, :count] = found
         return self._ids[row, :count].to(self._device, non_blocking=True)
-
-
-def ask(outer: torch.Tensor, inner: torch.Tensor) -> Asked:
-    """Ask where a mask (N,) holds, and where another does that holds nowhere else; a GPU goes on meanwhile."""
-    if not outer.is_cuda:
-        return Asked(outer, inner)
-    key = outer.device, len(outer), torch.cuda.current_stream(outer.device).cuda_stream, threading.get_ident()
-    if key not in _readers:
-        _readers[key] = _AskedOfGpu(len(outer), outer.device)
-    return _readers[key].begin(outer, inner)
-
-
-_readers: dict[tuple[torch.device, int, int, int], _AskedOfGpu] = {}  # also by stream and thread
 
 
 def is_finite(total: torch.Tensor) -> bool:
@@ -115,9 +87,9 @@ def is_finite(total: torch.Tensor) -> bool:
     if not total.is_cuda:
         return math.isfinite(float(total))
     watch = _watch(total.device)
-    if not watch.is_calm():
+    if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
-    watch.note(total)
+    watch.note(total)  # a graph is not to ask, which would wait
     return True
 
 

@@ -32,20 +32,22 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
     return ids_where(~values.reshape(len(values), -1).isfinite().all(dim=1))
 
 
-def failures(env: Env, unstable: torch.Tensor) -> dict[str, Any]:
+def failures(env: Env, env_ids: torch.Tensor, unstable: torch.Tensor) -> dict[str, Any]:
     """Tell which environments failed in this step, and whose numbers were not finite.
 
     Where the physics itself went wrong, what terms made of it is not told.
 
     Args:
-        env: the environment, before anything is reset.
+        env: the environment, before they are reset.
+        env_ids: environments that have failed, (n,).
         unstable: simulations whose state went to NaN or to huge values, (n,).
 
     Returns:
         ``keys``: config keys by environment; ``evidence``: the state of the first of them (see ``evidence``).
     """
     bad_actions = set(failed_rows(env.action_manager.action).tolist())
-    rewards = env.reward_manager.non_finite
+    told, all_told = set(env_ids.tolist()), env.reward_manager.non_finite
+    rewards = {i: names for i, names in all_told.items() if i in told}
     keys = {i: [f"env.rewards.{name}" for name in names] or ["env.rewards"] for i, names in rewards.items()}
     keys |= {i: [ACTIONS if i in bad_actions else PHYSICS] for i in unstable.tolist()}
     keys = dict(sorted(keys.items()))

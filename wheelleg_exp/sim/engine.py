@@ -119,7 +119,7 @@ class Engine(Kept, ABC):
         """Return which simulations (N,) bool have gone to NaN or huge values since their reset."""
 
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
-        """Return one sum over positions, velocities and more of some simulations: finite only where they all are."""
+        """Return a number that is finite only where positions, velocities and more of some simulations all are."""
         return self.view("qpos")[rows].sum() + self.view("qvel")[rows].sum()
 
     @abstractmethod

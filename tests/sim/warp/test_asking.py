@@ -7,26 +7,25 @@ import math
 import pytest
 import torch
 
-from wheelleg_exp.managers.asking import ask, is_finite
+from wheelleg_exp.managers.asking import Asked, is_finite
 
 
 @pytest.mark.parametrize("at_once", [True, False])
 def test_where_masks_hold_is_told_at_once_or_late(device, at_once):
     gen = torch.Generator().manual_seed(1)
+    asked = Asked(50, torch.device(device))
+    told = []
     for _ in range(3):  # the memory is used again
-        outer, inner, also = (torch.rand(3, 50, generator=gen) < torch.tensor([[0.3], [0.2], [0.1]])).to(device)
-        inner &= outer
-        asked = ask(outer, inner)
-        found, broken = asked.ids(also, at_once=at_once)
-        late = asked.late()
-        assert {t.device.type for t in (found, broken, late)} == {torch.device(device).type}
-        if at_once or not outer.is_cuda:
-            assert late.tolist() == []
-            outer, inner = outer | also, inner | also
-        else:
-            assert late.tolist() == [i for i, holds in enumerate(also.tolist()) if holds]
-        assert found.tolist() == [i for i, holds in enumerate(outer.tolist()) if holds]
-        assert broken.tolist() == [i for i, holds in enumerate(inner.tolist()) if holds]
+        masks = torch.rand(3, 50, generator=gen) < torch.tensor([[0.3], [0.2], [0.1]])
+        masks[1] &= masks[0]
+        asked.begin(masks[0].to(device), masks[1].to(device))
+        found = (*asked.ids(masks[2].to(device), at_once=at_once), *asked.late())
+        assert {each.device.type for each in found} == {torch.device(device).type}
+        outer, inner, also = (set(mask.nonzero().flatten().tolist()) for mask in masks)
+        expected = (outer | also, inner | also, set(), set()) if at_once else (outer, inner, also - inner, also - outer)
+        told.append((found, expected))
+    for found, expected in told:
+        assert [each.tolist() for each in found] == [sorted(each) for each in expected]
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])

@@ -107,6 +107,11 @@ class SensorBase(Kept):
         if self.update_period > 0.0:
             self._elapsed.index_fill_(0, env_ids, self.update_period)
 
+    @property
+    def refreshes(self) -> bool:
+        """Whether it has something to do when states were written."""
+        return type(self).refresh is not SensorBase.refresh
+
     def refresh(self, env_ids: torch.Tensor) -> None:
         """Take up the new state of ``env_ids`` after resets, for what the first observation reads."""
 

@@ -210,11 +210,10 @@ class WarpEngine(Engine):
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
         """Return 0, or what is no number where positions or velocities of some simulations are not finite."""
         total = torch.zeros(1, device=self.device)
-        ids = self._all_ids[rows] if isinstance(rows, slice) else rows
+        ids = self._all_ids[rows]
         with self._graphs.here():
             found, ids_there = self._wp.from_torch(total), self._wp.from_torch(ids)
-            for name in _MOTION:
-                values = self._rows[name][0]
+            for values in (self._rows[name][0] for name in _MOTION if name in self._rows):
                 self._launch(self._kernels.spoil, (len(ids), values.shape[1]), values, ids_there, found)
         return total[0]
 

@@ -1,4 +1,4 @@
-"""Kernels that do in one launch what would be a dozen of torch's; Warp compiles them when the engine is chosen."""
+"""Kernels that do in one launch what would be a dozen of torch's; Warp compiles them when they are first launched."""
 
 # No `from __future__ import annotations`: Warp reads the types.
 
