@@ -182,9 +182,7 @@ def test_whose_reward_is_no_number_ends_in_that_step_though_it_is_known_late(wat
         assert theirs[5] == ours[5]
     assert plain[5][3]
     assert not plain[6][3]
-    if (
-        "another" in who
-    ):  # alive for 6 steps of 1/60 s in episodes of 0.5 s; of the other's the sixth counts for nothing
+    if "another" in who:  # alive for 6 steps of 1/60 s in episodes of 0.5 s; the one that fails for 5
         assert plain[5][4] == pytest.approx((0.2 + 0.5 / 3) / 2)
         assert taped[5][4] == pytest.approx(plain[5][4] if watched else 0.2)
 

@@ -13,10 +13,8 @@ from wheelleg_exp.env.recorders import CudaGraph
 from wheelleg_exp.managers.finite import note_observations
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
-_OFTEN, _RECENT = (
-    8,
-    1024,
-)  # a number that came up so often in so many resets has one: recording costs as much as 20 resets
+# A number that came up so often in so many resets has one: recording costs as much as 20 resets.
+_OFTEN, _RECENT = 8, 1024
 
 
 class CapturedStep:
@@ -48,8 +46,8 @@ class CapturedStep:
             if substep:
                 self.act_again()
             env.scene.sim.step()
-        ended, failed = self.judge()
-        return ended, failed
+        found: tuple[torch.Tensor, torch.Tensor] = self.judge()
+        return found
 
     def rewards(self) -> torch.Tensor:
         """Return whose rewards are not finite, (N,) bool."""

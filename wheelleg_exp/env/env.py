@@ -102,7 +102,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
         self._asked = Asked(self.num_envs, self.device)
         self._captured_memory = Memory(is_told=True)
-        self._has_foreign_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
+        self._sensors_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
         self._captured = CapturedStep(self) if self.scene.sim.is_captured else None
         self._captured_look = captured_look(self) if self.scene.sim.is_captured else None
         self._captured_reset = CapturedReset(self) if self.scene.sim.is_captured else None
@@ -165,7 +165,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self._end_late(*self._asked.late())
         self._captured_memory.is_seen &= not watched
         self._command()
-        if self.event_manager.apply_due(self.step_dt) or self._has_foreign_refresh:
+        if self.event_manager.apply_due(self.step_dt) or self._sensors_refresh:
             self._captured_memory.is_seen = False
         self.scene.show_written()
         observations = self._observe()
@@ -340,7 +340,7 @@ class ManagerBasedRLEnv(EnvFaces):
         """
         if len(env_ids):
             self.reward_manager.exclude(env_ids[self.reward_manager.failed[env_ids]])
-            told = failures(self, env_ids, env_ids[self.scene.unstable()[env_ids]])
+            told = failures(self, env_ids)
             self.extras.setdefault("non_finite", told)["keys"].update(told["keys"])
             self.termination_manager.force(env_ids)
 

@@ -32,7 +32,7 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
     return ids_where(~values.reshape(len(values), -1).isfinite().all(dim=1))
 
 
-def failures(env: Env, env_ids: torch.Tensor, unstable: torch.Tensor) -> dict[str, Any]:
+def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
     """Tell which environments failed in this step, and whose numbers were not finite.
 
     Where the physics itself went wrong, what terms made of it is not told.
@@ -40,7 +40,6 @@ def failures(env: Env, env_ids: torch.Tensor, unstable: torch.Tensor) -> dict[st
     Args:
         env: the environment, before they are reset.
         env_ids: environments that have failed, (n,).
-        unstable: simulations whose state went to NaN or to huge values, (n,).
 
     Returns:
         ``keys``: config keys by environment; ``evidence``: the state of the first of them (see ``evidence``).
@@ -49,6 +48,7 @@ def failures(env: Env, env_ids: torch.Tensor, unstable: torch.Tensor) -> dict[st
     told, all_told = set(env_ids.tolist()), env.reward_manager.non_finite
     rewards = {i: names for i, names in all_told.items() if i in told}
     keys = {i: [f"env.rewards.{name}" for name in names] or ["env.rewards"] for i, names in rewards.items()}
+    unstable = env_ids[env.scene.unstable()[env_ids]]  # whose state went to NaN or to huge values
     keys |= {i: [ACTIONS if i in bad_actions else PHYSICS] for i in unstable.tolist()}
     keys = dict(sorted(keys.items()))
     return {"keys": keys, "evidence": evidence(env, torch.tensor(list(keys), device=env.device))}

@@ -210,7 +210,7 @@ class WarpEngine(Engine):
     def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
         """Return 0, or what is no number where positions or velocities of some simulations are not finite."""
         total = torch.zeros(1, device=self.device)
-        ids = self._all_ids[rows]
+        ids = rows if isinstance(rows, torch.Tensor) and rows.dtype is torch.int64 else self._all_ids[rows]
         with self._graphs.here():
             found, ids_there = self._wp.from_torch(total), self._wp.from_torch(ids)
             for values in (self._rows[name][0] for name in _MOTION if name in self._rows):
