@@ -13,8 +13,8 @@ from wheelleg_exp.env.recorders import CudaGraph
 from wheelleg_exp.managers.finite import note_observations
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
-# A number that came up so often in so many resets has one: recording costs as much as 20 resets.
-_OFTEN, _RECENT = 8, 1024
+# A number that came up so often in so many resets has one: recording costs as much as eight resets without.
+_OFTEN, _RECENT = 3, 1024
 
 
 class CapturedStep:
@@ -119,7 +119,7 @@ class CapturedReset:
         """Reset ``env_ids``, but for curricula and recorders; return what is logged."""
         count = len(env_ids)
         self._note(count)
-        if not self._works or (count not in self._parts and self._seen[count] < _OFTEN):
+        if not self._works or not self._is_worth(count):
             return self._env._reset_rows(env_ids, host=False)
         part = self._parts.get(count) or self._part(count)
         ids = self._ids[count]
@@ -140,9 +140,20 @@ class CapturedReset:
         if len(self._recent) > _RECENT:
             self._seen[self._recent.popleft()] -= 1
 
+    def _is_worth(self, count: int) -> bool:
+        """Return whether a number of environments has a graph, or comes up so often that it shall have one."""
+        if count in self._parts or self._seen[count] < _OFTEN:
+            return count in self._parts
+        if len(self._parts) < _MOST_COUNTS:
+            return True
+        return self._seen[count] >= 2 * self._seen[self._rarest()]  # else many that are as rare would take turns
+
+    def _rarest(self) -> int:
+        return min(self._parts, key=self._seen.__getitem__)
+
     def _part(self, count: int) -> Captured:
         if len(self._parts) >= _MOST_COUNTS:
-            rarest = min(self._parts, key=self._seen.__getitem__)
+            rarest = self._rarest()
             del self._parts[rarest], self._ids[rarest]
         ids = self._ids[count] = torch.zeros(count, dtype=torch.long, device=self._env.device)
         env = self._env
