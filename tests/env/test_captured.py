@@ -4,59 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
-from sim.small_envs import ASSETS
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_flatten
 
-from wheelleg_exp.config.composing.compose import compose
+from env.taping import Tape, parts, recorded, stand
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured, Counting
-from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
-from wheelleg_exp.managers.term import TermBase
-
-# What a graph cannot hold: the host waits for a number, or brings one.
-WAITS = ("_local_scalar_dense", "nonzero", "lift_fresh")
-
-
-class Tape(TorchDispatchMode):
-    """Notes torch's operations with their memory, and does them again on the same memory."""
-
-    def __init__(self, streams=()) -> None:
-        super().__init__()
-        self.notes: list = []
-        self.is_new = True
-
-    def __torch_dispatch__(self, operation, types, args=(), kwargs=None):
-        assert operation.__name__.split(".")[0] not in WAITS
-        result = operation(*args, **(kwargs or {}))
-        self.notes.append((operation, args, kwargs or {}, result))
-        return result
-
-    def record(self, work):
-        with self:
-            work()
-
-    def replay(self):
-        if self.is_new:  # a graph's recording does nothing, the tape's has done it
-            self.is_new = False
-            return
-        for operation, args, kwargs, result in self.notes:
-            again = operation(*args, **kwargs)
-            for old, new in zip(tree_flatten(result)[0], tree_flatten(again)[0], strict=True):
-                if isinstance(old, torch.Tensor) and old.numel() and old.data_ptr() != new.data_ptr():
-                    old.copy_(new)
-
-
-def stand(task: str = "stand") -> ManagerBasedRLEnv:
-    words = [f"task={task}", "env.num_envs=16", "env.sim.nthread=1", "env.episode_length_s=0.5"]
-    env = ManagerBasedRLEnv(compose(words).config["env"], ASSETS / "legged.xml", 0)
-    env.reset(seed=0)
-    return env
-
-
-def parts(env: ManagerBasedRLEnv) -> list[Captured]:
-    step = env._captured
-    return [step.act, step.act_again, step.judge, step.reward, env._captured_look, env._captured_commands]
+from wheelleg_exp.env.captured import Captured
 
 
 @pytest.fixture(autouse=True)
@@ -66,15 +17,6 @@ def _taped(monkeypatch):
     soon = lambda timers, least, dt: bool((timers <= dt).any())  # noqa: E731  # what is known of a GPU beforehand
     monkeypatch.setattr("wheelleg_exp.managers.command_manager.may_be_due", soon)
     monkeypatch.setattr("wheelleg_exp.managers.finite.is_finite", lambda total: True)  # on a CPU it asks for the number
-
-
-def recorded(env: ManagerBasedRLEnv) -> ManagerBasedRLEnv:
-    """Let an environment's step be taped as a GPU's would be captured."""
-    env._captured = CapturedStep(env)
-    env._captured_look = captured_look(env)
-    env._captured_reset = CapturedReset(env)
-    env._captured_commands = captured_commands(env)
-    return env
 
 
 def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_weight():
@@ -214,136 +156,6 @@ def test_numbers_that_no_longer_end_together_make_room_for_those_that_do(monkeyp
     assert env._captured_reset._seen.total() == 8
 
 
-class Counts:
-    """Something that counts its steps."""
-
-    __module__ = "wheelleg_exp.fake"
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def work(self) -> None:
-        self.count += 1
-
-
-def test_what_counts_is_refused_with_what_to_set():
-    counts = Counts()
-    with pytest.raises(Counting, match="'count' of Counts counts, which a recorded step cannot") as told:
-        Captured(counts.work, [counts], Tape, lambda: None)()
-    assert told.value.key == "env.sim.graph_step"
-
-
-class Remembers(TermBase):
-    """A user's term, of a package of theirs: it lets an attribute hold another tensor at each step."""
-
-    def __init__(self) -> None:
-        self.now, self.last = torch.zeros(2), torch.zeros(2)
-
-    def work(self) -> torch.Tensor:
-        change = self.now - self.last
-        self.last = self.now.clone()
-        return change
-
-
-class HandsOn(Remembers):
-    """A user's term that hands on a tensor as it is."""
-
-    def work(self) -> torch.Tensor:
-        self.last += 1.0
-        return self.now
-
-
-def test_a_tensor_that_is_handed_on_is_that_of_now():
-    term = HandsOn()
-    part = Captured(term.work, [term], Tape, lambda: None)
-    for step in range(1, 7):
-        term.now = torch.full((2,), float(step))
-        assert part().tolist() == [step, step]
-
-
-def test_what_a_term_of_a_users_own_remembers_goes_on():
-    term = Remembers()
-    part = Captured(term.work, [term], Tape, lambda: None)
-    for step in range(1, 7):
-        term.now.fill_(float(step))
-        assert part().tolist() == [1.0, 1.0]
-
-
-class Differs(TermBase):
-    """Compares two attributes that a user sets between the steps."""
-
-    def __init__(self) -> None:
-        self.now, self.last = torch.zeros(2), torch.zeros(2)
-
-    def work(self) -> torch.Tensor:
-        return self.now - self.last
-
-
-@pytest.mark.parametrize("order", [("now", "last"), ("last", "now")])
-def test_a_tensor_that_is_passed_on_between_two_attributes_keeps_its_numbers(order):
-    term = Differs()
-    values = vars(term)
-    term.__dict__ = {name: values[name] for name in order}  # the order in which they are brought into memory
-    part = Captured(term.work, [term], Tape, lambda: None)
-    for step in range(1, 8):
-        term.last = term.now
-        term.now = torch.full((2,), float(step * step))
-        assert part().tolist() == [2 * step - 1] * 2
-
-
-class Parts(TermBase):
-    """As a user's term whose attributes are one tensor at first, and its own."""
-
-    def __init__(self, *order: str) -> None:
-        one = torch.zeros(2)
-        for name in order:
-            setattr(self, name, one)
-        self.is_double = False
-
-    def work(self) -> torch.Tensor:
-        change = (self.now - self.last) * (2.0 if self.is_double else 1.0)
-        if self.is_double:
-            self.now, self.last = self.now + 0.0, self.last + 0.0
-        return change
-
-
-@pytest.mark.parametrize("doubles", [(), (2, 7, 8, 9)])
-@pytest.mark.parametrize("order", [("now", "last"), ("last", "now")])
-def test_attributes_that_were_one_tensor_may_part(order, doubles):
-    """Also where a second recording is made behind a value that was passed on."""
-    term = Parts(*order)
-    part = Captured(term.work, [term], Tape, lambda: None)
-    for step in range(1, 12):
-        new = torch.full((2,), float(step * step))
-        term.last, term.now = (term.now if step > 4 else new), new
-        term.is_double = step in doubles
-        expected = (2 * step - 1) * (2 if step in doubles else 1) if step > 4 else 0
-        assert part().tolist() == [expected] * 2
-
-
-class Looks(TermBase):
-    """A user's term that looks at a part of its own memory, set between the steps."""
-
-    def __init__(self) -> None:
-        self.memory = torch.arange(20.0)
-        self.seen = self.memory[:4]
-
-    def work(self) -> torch.Tensor:
-        return self.seen.sum() + 0.0
-
-
-@pytest.mark.filterwarnings("ignore:a part of the step is launched kernel by kernel")
-def test_what_is_seen_through_an_attribute_is_not_overwritten():
-    term = Looks()
-    part = Captured(term.work, [term], Tape, lambda: None)
-    for step in range(80):  # so often that it is given up
-        first = 3 * (step % 5)
-        term.seen = term.memory[first : first + 4]
-        assert float(part()) == 4 * first + 6
-        assert torch.equal(term.memory, torch.arange(20.0))
-    assert part._fails
-
-
 def test_what_was_recorded_is_entered_by_a_look_at_places_alone(monkeypatch):
     """Measurements and resets leave the containers of tensors where they were."""
     env = recorded(stand("walk"))
@@ -382,36 +194,34 @@ def test_a_reset_in_which_counting_is_noticed_is_done_once():
     assert not taped._captured_reset._works
 
 
-class Waits(TermBase):
-    """Reads a tensor, and holds another that each step replaces by one of another shape."""
-
-    def __init__(self) -> None:
-        self.now, self.beside = torch.zeros(2), torch.zeros(1)
-
-    def work(self) -> torch.Tensor:
-        return self.now + 1.0
+_NOISE = (
+    "env.observations.policy.enable_corruption=true",
+    "+env.observations.policy.terms.base_ang_vel.noise"
+    "={_target_: wheelleg_exp.mdp.noise.UniformNoise, n_min: -0.2, n_max: 0.2}",
+)
 
 
-def test_what_a_part_does_not_read_may_take_any_shape_and_the_recording_stays():
-    term = Waits()
-    part = Captured(term.work, [term], Tape, lambda: None)
-    for step in range(8):
-        term.now.fill_(float(step))
-        term.beside = torch.zeros(step)
-        assert part().tolist() == [step + 1.0] * 2
-        made = part._variants
-    variant = next(iter(made.values()))
-    term.beside = torch.zeros(9)
-    part()
-    assert list(part._variants.values()) == [variant]
-    assert [slot.way for slot, _ in variant.before] == [("now",)]
-
-
-def test_another_tensor_in_the_place_of_one_that_a_part_reads_is_brought_into_its_memory():
-    term = Waits()
-    part = Captured(term.work, [term], Tape, lambda: None)
-    for step in range(8):
-        term.now = torch.full((2,), float(step))
-        assert part().tolist() == [step + 1.0] * 2
-    term.now = torch.zeros(3)
-    assert part().tolist() == [1.0] * 3
+@pytest.mark.parametrize(
+    ("kind", "address", "way", "more"),
+    [
+        ("modify_term_cfg", "observations.policy.base_ang_vel.noise.n_max", (0.1, 1.0), _NOISE),
+        ("modify_env_param", "max_episode_length", (30.0, 8.0), ()),
+        ("modify_term_cfg", "rewards.track_lin_vel_xy.params.std", (0.1, 0.9), ()),
+    ],
+)
+def test_a_setting_that_a_curriculum_moves_from_step_to_step_counts_as_it_is(kind, address, way, more):
+    schedule = f"{{start: {way[0]}, end: {way[1]}, num_steps: 40}}"
+    change = (
+        f"+env.curriculum.change={{_target_: wheelleg_exp.mdp.curriculums.{kind}, address: '{address}', "
+        f"modify_fn: wheelleg_exp.mdp.schedules.linear, modify_params: {schedule}}}"
+    )
+    plain, taped = stand("walk", *more, change), recorded(stand("walk", *more, change))
+    gen = torch.Generator().manual_seed(1)
+    for _ in range(60):
+        action = 0.4 * torch.randn(16, plain.action_manager.total_action_dim, generator=gen)
+        theirs, ours = plain.step(action), taped.step(action)
+        assert torch.equal(ours[0]["policy"], theirs[0]["policy"])
+        assert all(torch.equal(our, their) for our, their in zip(ours[1:4], theirs[1:4], strict=True))
+    for _ in range(10):
+        taped.step(torch.zeros(16, plain.action_manager.total_action_dim))
+    assert [part._variants.missed for part in parts(taped)] == [0] * 6  # it stands still, and is recorded again

@@ -13,12 +13,11 @@ from typing import Any
 import torch
 
 from wheelleg_exp.env.recorders import Recorder, Touched
-from wheelleg_exp.env.slots import PLAIN, Slot, entry_of, slots
-from wheelleg_exp.env.variants import Entry, Memory, Variant, bring, form_of, is_like, places_of, shared_of
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.term import Term
+from wheelleg_exp.env.slots import Slot, entry_of, is_plain, kept_apart, slots
+from wheelleg_exp.env.variants import Entry, Memory, Variant, Variants, bring, form_of, is_like, places_of, shared_of
+from wheelleg_exp.errors import ConfigError, SimulationFailure
 
-_MOST_VARIANTS, _MOST_PLAIN = 8, 1000
+_MANY = 256  # runs one after another that begin with other values, before it is told
 _MOST_AGAIN = 64  # times that all is recorded again, because attributes hold what they did not hold before
 _MOST_ENTRIES = 4  # of a part: whether environments have just been reset, and the like, alternates
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
@@ -37,8 +36,9 @@ class Counting(ConfigError):
 class Captured:
     """Runs a part of the step, and from its third run on repeats it as recorded.
 
-    What it decides by plain values of the roots it decides anew for each set of them that a run begins with: each has a
-    recording of its own. A number that each run changes would stand still in a recording, so it is an error.
+    What it decides by plain values of the roots it decides anew for each set of them that a run begins with: each that
+    comes up often has a recording of its own. A number that each run changes would stand still in a recording, so it is
+    an error; what the roots keep in objects that are not looked into has to stand still as well.
 
     Args:
         work: the part: whole tensors of fixed shapes, which reads and writes what the roots hold, and returns tensors.
@@ -67,7 +67,7 @@ class Captured:
         self._plain: dict[tuple[int, Any], Slot] = {} if like is None else dict(like._plain)
         self._drawn: list[torch.Generator] = [] if like is None else like._drawn
         self._runs: int = 0 if like is None else like._runs
-        self._variants: dict[tuple[Any, ...], Variant] = {}
+        self._variants = Variants()
         self._fails, self._again = False, 0
 
     def __call__(self) -> Any:
@@ -81,28 +81,48 @@ class Captured:
         self._memory.look()
         for entry in self._entries:
             if entry.enter(self._memory.version):
+                self._variants.missed = 0
                 return self._replay(entry.variant)
-        key = tuple(_kind(slot.get()) for slot in self._plain.values())
+        key = self._key()
         variant = self._variants.get(key)
         if variant is None:
-            if len(self._variants) >= _MOST_VARIANTS:
+            if not self._variants.is_worth(key):
+                self._tell_of(key)
                 return self._work_itself()
             found = self._try_to_record()  # which has begun with what is there
             if found is None:
                 self._forget()
                 return self._work_itself()
-            variant = self._variants[key] = found
+            key, variant = found
         elif unlike := self._enter(variant):  # others decide what is there when this begins: recordings depend on it
-            self._plain |= {slot.name: slot for slot in unlike}
-            self._variants.clear()
-            self._entries.clear()
-            self._again += 1
-            if len(self._plain) > _MOST_PLAIN or self._again > _MOST_AGAIN:
+            self._look_at(unlike)
+            if self._again > _MOST_AGAIN:
                 slot = unlike[0]
-                self._give_up(f"'{slot.way[0]}' of {type(slot.holder).__name__} holds other memory again and again")
+                self._give_up(f"{slot.told} holds other memory again and again")
                 return self._work_itself()
             return self()
+        self._variants.use(key, variant)
         return self._replay(variant)
+
+    def _key(self) -> tuple[Any, ...]:
+        """Return what recordings depend on, as it is now."""
+        return tuple(_kind(slot.get()) for slot in self._plain.values())
+
+    def _look_at(self, others: Sequence[Slot]) -> None:
+        """Let recordings depend on further places: those that there are did not."""
+        self._plain |= {slot.name: slot for slot in others}
+        self._variants.clear()
+        self._entries.clear()
+        self._again += 1
+
+    def _tell_of(self, key: tuple[Any, ...]) -> None:
+        """Warn of what changes again and again."""
+        if self._variants.missed == _MANY:
+            changed = zip(self._plain.values(), key, self._variants.last, strict=True)
+            told = next(slot.told for slot, now, was in changed if now != was)
+            warnings.warn(
+                f"a part of the step is launched kernel by kernel while {told} changes again and again", stacklevel=4
+            )
 
     def _work_itself(self) -> Any:
         self._memory.is_seen = False  # what is not recorded may change whatever it likes
@@ -153,6 +173,7 @@ class Captured:
 
     def _run_by_itself(self) -> Any:
         before = [(slot, slot.get()) for slot in slots(self._roots)]
+        apart = kept_apart(self._roots)
         states = [(stream, stream.get_state()) for stream in self._streams()]
         found = self._work_itself()
         moved = [stream for stream, state in states if not torch.equal(stream.get_state(), state)]
@@ -163,26 +184,27 @@ class Captured:
             if isinstance(value, torch.Tensor) and isinstance(now, torch.Tensor):
                 if now is not value and form_of(now) == form_of(value):
                     self._memory.rebound.add(slot.name)
-            elif not isinstance(value, (dict, list)):
-                if type(value) in (int, float) and type(now) in (int, float) and now != value:
-                    told = Counting(
-                        f"'{slot.way[0]}' of {type(slot.holder).__name__} counts, which a recorded step cannot",
-                        key="env.sim.graph_step",
-                        expected="false, or tensors in the place of numbers that count",
-                    )
-                    told.found = found
-                    raise told
-                if isinstance(value, bool) or isinstance(slot.holder, Term) or _kind(now) != _kind(value):
-                    self._plain[slot.name] = slot
+            elif type(value) in (int, float) and type(now) in (int, float) and now != value:
+                told = _counting(
+                    f"{slot.told} counts, which a recorded step cannot", "tensors in the place of numbers that count"
+                )
+                told.found = found
+                raise told
+            elif not isinstance(value, (dict, list)) and _kind(now) != _kind(value):
+                self._plain[slot.name] = slot
+        if moved_apart := _differing(apart, kept_apart(self._roots)):
+            self._give_up(f"{moved_apart} changes, which is not looked into")
         return found
 
-    def _try_to_record(self) -> Variant | None:
+    def _try_to_record(self) -> tuple[tuple[Any, ...], Variant] | None:
         """Record the work; None, and a warning once, where it cannot be, as where it waits for the device."""
         for streams in (self._drawn, self._streams()):  # each that is told costs two launches at every replay
             try:
                 return self._record(self._recorder(streams))
-            except RuntimeError as error:
-                reason = str(error).splitlines()[0]
+            except (RuntimeError, SimulationFailure) as error:
+                if not isinstance(error, RuntimeError) and not isinstance(error.__cause__, RuntimeError):
+                    raise
+                reason = str(error).splitlines()[0]  # a term's names it
         self._give_up(reason)
         return None
 
@@ -190,7 +212,8 @@ class Captured:
         self._fails = True
         warnings.warn(f"a part of the step is launched kernel by kernel: {reason}", stacklevel=3)
 
-    def _record(self, recorder: Recorder) -> Variant:
+    def _record(self, recorder: Recorder) -> tuple[tuple[Any, ...], Variant]:
+        """Return a recording, and what it depends on."""
         found = list(slots(self._roots))
         with torch.inference_mode(False), torch.no_grad():
             moved = []
@@ -209,9 +232,12 @@ class Captured:
             for slot, static, _ in moved:
                 slot.set(static)
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
-        others = [(slot, slot.get()) for slot in found if type(slot.get()) in PLAIN]
+        others = [(slot, slot.get()) for slot in found if is_plain(slot.get())]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
         empty = [slot for slot, value in others if value is None]
+        if new := [slot for slot, _ in others if slot.name not in self._plain]:
+            self._look_at(new)
+        key, apart = self._key(), kept_apart(self._roots)
         outputs: list[Any] = []
         touched = Touched()
 
@@ -227,12 +253,16 @@ class Captured:
             for slot, value in [*tensors, *others]:
                 slot.set(value)
             raise
+        if moved_apart := _differing(apart, kept_apart(self._roots)):
+            raise _counting(
+                f"{moved_apart} has begun to change, which a recorded step cannot follow", "tensors and numbers"
+            )
         contents = [(slot, dict(slot.get())) for slot, was in wholes if _differs(slot.get(), was)]
         after = [(slot, slot.get()) for slot, value in [*tensors, *others] if slot.get() is not value]
         self._memory.let_move([slot.name for slot, value in [*tensors, *others] if _moves(value, slot.get())])
         touched.note((outputs, [value for _, value in after], [whole for _, whole in contents]))  # handed on
         before = [(slot, value) for slot, value in tensors if touched.has(value)]
-        return Variant(recorder, before, shared_of(before), empty, after, contents, _standing(outputs[0]))
+        return key, Variant(recorder, before, shared_of(before), empty, after, contents, _standing(outputs[0]))
 
     def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
         """Do the work, and write what slots hold then into the memory that they held before."""
@@ -249,6 +279,15 @@ class Captured:
         return result
 
 
+def _counting(message: str, expected: str) -> Counting:
+    return Counting(message, key="env.sim.graph_step", expected=f"false, or {expected}")
+
+
+def _differing(before: dict[tuple[int, str], Any], now: dict[tuple[int, str], Any]) -> str | None:
+    """Return the name of an attribute that is another now."""
+    return next((told for name, (told, value) in now.items() if name in before and before[name][1] != value), None)
+
+
 def _standing(tree: Any) -> Any:
     """Return mappings and sequences of tensors as they are now, whatever becomes of the containers."""
     if isinstance(tree, dict):
@@ -260,12 +299,12 @@ def _standing(tree: Any) -> Any:
 
 def _moves(value: Any, now: Any) -> bool:
     """Return whether a plain value became another, or something else, or something else a plain value."""
-    return now is not value and (type(value) in PLAIN or type(now) in PLAIN)
+    return now is not value and (is_plain(value) or is_plain(now))
 
 
 def _kind(value: Any) -> Any:
     """Return what a recording depends on: a plain value, or what kind of thing there is."""
-    return value if type(value) in PLAIN else type(value)
+    return value if is_plain(value) else type(value)
 
 
 def _differs(now: Any, was: dict[Any, Any]) -> bool:

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import functools
+from collections import deque
 from collections.abc import Iterator, Sequence
-from types import FunctionType, MethodType
+from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
 import torch
 
-from wheelleg_exp.managers.term import Term
+from wheelleg_exp.managers.term import Term, TermBase
 
-PLAIN = (bool, int, float, str, type(None))
+_PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
 # Classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
     """Cfg GroupLayout Reference RobotLayout RobotOptions SimOptions TensorForm Captured CapturedStep CapturedReset
-    Asked Memory TermState Graphs cfg options spec model asked extras
+    Asked Memory TermState Graphs Settings cfg options spec model asked extras curriculum_manager
     common_step_counter _captured _captured_look _captured_reset _captured_commands _captured_memory""".split()  # noqa: SIM905
 )
+_STILL = (torch.Tensor, type, ModuleType, FunctionType, MethodType)
 _OF_A_TERM = frozenset(("name", "path", "target", "generator", "_made_with", "_has_worked"))  # stand still too
+
+
+def is_plain(value: Any) -> bool:
+    """Return whether something is a number, a word, nothing, or a tuple of such."""
+    return type(value) in _PLAIN or (type(value) is tuple and all(map(is_plain, value)))
 
 
 class Slot:
@@ -33,6 +40,11 @@ class Slot:
     def __init__(self, holder: Any, way: tuple[Any, ...]) -> None:
         self.holder, self.way = holder, way
         self.name = (id(holder), *way)
+
+    @property
+    def told(self) -> str:
+        """How it is named to people."""
+        return f"'{'.'.join(map(str, self.way))}' of {getattr(self.holder, 'path', type(self.holder).__name__)}"
 
     def up(self) -> Slot:
         """Return the place that holds what holds it."""
@@ -74,7 +86,13 @@ def entry_of(container: Any, key: Any, otherwise: Any) -> Any:
 
 
 def slots(roots: Sequence[Any]) -> Iterator[Slot]:
-    """Yield every place below some objects that holds a tensor, a plain value or a dictionary."""
+    """Yield every place below some objects that holds a tensor, a plain value, a dictionary or a list."""
+    for _, places in _objects(roots):
+        yield from places
+
+
+def _objects(roots: Sequence[Any]) -> Iterator[tuple[Any, list[Slot]]]:
+    """Yield this program's objects, and those that derive from them, with the places that each of them has."""
     seen: set[int] = set()
     waiting = list(roots)
     while waiting:
@@ -92,16 +110,20 @@ def slots(roots: Sequence[Any]) -> Iterator[Slot]:
             waiting.append(node.__self__)
         elif isinstance(node, FunctionType):
             waiting += [cell.cell_contents for cell in node.__closure__ or ()]
-        elif _is_own(type(node)) and not _is_fixed(type(node)):
+        elif _is_own(type(node)) and not _is_fixed(type(node)) and not _is_apart(node):
             fixed = _FIXED | _OF_A_TERM if isinstance(node, Term) else _FIXED
-            for key in list(getattr(node, "__dict__", {})):
-                if key not in fixed:
-                    yield from _places(node, (key,), vars(node)[key], waiting)
+            keys = [key for key in getattr(node, "__dict__", {}) if key not in fixed]
+            yield node, [place for key in keys for place in _places(node, (key,), vars(node)[key], waiting)]
 
 
 def _is_fixed(kind: type) -> bool:
     """Return whether a class is one of this program's that stand still."""
     return kind.__name__ in _FIXED and kind.__module__.startswith(_OWN)
+
+
+def _is_apart(node: Any) -> bool:
+    """Return whether it is an event that no recorded part runs: those at resets alone are within one."""
+    return isinstance(node, Term) and node.fields.get("mode", "reset") != "reset"
 
 
 def _is_own(kind: type) -> bool:
@@ -110,7 +132,7 @@ def _is_own(kind: type) -> bool:
 
 
 def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -> Iterator[Slot]:
-    if isinstance(value, torch.Tensor) or type(value) in PLAIN:
+    if isinstance(value, torch.Tensor) or is_plain(value):
         yield Slot(holder, way)
     elif isinstance(value, (dict, list)):
         yield Slot(holder, way)
@@ -119,3 +141,40 @@ def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -
             yield from _places(holder, (*way, key), entry, waiting)
     else:
         waiting.append(value)
+
+
+def kept_apart(roots: Sequence[Any]) -> dict[tuple[int, str], tuple[str, Any]]:
+    """Return what terms keep where ``slots`` does not look, by object and attribute: its name, and what it is.
+
+    Lists by their length; tuples, deques, sets, modules and other objects by the tensors and plain values in them.
+    """
+    return {
+        (id(term), name): (f"'{name}' of {type(term).__name__}", _unfollowed(value))
+        for term, _ in _objects(roots)
+        if isinstance(term, TermBase)
+        for name, value in vars(term).items()
+    }
+
+
+def _unfollowed(value: Any) -> Any:
+    if isinstance(value, torch.Tensor) or is_plain(value) or _is_own(type(value)):
+        return None
+    if isinstance(value, dict):
+        return [_unfollowed(entry) for entry in value.values()]
+    if isinstance(value, list):
+        return [_unfollowed(entry) for entry in value]
+    return _standing(value, set())
+
+
+def _standing(value: Any, seen: set[int]) -> Any:
+    """Return what tells whether an object holds the same tensors and plain values as before."""
+    if is_plain(value):
+        return value
+    if isinstance(value, (tuple, list, deque, set, frozenset)):
+        return [_standing(entry, seen) for entry in value]
+    if isinstance(value, dict):
+        return [(key, _standing(entry, seen)) for key, entry in value.items()]
+    if id(value) in seen or _is_own(type(value)) or isinstance(value, _STILL):
+        return id(value)
+    seen.add(id(value))
+    return [id(value), _standing(getattr(value, "__dict__", {}), seen)]

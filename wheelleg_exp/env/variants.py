@@ -11,7 +11,10 @@ from typing import Any
 import torch
 
 from wheelleg_exp.env.recorders import Recorder
-from wheelleg_exp.env.slots import PLAIN, Slot, entry_of
+from wheelleg_exp.env.slots import Slot, entry_of, is_plain
+
+_MOST_VARIANTS = 8
+_OFTEN, _MOST_WAITING = 3, 64  # runs that depend on the same, until that is recorded; those that are counted
 
 
 @dataclass
@@ -112,6 +115,56 @@ class Variant:
     outputs: Any
 
 
+class Variants:
+    """Recordings of a part by what they depend on. That which was not used for longest makes room.
+
+    Attributes:
+        missed: how often in a row what there was had no recording.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[Any, ...], Variant] = {}  # the last is the one that was used last
+        self._waiting: dict[tuple[Any, ...], int] = {}
+        self.missed = 0
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    @property
+    def last(self) -> tuple[Any, ...]:
+        """What the recording depends on that was used last."""
+        return next(reversed(self._known))
+
+    def get(self, key: tuple[Any, ...]) -> Variant | None:
+        """Return the recording that depends on this, if there is one."""
+        return self._known.get(key)
+
+    def use(self, key: tuple[Any, ...], variant: Variant) -> None:
+        """Take note of a recording that is about to be repeated."""
+        self._known.pop(key, None)
+        if len(self._known) >= _MOST_VARIANTS:
+            del self._known[next(iter(self._known))]
+        self._known[key], self.missed = variant, 0
+
+    def is_worth(self, key: tuple[Any, ...]) -> bool:
+        """Return whether to record what depends on this: at first, and when it has come up often."""
+        if not self._known:
+            return True
+        self.missed += 1
+        count = self._waiting.pop(key, 0) + 1
+        if count >= _OFTEN:
+            return True
+        if len(self._waiting) >= _MOST_WAITING:
+            del self._waiting[next(iter(self._waiting))]
+        self._waiting[key] = count
+        return False
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._known.clear()
+        self._waiting.clear()
+
+
 @dataclass
 class Entry:
     """What there was when a recording was entered: as long as it is that, nothing else has to be looked at.
@@ -163,7 +216,7 @@ def _is_alike(now: Any, was: Any) -> bool:
     """Return whether a recording holds for one as for the other: equal plain values, or tensors, which leaves tell."""
     if now is was or (isinstance(now, torch.Tensor) and isinstance(was, torch.Tensor)):
         return True
-    return type(now) is type(was) and type(now) in PLAIN and bool(now == was)
+    return type(now) is type(was) and is_plain(now) and bool(now == was)
 
 
 def is_like(value: Any, static: torch.Tensor) -> bool:
