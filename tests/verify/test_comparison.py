@@ -574,6 +574,8 @@ def test_code_that_was_not_kept_is_not_shown_to_be_equal(a, b):
         ("agent.torch_threads", False),
         ("agent.logger", False),
         ("env.sim.nthread", False),
+        ("env.sim.nconmax", False),
+        ("env.sim.graph_step", True),
         ("recording", False),
         ("recording.interval", False),
         ("agent.run_name", True),  # there is no such setting

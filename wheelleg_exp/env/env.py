@@ -32,6 +32,7 @@ from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.timers import forget
+from wheelleg_exp.sim.warp.library import require_device
 from wheelleg_exp.state import cloned, on_device
 from wheelleg_exp.terms.sections import Dataset, Env, read_section, read_value
 
@@ -69,6 +70,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self.decimation: int = read_value(Env, cfg, "env", "decimation")
         sim = read_value(Env, cfg, "env", "sim")
         self.device = torch.device(read_value(SimOptions, sim, "env.sim", "device"))
+        require_device(self.device)
         self.physics_dt = float(read_value(SimOptions, sim, "env.sim", "dt"))
         self.step_dt = self.physics_dt * self.decimation
         self.max_episode_length_s = float(read_value(Env, cfg, "env", "episode_length_s"))

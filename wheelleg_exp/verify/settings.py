@@ -14,13 +14,16 @@ from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.params import load_params
 from wheelleg_exp.run.recorded import ROBOT, written_config
 
-# They change when and what is written, or how fast.
+# They change when and what is written, how fast, or what there is room for: too little is an error.
 _HARMLESS = (
     ("agent", "max_iterations"),
     ("agent", "save_interval"),
     ("agent", "torch_threads"),
     ("agent", "logger"),
     ("env", "sim", "nthread"),
+    ("env", "sim", "nconmax"),
+    ("env", "sim", "njmax"),
+    ("env", "sim", "graph"),
     ("recording",),
 )
 

@@ -47,6 +47,7 @@ _FIXED: dict[Keys, str] = {
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
     ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
 }
+_MAY = (("env", "sim", "graph_step"),)  # below what is fixed, and yet no part of it
 _LATER = ("init_from", "init_from_what")  # keys that the configs of earlier runs lack
 # Of an observation term or group, what may change without changing the width or the meaning of the vector.
 _OBSERVATION_MAY = ("noise", "clip", "scale", "enable_corruption")
@@ -107,7 +108,7 @@ def record(change: Change) -> dict[str, Any]:
 
 
 def _require_changeable(change: Change, kept: Mapping[str, Any], tree: Mapping[str, Any]) -> None:
-    if not decides(change.keys):
+    if not decides(change.keys) or change.keys in _MAY:
         return
     for prefix, why in _FIXED.items():
         if _begins(change.keys, prefix):

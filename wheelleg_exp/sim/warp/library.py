@@ -46,7 +46,7 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
             key=ENGINE,
             expected="mujoco, or: pip install 'wheelleg_exp[gpu]'",
         ) from error
-    _require_device(device)
+    require_device(device)
     return wp, mjw
 
 
@@ -63,13 +63,15 @@ def _keep_quiet_of_cuda(wp: Any) -> None:
         os.close(nowhere)
 
 
-def _require_device(device: torch.device) -> None:
+def require_device(device: torch.device) -> None:
+    """Raise ConfigError where there is no such device here."""
     if device.type == "cpu":
         return
     count = torch.cuda.device_count()
     known = ["cpu", *(f"cuda:{index}" for index in range(count))]
     if device.type != "cuda" or (device.index or 0) >= count:
-        raise ConfigError(f"there is no device '{device}' here", key=DEVICE, expected="one of " + ", ".join(known))
+        why = ": this torch is for CPUs alone" if torch.version.cuda is None else ""
+        raise ConfigError(f"there is no device '{device}' here{why}", key=DEVICE, expected="one of " + ", ".join(known))
 
 
 def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
