@@ -236,18 +236,19 @@ class Scaled(TermBase):
 
     def __init__(self) -> None:
         self.now, self.scale, self.ranges, self.mode, self.clip = torch.ones(1), 1.0, (0.0, 1.0), "a", None
+        self.width = 1.0  # as something of this program's own is called that stands still
         self.keeps = False
 
     def work(self) -> torch.Tensor:
         if self.keeps:
             self.kept.append(1)
-        value = self.now * self.scale * self.ranges[1] * (2.0 if self.mode == "b" else 1.0)
+        value = self.now * self.scale * self.ranges[1] * self.width * (2.0 if self.mode == "b" else 1.0)
         return value if self.clip is None else value.clamp(max=self.clip)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
-    [("scale", 3.0, 3.0), ("ranges", (0.0, 5.0), 5.0), ("mode", "b", 2.0), ("clip", 0.5, 0.5)],
+    [("scale", 3.0, 3.0), ("width", 4.0, 4.0), ("ranges", (0.0, 5.0), 5.0), ("mode", "b", 2.0), ("clip", 0.5, 0.5)],
 )
 def test_a_setting_of_any_kind_that_somebody_changes_between_steps_counts_as_it_is(name, value, expected):
     term = Scaled()

@@ -14,11 +14,14 @@ from wheelleg_exp.managers.term import Term, TermBase
 
 _PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
-# Classes and attributes that stand still, or are no state of this part of the step.
+# Of this program's own: classes and attributes that stand still, or are no state of this part of the step.
 _FIXED = frozenset(
     """Cfg GroupLayout Reference RobotLayout RobotOptions SimOptions TensorForm Captured CapturedStep CapturedReset
     Asked Memory TermState Graphs Settings cfg options spec model asked extras curriculum_manager
-    common_step_counter _captured _captured_look _captured_reset _captured_commands _captured_memory""".split()  # noqa: SIM905
+    common_step_counter _captured _captured_look _captured_reset _captured_commands _captured_memory
+    num_envs _num_envs arguments joint_names body_names joint_names_expr fixed_tendon_names object_collection_names
+    preserve_order metric_names _bodies _per_joint _config _weights _width _widths width history_length same_as
+    _flatten _same_sample _keeps_params""".split()  # noqa: SIM905
 )
 _STILL = (torch.Tensor, type, ModuleType, FunctionType, MethodType)
 _OF_A_TERM = frozenset(("name", "path", "target", "generator", "_made_with", "_has_worked"))  # stand still too
@@ -111,9 +114,17 @@ def _objects(roots: Sequence[Any]) -> Iterator[tuple[Any, list[Slot]]]:
         elif isinstance(node, FunctionType):
             waiting += [cell.cell_contents for cell in node.__closure__ or ()]
         elif _is_own(type(node)) and not _is_fixed(type(node)) and not _is_apart(node):
-            fixed = _FIXED | _OF_A_TERM if isinstance(node, Term) else _FIXED
+            fixed = _fixed_of(node)
             keys = [key for key in getattr(node, "__dict__", {}) if key not in fixed]
             yield node, [place for key in keys for place in _places(node, (key,), vars(node)[key], waiting)]
+
+
+def _fixed_of(node: Any) -> frozenset[str]:
+    """Return the attributes that stand still: none of a user's term."""
+    if isinstance(node, Term):
+        return _FIXED | _OF_A_TERM
+    is_users = isinstance(node, TermBase) and not type(node).__module__.startswith(_OWN)
+    return frozenset() if is_users else _FIXED
 
 
 def _is_fixed(kind: type) -> bool:

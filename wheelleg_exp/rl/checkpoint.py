@@ -14,6 +14,7 @@ import torch
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.reading import require_bounded
+from wheelleg_exp.rl.averaging import STATE
 from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2
@@ -56,7 +57,7 @@ def load(path: Path) -> dict[str, Any]:
         ) from error
     state = state if isinstance(state, dict) else {}
     networks = [f"{role}_state_dict" for role in (ROLES[2:] if "student_state_dict" in state else ROLES[:2])]
-    needed = _NEEDED | dict.fromkeys(networks, Mapping)
+    needed = _NEEDED | dict.fromkeys([*networks, *({STATE} & state.keys())], Mapping)
     missing = [key for key, kind in needed.items() if key not in state or not isinstance(state[key], kind)]
     if missing:
         raise RunDirectoryError(
@@ -119,8 +120,8 @@ def roles_of(algorithm: Any) -> tuple[str, ...]:
 
 
 def policy_state(state: Mapping[str, Any]) -> Any:
-    """Return the parameters of a checkpoint's policy: its student's, where it has one, else its actor's."""
-    return state.get("student_state_dict") or state["actor_state_dict"]
+    """Return the parameters of a checkpoint's policy: their mean, where it has one, else its student's or actor's."""
+    return state.get(STATE) or state.get("student_state_dict") or state["actor_state_dict"]
 
 
 def unsaved_state(algorithm: Any) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from wheelleg_exp.constraints import (
     AtMost,
     Count,
     MayBeInfinite,
+    Natural,
     NonNegative,
     NotEmpty,
     Positive,
@@ -51,6 +52,8 @@ class Learning:
             tf32 on a GPU. Acting is float32 in any case.
         graph_update: on a GPU, whether PPO's acting and update are CUDA graphs, the learning rate kept on the GPU; what
             rsl_rl's PPO has beside it (RND, symmetry, recurrent networks) is updated by rsl_rl itself.
+        average_iterations: iterations over which the policy's weights are averaged, exponentially; the mean is what is
+            played, evaluated, exported and begun with, and training goes on with the weights themselves. 0 is none.
     """
 
     algorithm: Section
@@ -66,6 +69,7 @@ class Learning:
     max_non_finite: NonNegative = 0.1
     matmul: Literal["auto", "float32", "bfloat16", "tf32"] = "float32"
     graph_update: bool = False
+    average_iterations: Natural = 0
 
 
 @dataclass(frozen=True, kw_only=True)

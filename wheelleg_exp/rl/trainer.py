@@ -16,6 +16,7 @@ from wheelleg_exp.managers.finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
+from wheelleg_exp.rl.averaging import PolicyAverage
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
 from wheelleg_exp.rl.global_draws import no_global_draws
@@ -88,6 +89,8 @@ class Trainer:
             load_initial(self.algorithm, initial)
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
+        over = int(agent.get("average_iterations", 0))
+        self._average = PolicyAverage(self.networks()[0], over) if over else None
         self._matmul = chosen_matmul(agent)
         graphs = bool(agent.get("graph_update")) and can(self.algorithm)
         self._graphed = GraphedUpdate(self.algorithm) if graphs else None
@@ -117,6 +120,8 @@ class Trainer:
                 self._require_sane(losses)
             if self.ranks.together:
                 self._share_buffers()
+            if self._average is not None:
+                self._average.take()
             learned = time.perf_counter()
             scalars = self.log.collect() | self._means.collect()
             scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
@@ -220,6 +225,7 @@ class Trainer:
             "iter": self.iteration - 1,
             "infos": None,
             **cloned(self.algorithm.save()),  # else it would go on with the networks
+            **({} if self._average is None else self._average.state_dict()),
             "unsaved": unsaved_state(self.algorithm),
             "env": self.env.env.state_dict(),
             "log": self.log.state_dict(),
@@ -236,6 +242,8 @@ class Trainer:
         try:
             self.algorithm.load(dict(saved), None, True)
             load_unsaved_state(self.algorithm, saved["unsaved"])
+            if self._average is not None:
+                self._average.load_state_dict(saved)
             self.env.env.load_state_dict(saved["env"])
             self.log.load_state_dict(saved["log"])
             torch.set_rng_state(saved["rng"]["torch"])

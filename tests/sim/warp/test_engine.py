@@ -267,7 +267,7 @@ def test_a_missing_package_is_told_with_what_to_install(monkeypatch):
 
 
 def test_a_device_that_is_not_there_is_told_with_those_that_are():
-    with pytest.raises(ConfigError, match=r"env\.sim\.device: there is no device 'cuda:99' here(: this torch is for CPUs alone)?; expected one of cpu"):
+    with pytest.raises(ConfigError, match=r"env\.sim\.device: there is no device 'cuda:99' here.*expected one of cpu"):
         warp("cuda:99")
 
 

@@ -1,0 +1,85 @@
+"""The mean of a policy's weights is what is played, and training does not know of it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.averaging import PolicyAverage
+from wheelleg_exp.rl.digests import of_state
+from wheelleg_exp.rl.policy import load_policy
+
+OVER = "agent.average_iterations=2"
+
+
+def test_the_mean_is_that_of_all_at_first_and_exponential_from_then_on():
+    policy = torch.nn.Linear(1, 1)
+    policy.register_buffer("count", torch.tensor(0))
+    mean = PolicyAverage(policy, 2)
+    assert mean.state_dict() == {}
+    expected = [1.0, 1.5, 2.75, 5.375]  # 1; (1 + 2) / 2; 1.5 + (4 - 1.5) / 2; 2.75 + (8 - 2.75) / 2
+    for index, value in enumerate((1.0, 2.0, 4.0, 8.0)):
+        with torch.no_grad():
+            policy.weight.fill_(value)
+        policy.count += 1
+        mean.take()
+        kept = mean.state_dict()["averaged_state_dict"]
+        assert float(kept["weight"]) == expected[index]
+        assert int(kept["count"]) == index + 1  # a whole number has no mean
+    assert policy.weight.item() == 8.0
+
+
+@pytest.fixture(scope="module")
+def averaged(make_trainer):
+    """Checkpoints of three iterations, each behind one more."""
+    trainer = make_trainer(OVER)
+    return [trainer.state_dict() for _ in trainer.learn(3)]
+
+
+def test_training_goes_on_with_the_weights_as_it_does_without_a_mean(make_trainer, averaged):
+    plain = make_trainer()
+    list(plain.learn(3))
+    ours, theirs = averaged[-1], plain.state_dict()
+    assert of_state({key: ours[key] for key in theirs}) == of_state(theirs)
+
+
+def test_the_mean_is_over_the_weights_of_each_iteration(averaged):
+    first, second, third = (state["actor_state_dict"] for state in averaged)
+    for name, value in averaged[-1]["averaged_state_dict"].items():
+        expected = ((first[name] + second[name]) / 2 + third[name]) / 2
+        assert torch.allclose(value, expected, rtol=1e-5, atol=1e-7)
+    assert not torch.equal(averaged[-1]["averaged_state_dict"]["mlp.0.weight"], third["mlp.0.weight"])
+
+
+def test_a_training_that_was_stopped_goes_on_with_its_mean_to_the_bit(make_trainer, averaged):
+    again = make_trainer(OVER, seed=5)
+    again.load_state_dict(averaged[0])
+    list(again.learn(3))
+    assert of_state(again.state_dict()) == of_state(averaged[-1])
+
+
+def test_a_mean_may_begin_at_a_resume(make_trainer):
+    plain = make_trainer()
+    list(plain.learn(1))
+    begun = make_trainer(OVER)
+    begun.load_state_dict(plain.state_dict())
+    list(begun.learn(2))
+    state = begun.state_dict()
+    assert torch.equal(state["averaged_state_dict"]["mlp.0.weight"], state["actor_state_dict"]["mlp.0.weight"])
+
+
+def test_the_mean_is_what_is_played(make_trainer, averaged, tmp_path):
+    path = tmp_path / "model_2.pt"
+    path.write_bytes(checkpoint.serialize(averaged[-1]))
+    trainer = make_trainer(OVER)
+    policy = load_policy(path, trainer.env, trainer._agent)
+    assert torch.equal(policy.state_dict()["mlp.0.weight"], averaged[-1]["averaged_state_dict"]["mlp.0.weight"])
+
+
+def test_a_mean_that_is_none_is_no_checkpoint(averaged, tmp_path):
+    path = tmp_path / "model_2.pt"
+    path.write_bytes(checkpoint.serialize({**averaged[-1], "averaged_state_dict": 3}))
+    with pytest.raises(RunDirectoryError, match="it has no 'averaged_state_dict'"):
+        checkpoint.load(path)

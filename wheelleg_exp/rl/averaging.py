@@ -1,0 +1,54 @@
+"""The mean of a policy's weights over its last iterations: what is played, while training goes on with the weights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.state import cloned
+
+STATE = "averaged_state_dict"  # of a checkpoint: the mean, under the names of the policy's own state
+_COUNT = "averaged_iterations"
+
+
+class PolicyAverage:
+    """Exponential mean of a policy's parameters.
+
+    While a policy explores, its weights never come to rest: they wander about those that do well, and so does what the
+    policy does. Their mean lies in the middle (Polyak and Juditsky, "Acceleration of stochastic approximation by
+    averaging", SIAM J. Control Optim. 30, 1992). Nothing of the training depends on it.
+
+    Args:
+        policy: the network.
+        iterations: n; the mean is that of all at first, then m += (w - m) / n.
+    """
+
+    def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
+        self._policy, self._iterations = policy, iterations
+        self._count = 0
+        self._mean: dict[str, torch.Tensor] = {}
+
+    @torch.no_grad()
+    def take(self) -> None:
+        """Take the weights into the mean, as they are behind an update."""
+        now = self._policy.state_dict()
+        self._mean = self._mean or cloned(now)
+        self._count += 1
+        share = 1.0 / min(self._count, self._iterations)
+        for name, value in now.items():
+            if value.is_floating_point():
+                self._mean[name].lerp_(value, share)
+            else:
+                self._mean[name].copy_(value)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the parts of a checkpoint that hold the mean; none before the first update."""
+        return {STATE: cloned(self._mean), _COUNT: self._count} if self._count else {}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Go on with a checkpoint's mean; it begins with the next update where there is none."""
+        self._count = int(saved.get(_COUNT, 0))
+        mean, own = saved.get(STATE, {}), self._policy.state_dict()
+        self._mean = {name: value.to(own[name].device, copy=True) for name, value in mean.items()}
