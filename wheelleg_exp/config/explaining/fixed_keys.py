@@ -79,6 +79,7 @@ KEYS: dict[str, str] = {
     "agent.torch_threads": "threads of torch; recorded in the run",
     "agent.matmul": "in what the update multiplies: float32, bfloat16 or tf32; auto: what there are units for",
     "agent.graph_update": "on a GPU, whether PPO's acting and update are CUDA graphs",
+    "agent.average_iterations": "iterations over which the policy's weights are averaged to what is played; 0 is none",
     "agent.clip_actions": "bound of the raw actions, null for none",
     "agent.max_non_finite": "episodes that may end in one iteration because a number was not finite, per environment",
     "agent.symmetry": "how the robot is mirrored left to right, null where it is not",
