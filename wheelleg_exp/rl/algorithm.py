@@ -101,6 +101,9 @@ def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any
         require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")
 
 
+_ALSO = {"gpu": "cuda"}  # what people call a device
+
+
 def _require_device(name: str) -> None:
     try:
         torch.zeros(1, device=name)
@@ -111,5 +114,5 @@ def _require_device(name: str) -> None:
             f"torch cannot use '{name}'" + ("" if known else f": {reason}"),
             key="agent.device",
             expected="cpu, or a device that this torch and this machine have",
-            nearest=nearest_name(name, known.group(1).split(", ")) if known else None,
+            nearest=nearest_name(_ALSO.get(name, name), known.group(1).split(", ")) if known else None,
         ) from error
