@@ -64,7 +64,7 @@ OFFERED = {
     "wheelleg train ~env.events.pu": ["~env.events.push_robot", "~env.events.push_robot."],
     "wheelleg train 'env.decim": ["env.decimation="],
     "wheelleg train termination@env.terminations=[time_out] env.terminations.": ["env.terminations.time_out."],
-    "wheelleg explain env.sim.d": ["env.sim.device", "env.sim.dt"],
+    "wheelleg explain env.sim.d": ["env.sim.device", "env.sim.dt", "env.sim.deterministic"],
     "wheelleg explain robo": ["robot"],
     "wheelleg list r": ["runs"],
     "wheelleg list p": ["pipelines"],

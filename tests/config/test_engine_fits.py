@@ -33,8 +33,8 @@ def test_what_fits_is_right(overrides):
         (["env.sim.device=cuda:0"], "env.sim.device: the engine 'mujoco' runs on the CPU, and not on 'cuda:0'"),
         ([WARP, "env.sim.device=gpu"], "env.sim.device: 'gpu' is no device of the engine 'warp'"),
         (
-            [WARP, "env.sim.deterministic=true"],
-            "env.sim.deterministic: the engine 'warp' does not repeat to the bit, nor with mujoco-warp's own",
+            [WARP, "env.sim.device=cuda:0", "env.sim.deterministic=true"],
+            "env.sim.deterministic: the engine 'warp' does not repeat to the bit on a GPU, nor with",
         ),
         ([WARP, "env.sim.solver=pgs"], "env.sim.solver: the engine 'warp' has no solver 'pgs'"),
     ],

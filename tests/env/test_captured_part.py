@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 
+import numpy as np
 import pytest
 import torch
 
 from env.taping import Tape
 from wheelleg_exp.env.captured import Captured, Counting
+from wheelleg_exp.env.variants import Memory
 from wheelleg_exp.managers.term import Term, TermBase
 
 
@@ -301,3 +303,67 @@ def test_what_begins_to_be_kept_there_later_is_an_error_with_what_to_set():
     with pytest.raises(Counting, match="'kept' of Scaled has begun to change") as told:
         run(part, term, "keeps", [True] * 5)
     assert told.value.key == "env.sim.graph_step"
+
+
+class Hands(TermBase):
+    """Keeps a tuple that one part replaces and another reads."""
+
+    def __init__(self) -> None:
+        self.now, self.kept = torch.zeros(1), (torch.zeros(1),)
+
+    def take(self) -> torch.Tensor:
+        self.kept = (self.now.clone(),)
+        return self.now + 0.0
+
+    def read(self) -> torch.Tensor:
+        return self.kept[0] + 0.0
+
+
+@pytest.mark.filterwarnings("ignore:a part of the step is launched kernel by kernel")
+def test_a_tuple_that_another_part_replaces_is_read_as_it_is():
+    term, memory = Hands(), Memory()
+    take, read = (Captured(work, [term], Tape, lambda: None, memory=memory) for work in (term.take, term.read))
+    for step in range(1, 12):
+        term.now.fill_(float(step))
+        assert float(read()) == step - 1
+        assert float(take()) == step
+
+
+@pytest.mark.parametrize("value", [np.float64(3.0), 3])
+def test_a_number_of_another_kind_is_another_setting(value):
+    term = Scaled()
+    term.scale, term.now = 3.0, torch.tensor([2])
+    part = Captured(lambda: term.now * term.scale, [term], Tape, lambda: None)
+    assert run(part, term, "scale", [3.0] * 4 + [value] * 6) == [6.0] * 10
+    assert part().dtype == (torch.int64 if type(value) is int else torch.float32)
+
+
+def test_what_is_added_to_the_settings_counts():
+    term = Scaled()
+    term.factors, term.more = [2.0], {}
+    part = Captured(
+        lambda: term.now * sum(term.factors) * term.more.get("factor", 1.0) * getattr(term, "late", 1.0),
+        [term],
+        Tape,
+        lambda: None,
+    )
+    assert [float(part()) for _ in range(5)] == [2.0] * 5
+    term.factors.append(3.0)
+    assert [float(part()) for _ in range(5)] == [5.0] * 5
+    term.more["factor"] = 10.0
+    assert [float(part()) for _ in range(5)] == [50.0] * 5
+    term.late = 0.5
+    assert [float(part()) for _ in range(5)] == [25.0] * 5
+    term.factors = [2.0, 3.0, 1.0]  # another list that begins as the one did
+    assert [float(part()) for _ in range(5)] == [30.0] * 5
+    assert not part._fails
+
+
+def test_more_settings_in_turn_than_there_is_room_for_do_not_record_without_end():
+    term = Scaled()
+    made = []
+    part = Captured(term.work, [term], lambda streams: made.append(1) or Tape(), lambda: None)
+    values = [float(step % 20) for step in range(1200)]
+    with pytest.warns(UserWarning, match="while 'scale' of Scaled changes again and again"):
+        assert run(part, term, "scale", values) == values
+    assert len(made) < 40

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.jobs.resume.loading import load
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.averaging import PolicyAverage
+from wheelleg_exp.rl.averaging import PolicyAverage, without
 from wheelleg_exp.rl.digests import of_state
 from wheelleg_exp.rl.policy import load_policy
 
@@ -41,8 +44,9 @@ def averaged(make_trainer):
 def test_training_goes_on_with_the_weights_as_it_does_without_a_mean(make_trainer, averaged):
     plain = make_trainer()
     list(plain.learn(3))
-    ours, theirs = averaged[-1], plain.state_dict()
-    assert of_state({key: ours[key] for key in theirs}) == of_state(theirs)
+    ours, theirs = of_state(averaged[-1]), of_state(plain.state_dict())
+    assert {name for name in ours if ours[name] != theirs.get(name)} == {"mean", "rest"}
+    assert of_state(without(averaged[-1])) == theirs
 
 
 def test_the_mean_is_over_the_weights_of_each_iteration(averaged):
@@ -55,9 +59,32 @@ def test_the_mean_is_over_the_weights_of_each_iteration(averaged):
 
 def test_a_training_that_was_stopped_goes_on_with_its_mean_to_the_bit(make_trainer, averaged):
     again = make_trainer(OVER, seed=5)
-    again.load_state_dict(averaged[0])
+    again.load_state_dict(copy.deepcopy(averaged[0]))
     list(again.learn(3))
     assert of_state(again.state_dict()) == of_state(averaged[-1])
+
+
+def test_a_training_may_go_on_without_its_mean(make_trainer, averaged):
+    plain = make_trainer()
+    assert load(plain, copy.deepcopy(averaged[0]), None) == []
+    list(plain.learn(3))
+    assert of_state(plain.state_dict()) == of_state(without(averaged[-1]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda state: state["averaged_state_dict"].popitem(),
+        lambda state: state["unsaved"].update(averaged_iterations=-1),
+        lambda state: state["unsaved"].pop("averaged_iterations"),
+    ],
+)
+def test_the_mean_of_another_network_does_not_fit(make_trainer, averaged, change):
+    state = {**averaged[0], "averaged_state_dict": dict(averaged[0]["averaged_state_dict"])}
+    state["unsaved"] = dict(state["unsaved"])
+    change(state)
+    with pytest.raises(RunDirectoryError, match="the saved state does not fit: the mean of the policy's weights"):
+        make_trainer(OVER).load_state_dict(state)
 
 
 def test_a_mean_may_begin_at_a_resume(make_trainer):
@@ -75,7 +102,11 @@ def test_the_mean_is_what_is_played(make_trainer, averaged, tmp_path):
     path.write_bytes(checkpoint.serialize(averaged[-1]))
     trainer = make_trainer(OVER)
     policy = load_policy(path, trainer.env, trainer._agent)
-    assert torch.equal(policy.state_dict()["mlp.0.weight"], averaged[-1]["averaged_state_dict"]["mlp.0.weight"])
+    mean = averaged[-1]["averaged_state_dict"]["mlp.0.weight"]
+    assert torch.equal(policy.state_dict()["mlp.0.weight"], mean)
+    trainer.load_state_dict(copy.deepcopy(averaged[-1]))
+    assert torch.equal(trainer.played().state_dict()["mlp.0.weight"], mean)  # what a training exports
+    assert not torch.equal(trainer.algorithm.get_policy().state_dict()["mlp.0.weight"], mean)
 
 
 def test_a_mean_that_is_none_is_no_checkpoint(averaged, tmp_path):

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from wheelleg_exp.env.recorders import Recorder, Touched
-from wheelleg_exp.env.slots import Slot, entry_of, is_plain, kept_apart, slots
+from wheelleg_exp.env.slots import Itself, Slot, containers_of_terms, entry_of, is_plain, kept_apart, slots
 from wheelleg_exp.env.variants import Entry, Memory, Variant, Variants, bring, form_of, is_like, places_of, shared_of
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 
@@ -68,7 +68,7 @@ class Captured:
         self._drawn: list[torch.Generator] = [] if like is None else like._drawn
         self._runs: int = 0 if like is None else like._runs
         self._variants = Variants()
-        self._fails, self._again = False, 0
+        self._fails, self._again, self._grown = False, 0, 0
 
     def __call__(self) -> Any:
         """Run the part, or repeat it."""
@@ -81,8 +81,10 @@ class Captured:
         self._memory.look()
         for entry in self._entries:
             if entry.enter(self._memory.version):
-                self._variants.missed = 0
+                self._variants.missed -= self._variants.missed > 0
                 return self._replay(entry.variant)
+        if self._grown != self._memory.grown:
+            self._look_for_more()
         key = self._key()
         variant = self._variants.get(key)
         if variant is None:
@@ -107,6 +109,13 @@ class Captured:
     def _key(self) -> tuple[Any, ...]:
         """Return what recordings depend on, as it is now."""
         return tuple(_kind(slot.get()) for slot in self._plain.values())
+
+    def _look_for_more(self) -> None:
+        """Let recordings depend on what has come to be in a container since."""
+        self._grown = self._memory.grown
+        others = [slot for slot in slots(self._roots) if slot.name not in self._plain and is_plain(slot.get())]
+        if others and self._variants:
+            self._look_at(others)
 
     def _look_at(self, others: Sequence[Slot]) -> None:
         """Let recordings depend on further places: those that there are did not."""
@@ -232,11 +241,12 @@ class Captured:
             for slot, static, _ in moved:
                 slot.set(static)
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
-        others = [(slot, slot.get()) for slot in found if is_plain(slot.get())]
+        others = [(slot, slot.get()) for slot in found if is_plain(slot.get()) or isinstance(slot.get(), tuple)]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
         empty = [slot for slot, value in others if value is None]
         if new := [slot for slot, _ in others if slot.name not in self._plain]:
             self._look_at(new)
+        self._memory.watch(containers_of_terms(self._roots))
         key, apart = self._key(), kept_apart(self._roots)
         outputs: list[Any] = []
         touched = Touched()
@@ -303,8 +313,10 @@ def _moves(value: Any, now: Any) -> bool:
 
 
 def _kind(value: Any) -> Any:
-    """Return what a recording depends on: a plain value, or what kind of thing there is."""
-    return value if is_plain(value) else type(value)
+    """Return what a recording depends on: a plain value, a tuple itself, or what kind of thing there is."""
+    if is_plain(value):
+        return type(value), value
+    return Itself(value) if isinstance(value, tuple) else type(value)
 
 
 def _differs(now: Any, was: dict[Any, Any]) -> bool:

@@ -128,7 +128,9 @@ class CapturedReset:
         try:
             values = part()
             self._works = not part._fails
-        except Counting as told:  # a term counts its resets, of which this one is done
+        except Counting as told:  # a term counts its resets
+            if told.found is None:  # this one is not done
+                raise
             self._works, values = False, told.found
         self._env.scene.robot.mark_written(ids)
         return dict(zip(self._names, values.clone().unbind(), strict=True))

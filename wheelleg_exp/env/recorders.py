@@ -42,13 +42,20 @@ class CudaGraph:
     def record(self, work: Callable[[], None]) -> None:
         """Do the work and record it; it runs at the first replay."""
         torch.cuda.synchronize()
+        stream, failed = torch.cuda.current_stream(), []
         try:
             with torch.cuda.graph(self._graph, pool=self._pool, capture_error_mode="thread_local"):
-                work()
-        except Exception:  # random streams wait for the end of a capture, and would not be drawn from
+                try:
+                    work()
+                except Exception as error:
+                    failed.append(error)
+                    raise
+        except Exception as error:
+            torch.cuda.set_stream(stream)  # a capture that fails at its end leaves its own
+            # Random streams wait for the end of a capture, and would not be drawn from.
             with torch.cuda.graph(self._made(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            raise
+            raise (failed or [error])[0] from None  # the work's own, which names the term
 
     def replay(self) -> None:
         """Do the recorded work again."""

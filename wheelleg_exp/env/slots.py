@@ -5,23 +5,29 @@ from __future__ import annotations
 import functools
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
+import numpy as np
 import torch
 
 from wheelleg_exp.managers.term import Term, TermBase
 
-_PLAIN = (bool, int, float, str, type(None))
+_PLAIN = (bool, int, float, str, type(None), np.bool_, np.int64, np.float64, np.float32)
 _OWN = ("wheelleg_exp.", "functools")
-# Of this program's own: classes and attributes that stand still, or are no state of this part of the step.
-_FIXED = frozenset(
-    """Cfg GroupLayout Reference RobotLayout RobotOptions SimOptions TensorForm Captured CapturedStep CapturedReset
-    Asked Memory TermState Graphs Settings cfg options spec model asked extras curriculum_manager
-    common_step_counter _captured _captured_look _captured_reset _captured_commands _captured_memory
-    num_envs _num_envs arguments joint_names body_names joint_names_expr fixed_tendon_names object_collection_names
-    preserve_order metric_names _bodies _per_joint _config _weights _width _widths width history_length same_as
-    _flatten _same_sample _keeps_params""".split()  # noqa: SIM905
+# Of an environment, what is no state of a part of its step.
+_OF_AN_ENVIRONMENT = frozenset(
+    """cfg asked extras observers curriculum_manager common_step_counter _captured _captured_look _captured_reset
+    _captured_commands _captured_memory""".split()  # noqa: SIM905
+)
+# Of this program's own classes and their attributes, those that stand still.
+_FIXED = _OF_AN_ENVIRONMENT | frozenset(
+    """Cfg GroupLayout Reference RobotLayout RobotOptions SimOptions TensorForm Captured CapturedStep
+    CapturedReset Asked Memory TermState Graphs Settings options spec model num_envs _num_envs arguments
+    joint_names body_names joint_names_expr fixed_tendon_names object_collection_names preserve_order
+    metric_names _bodies _per_joint _config _weights _width _widths width history_length same_as _flatten
+    _same_sample _keeps_params""".split()  # noqa: SIM905
 )
 _STILL = (torch.Tensor, type, ModuleType, FunctionType, MethodType)
 _OF_A_TERM = frozenset(("name", "path", "target", "generator", "_made_with", "_has_worked"))  # stand still too
@@ -30,6 +36,19 @@ _OF_A_TERM = frozenset(("name", "path", "target", "generator", "_made_with", "_h
 def is_plain(value: Any) -> bool:
     """Return whether something is a number, a word, nothing, or a tuple of such."""
     return type(value) in _PLAIN or (type(value) is tuple and all(map(is_plain, value)))
+
+
+@dataclass(frozen=True, eq=False)
+class Itself:
+    """Something that is equal to nothing but itself, and is kept, so that nothing else comes to be where it is."""
+
+    value: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Itself) and self.value is other.value
+
+    def __hash__(self) -> int:
+        return id(self.value)
 
 
 class Slot:
@@ -120,11 +139,10 @@ def _objects(roots: Sequence[Any]) -> Iterator[tuple[Any, list[Slot]]]:
 
 
 def _fixed_of(node: Any) -> frozenset[str]:
-    """Return the attributes that stand still: none of a user's term."""
+    """Return the attributes that stand still: of a user's class none but what every environment has."""
     if isinstance(node, Term):
         return _FIXED | _OF_A_TERM
-    is_users = isinstance(node, TermBase) and not type(node).__module__.startswith(_OWN)
-    return frozenset() if is_users else _FIXED
+    return _FIXED if type(node).__module__.startswith(_OWN) else _OF_AN_ENVIRONMENT
 
 
 def _is_fixed(kind: type) -> bool:
@@ -143,8 +161,10 @@ def _is_own(kind: type) -> bool:
 
 
 def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -> Iterator[Slot]:
-    if isinstance(value, torch.Tensor) or is_plain(value):
+    if isinstance(value, (torch.Tensor, tuple)) or is_plain(value):
         yield Slot(holder, way)
+        if isinstance(value, tuple):
+            waiting.append(value)
     elif isinstance(value, (dict, list)):
         yield Slot(holder, way)
         entries = value.items() if isinstance(value, dict) else enumerate(value)
@@ -152,6 +172,14 @@ def _places(holder: Any, way: tuple[Any, ...], value: Any, waiting: list[Any]) -
             yield from _places(holder, (*way, key), entry, waiting)
     else:
         waiting.append(value)
+
+
+def containers_of_terms(roots: Sequence[Any]) -> Iterator[dict[Any, Any] | list[Any]]:
+    """Yield the attributes of terms, and their dictionaries and lists: what is added there is a setting too."""
+    for term, places in _objects(roots):
+        if isinstance(term, (Term, TermBase)):
+            yield vars(term)
+            yield from (value for place in places if isinstance(value := place.get(), (dict, list)))
 
 
 def kept_apart(roots: Sequence[Any]) -> dict[tuple[int, str], tuple[str, Any]]:
@@ -186,6 +214,6 @@ def _standing(value: Any, seen: set[int]) -> Any:
     if isinstance(value, dict):
         return [(key, _standing(entry, seen)) for key, entry in value.items()]
     if id(value) in seen or _is_own(type(value)) or isinstance(value, _STILL):
-        return id(value)
+        return Itself(value)
     seen.add(id(value))
-    return [id(value), _standing(getattr(value, "__dict__", {}), seen)]
+    return [Itself(value), _standing(getattr(value, "__dict__", {}), seen)]

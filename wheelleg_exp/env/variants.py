@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +15,7 @@ from wheelleg_exp.env.slots import Slot, entry_of, is_plain
 
 _MOST_VARIANTS = 8
 _OFTEN, _MOST_WAITING = 3, 64  # runs that depend on the same, until that is recorded; those that are counted
+_MOST_DOUBLINGS = 8  # of that number, one when a recording had to make room
 
 
 @dataclass
@@ -31,6 +32,7 @@ class Memory:
         moving: slots with plain values that parts change: what a recording begins with, it looks at by itself.
         is_seen: whether nobody has done anything since settings were looked at.
         version: how often settings were found to be others.
+        grown: how often there were more of them, or fewer, in a container.
     """
 
     is_told: bool = False
@@ -39,6 +41,8 @@ class Memory:
     moving: set[tuple[int, Any]] = field(default_factory=set)
     is_seen: bool = False
     version: int = 0
+    grown: int = 0
+    _sized: dict[int, tuple[Sized, int]] = field(default_factory=dict)
     _settings: dict[tuple[int, Any], Slot] = field(default_factory=dict)
     _kept: Places | None = None
 
@@ -56,11 +60,20 @@ class Memory:
             self._settings |= new
             self._kept = None
 
+    def watch(self, containers: Iterable[Sized]) -> None:
+        """Look at how many entries some containers have, too."""
+        self._sized |= {id(one): (one, len(one)) for one in containers}
+
     def look(self) -> None:
         """Note whether a setting is another than it was."""
         if self.is_told and self.is_seen and self._kept is not None:
             return
+        if any([len(one) != count for one, count in self._sized.values()]):
+            self.watch([one for one, _ in self._sized.values()])
+            self.version += 1
+            self.grown += 1
         if self._kept is None or not self._kept.hold():
+            self.grown += self._kept is not None and self._kept.has_other_containers()
             self._kept = places_of(self._settings.values())
             self.version += 1
         self.is_seen = True
@@ -84,6 +97,14 @@ class Places:
         except LookupError:
             return False
         return all(map(operator.is_, now, self._values)) or all(map(_is_alike, now, self._values))
+
+    def has_other_containers(self) -> bool:
+        """Return whether a dictionary or a list is another one, or is not there."""
+        held = zip(self._places, self._values, strict=True)
+        return any(
+            isinstance(was, (dict, list)) and entry_of(container, key, None) is not was
+            for (container, key), was in held
+        )
 
 
 def places_of(slots: Iterable[Slot]) -> Places | None:
@@ -119,12 +140,13 @@ class Variants:
     """Recordings of a part by what they depend on. That which was not used for longest makes room.
 
     Attributes:
-        missed: how often in a row what there was had no recording.
+        missed: how much more often what there was had no recording than it had one.
     """
 
     def __init__(self) -> None:
         self._known: dict[tuple[Any, ...], Variant] = {}  # the last is the one that was used last
         self._waiting: dict[tuple[Any, ...], int] = {}
+        self._evicted = 0
         self.missed = 0
 
     def __len__(self) -> int:
@@ -144,7 +166,9 @@ class Variants:
         self._known.pop(key, None)
         if len(self._known) >= _MOST_VARIANTS:
             del self._known[next(iter(self._known))]
-        self._known[key], self.missed = variant, 0
+            self._evicted += 1
+        self._known[key] = variant
+        self.missed -= self.missed > 0
 
     def is_worth(self, key: tuple[Any, ...]) -> bool:
         """Return whether to record what depends on this: at first, and when it has come up often."""
@@ -152,7 +176,7 @@ class Variants:
             return True
         self.missed += 1
         count = self._waiting.pop(key, 0) + 1
-        if count >= _OFTEN:
+        if count >= _OFTEN << min(self._evicted, _MOST_DOUBLINGS):  # else more than there is room for would take turns
             return True
         if len(self._waiting) >= _MOST_WAITING:
             del self._waiting[next(iter(self._waiting))]

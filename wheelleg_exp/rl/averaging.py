@@ -10,7 +10,7 @@ import torch
 from wheelleg_exp.state import cloned
 
 STATE = "averaged_state_dict"  # of a checkpoint: the mean, under the names of the policy's own state
-_COUNT = "averaged_iterations"
+_COUNT = "averaged_iterations"  # under what each process has for itself
 
 
 class PolicyAverage:
@@ -44,11 +44,32 @@ class PolicyAverage:
                 self._mean[name].copy_(value)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the parts of a checkpoint that hold the mean; none before the first update."""
-        return {STATE: cloned(self._mean), _COUNT: self._count} if self._count else {}
+        """Return the part of a checkpoint that is the mean; none before the first update."""
+        return {STATE: cloned(self._mean)} if self._count else {}
+
+    def unsaved(self) -> dict[str, int]:
+        """Return how many iterations the mean is over."""
+        return {_COUNT: self._count} if self._count else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Go on with a checkpoint's mean; it begins with the next update where there is none."""
-        self._count = int(saved.get(_COUNT, 0))
-        mean, own = saved.get(STATE, {}), self._policy.state_dict()
+        """Go on with a checkpoint's mean; it begins with the next update where there is none.
+
+        Raises:
+            ValueError: it is the mean of another network, or of no number of iterations.
+        """
+        mean, own = saved.get(STATE) or {}, self._policy.state_dict()
+        count = saved["unsaved"].get(_COUNT, 0)
+        if mean and (type(count) is not int or count < 1 or _forms(mean) != _forms(own)):
+            raise ValueError("the mean of the policy's weights is that of another network")
+        self._count = count if mean else 0
         self._mean = {name: value.to(own[name].device, copy=True) for name, value in mean.items()}
+
+
+def without(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a checkpoint's state as it is for a training that takes no mean."""
+    unsaved = {key: value for key, value in saved["unsaved"].items() if key != _COUNT}
+    return {**{key: value for key, value in saved.items() if key != STATE}, "unsaved": unsaved}
+
+
+def _forms(state: Mapping[str, torch.Tensor]) -> dict[str, torch.Size]:
+    return {name: value.shape for name, value in state.items()}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from wheelleg_exp.rl.averaging import STATE
 from wheelleg_exp.state.values import bytes_of
 
 if TYPE_CHECKING:
@@ -28,8 +29,9 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
     """Return the digests of a checkpoint's tree by part.
 
     ``parameters`` are the networks, ``optimizer`` its state with the learning rate, ``environment`` all of the
-    environment but its random streams, ``streams`` those and torch's, ``log`` the running episode sums, and
-    ``rest`` whatever else there is. Of a training by several processes they are over the parts of all.
+    environment but its random streams, ``streams`` those and torch's, ``log`` the running episode sums, ``mean`` that
+    of the policy's weights, where they are averaged, and ``rest`` whatever else there is. Of a training by several
+    processes they are over the parts of all.
     """
     first = {name: tree_digest(part) for name, part in _parts(state).items()}
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
@@ -76,6 +78,8 @@ def _part_of(key: str) -> str:
     known = {"env": "environment", "streams": "streams", "rng": "streams", "log": "log"}
     if key in known:
         return known[key]
+    if key == STATE:
+        return "mean"
     if key.endswith("_state_dict"):
         return "optimizer" if "optimizer" in key else "parameters"
     return "rest"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Iterator, Mapping
@@ -90,7 +91,7 @@ class Trainer:
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
         over = int(agent.get("average_iterations", 0))
-        self._average = PolicyAverage(self.networks()[0], over) if over else None
+        self._average = PolicyAverage(self.algorithm.get_policy(), over) if over else None
         self._matmul = chosen_matmul(agent)
         graphs = bool(agent.get("graph_update")) and can(self.algorithm)
         self._graphed = GraphedUpdate(self.algorithm) if graphs else None
@@ -226,7 +227,7 @@ class Trainer:
             "infos": None,
             **cloned(self.algorithm.save()),  # else it would go on with the networks
             **({} if self._average is None else self._average.state_dict()),
-            "unsaved": unsaved_state(self.algorithm),
+            "unsaved": unsaved_state(self.algorithm) | ({} if self._average is None else self._average.unsaved()),
             "env": self.env.env.state_dict(),
             "log": self.log.state_dict(),
             "rng": self._random_state(),
@@ -256,6 +257,20 @@ class Trainer:
                 expected="the state of the same networks, terms, robot and number of environments",
             ) from error
         self.iteration = saved["iter"] + 1
+
+    @property
+    def is_averaged(self) -> bool:
+        """Whether the policy's weights are averaged."""
+        return self._average is not None
+
+    def played(self) -> torch.nn.Module:
+        """Return the policy that is played, on the CPU: a copy with the mean of its weights where they are averaged."""
+        policy = self.algorithm.get_policy()
+        if self._average is None:
+            return policy.to("cpu")
+        policy = copy.deepcopy(policy).to("cpu")
+        policy.load_state_dict(checkpoint.policy_state(self.algorithm.save() | self._average.state_dict()))
+        return policy
 
     def set_learning_rate(self, value: float) -> None:
         """Set the learning rate of the coming updates; an adaptive schedule goes on from it."""

@@ -37,8 +37,8 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
         return
     if not re.fullmatch(r"cpu|cuda(:\d+)?", str(device)):
         yield Broken("device", f"{device!r} is no device of the engine 'warp'", "cpu, or cuda:0 and so on")
-    if given.get("deterministic"):
-        told = "the engine 'warp' does not repeat to the bit, nor with mujoco-warp's own opt.deterministic"
+    if given.get("deterministic") and device != "cpu":
+        told = "the engine 'warp' does not repeat to the bit on a GPU, nor with mujoco-warp's own opt.deterministic"
         yield Broken("deterministic", told, "false, or engine: mujoco, which repeats (docs/gpu.md)")
     if given["solver"] == "pgs":
         yield Broken("solver", "the engine 'warp' has no solver 'pgs'", "newton or cg")
@@ -75,8 +75,7 @@ class SimOptions:
         graph: engine ``warp`` on a GPU: whether a physics step is launched as one CUDA graph, which changes no number.
         graph_step: engine ``warp`` on a GPU: whether what torch does from the actions to the rewards, for resets,
             commands and observations, is launched as CUDA graphs. docs/gpu.md says what that asks of terms.
-        deterministic: whether nothing may simulate that does not repeat to the bit: the engine ``mujoco`` always does,
-            ``warp`` is refused.
+        deterministic: whether nothing may simulate that does not repeat to the bit: ``warp`` on a GPU is refused.
     """
 
     engine: Literal["mujoco", "warp"]

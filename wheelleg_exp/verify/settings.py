@@ -24,6 +24,7 @@ _HARMLESS = (
     ("env", "sim", "nconmax"),
     ("env", "sim", "njmax"),
     ("env", "sim", "graph"),
+    ("env", "sim", "deterministic"),
     ("recording",),
 )
 

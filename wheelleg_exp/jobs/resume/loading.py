@@ -9,7 +9,7 @@ from typing import Any
 from wheelleg_exp.config.changes import Change
 from wheelleg_exp.jobs.kept_robot import kept_robot
 from wheelleg_exp.jobs.train.training import Recipe
-from wheelleg_exp.rl import digests
+from wheelleg_exp.rl import averaging, digests
 from wheelleg_exp.rl.rank_states import of_rank
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.run.directory import RunDirectory
@@ -46,7 +46,8 @@ def load(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None
     trainer.load_state_dict(own)
     if learning_rate is not None:
         trainer.set_learning_rate(learning_rate)
-    wanted, found = digests.of_state(own), digests.of_state(trainer.state_dict())
+    wanted = digests.of_state(own if trainer.is_averaged else averaging.without(own))
+    found = digests.of_state(trainer.state_dict())
     lost = [name for name in wanted if wanted[name] != found.get(name)]
     return [f"the {', '.join(lost)} after loading are not what was saved"] if lost else []
 

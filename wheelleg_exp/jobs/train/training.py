@@ -318,7 +318,7 @@ def _seconds(earlier: Sequence[Mapping[str, Any]]) -> float:
 
 def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:
     """Write ``exported/``: the policy as TorchScript and ONNX, and its description."""
-    policy = trainer.algorithm.get_policy().to("cpu")
+    policy = trainer.played()
     try:
         files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
     except Exception as error:  # torch's exporter has a report of many lines for each
