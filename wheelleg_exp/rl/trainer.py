@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import time
 from collections.abc import Iterator, Mapping
@@ -11,11 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from rsl_rl.models import MLPModel
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.managers.finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
-from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl import averaging, checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.averaging import PolicyAverage
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
@@ -263,14 +263,17 @@ class Trainer:
         """Whether the policy's weights are averaged."""
         return self._average is not None
 
-    def played(self) -> torch.nn.Module:
-        """Return the policy that is played, on the CPU: a copy with the mean of its weights where they are averaged."""
-        policy = self.algorithm.get_policy()
-        if self._average is None:
-            return policy.to("cpu")
-        policy = copy.deepcopy(policy).to("cpu")
-        policy.load_state_dict(checkpoint.policy_state(self.algorithm.save() | self._average.state_dict()))
-        return policy
+    @contextmanager
+    def played(self) -> Iterator[MLPModel]:
+        """Lend the policy on the CPU as it is played: with the mean of its weights where they are averaged."""
+        policy = self.algorithm.get_policy().to("cpu")
+        own = cloned(policy.state_dict())
+        if self._average is not None:
+            policy.load_state_dict(self._average.state_dict().get(averaging.STATE, own))
+        try:
+            yield policy
+        finally:
+            policy.load_state_dict(own)
 
     def set_learning_rate(self, value: float) -> None:
         """Set the learning rate of the coming updates; an adaptive schedule goes on from it."""

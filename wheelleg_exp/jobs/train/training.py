@@ -318,9 +318,9 @@ def _seconds(earlier: Sequence[Mapping[str, Any]]) -> float:
 
 def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:
     """Write ``exported/``: the policy as TorchScript and ONNX, and its description."""
-    policy = trainer.played()
     try:
-        files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
+        with trainer.played() as policy:
+            files = {"policy.pt": export.torchscript(policy), "policy.onnx": export.onnx(policy)}
     except Exception as error:  # torch's exporter has a report of many lines for each
         raise SimulationFailure(
             f"the trained policy cannot be exported: {in_words(error).splitlines()[0]}",
