@@ -6,15 +6,15 @@ import functools
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from numbers import Number
 from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
-import numpy as np
 import torch
 
 from wheelleg_exp.managers.term import Term, TermBase
 
-_PLAIN = (bool, int, float, str, type(None), np.bool_, np.int64, np.float64, np.float32)
+_PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")
 # Of an environment, what is no state of a part of its step.
 _OF_AN_ENVIRONMENT = frozenset(
@@ -35,7 +35,9 @@ _OF_A_TERM = frozenset(("name", "path", "target", "generator", "_made_with", "_h
 
 def is_plain(value: Any) -> bool:
     """Return whether something is a number, a word, nothing, or a tuple of such."""
-    return type(value) in _PLAIN or (type(value) is tuple and all(map(is_plain, value)))
+    if type(value) in _PLAIN or isinstance(value, Number):  # NumPy's are numbers, too
+        return True
+    return type(value) is tuple and all(map(is_plain, value))
 
 
 @dataclass(frozen=True, eq=False)
