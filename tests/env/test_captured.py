@@ -7,7 +7,7 @@ import torch
 
 from env.taping import Tape, parts, recorded, stand
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured import Captured
+from wheelleg_exp.env.captured import Captured, Counting
 
 
 @pytest.fixture(autouse=True)
@@ -192,6 +192,19 @@ def test_a_reset_in_which_counting_is_noticed_is_done_once():
             assert float(taped.extras["log"][key]) == pytest.approx(float(value), rel=1e-6, abs=1e-9)
         assert torch.equal(taped.scene.sim.state, plain.scene.sim.state)
     assert not taped._captured_reset._works
+
+
+def test_a_reset_that_could_not_be_recorded_is_an_error_and_not_taken_for_done(monkeypatch):
+    env = recorded(stand())
+
+    def begins_to_change(part):
+        raise Counting("'kept' of a term has begun to change", key="env.sim.graph_step")
+
+    for _ in range(3):
+        env._reset_idx(torch.arange(4))
+    monkeypatch.setattr(Captured, "__call__", begins_to_change)
+    with pytest.raises(Counting, match="has begun to change"):
+        env._reset_idx(torch.arange(4))
 
 
 _NOISE = (

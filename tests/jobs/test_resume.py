@@ -555,6 +555,18 @@ def test_a_secret_is_refused(run, monkeypatch, word, said):
     assert said in refuse(run, "agent.max_iterations=9", word)
 
 
+def test_what_there_is_room_for_and_what_is_a_graph_may_change(run):
+    words = ["env.sim.nconmax=64", "env.sim.njmax=99", "env.sim.graph=false", "env.sim.graph_step=true"]
+    tree, changes = resume_changes.changed(resume_changes.kept_tree(RunDirectory(run)), words)
+    assert {change.key: change.b for change in changes} == {
+        "env.sim.nconmax": 64,
+        "env.sim.njmax": 99,
+        "env.sim.graph": False,
+        "env.sim.graph_step": True,
+    }
+    assert tree["env"]["sim"]["nconmax"] == 64
+
+
 def test_a_variable_that_was_not_kept_is_asked_for_by_name(run, monkeypatch):
     """A run from before such variables were refused."""
     path = run / ".hydra" / "config.yaml"

@@ -17,7 +17,7 @@ from wheelleg_exp.env.slots import Itself, Slot, containers_of_terms, entry_of, 
 from wheelleg_exp.env.variants import Entry, Memory, Variant, Variants, bring, form_of, is_like, places_of, shared_of
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 
-_MANY = 256  # runs one after another that begin with other values, before it is told
+_MANY = 256  # more runs that begin with values of no recording than with those of one, before it is told
 _MOST_AGAIN = 64  # times that all is recorded again, because attributes hold what they did not hold before
 _MOST_ENTRIES = 4  # of a part: whether environments have just been reset, and the like, alternates
 _WARM_UP = 2  # runs before a capture: what is made lazily is there, and libraries have their workspaces
@@ -152,10 +152,9 @@ class Captured:
 
     def _enter(self, variant: Variant) -> list[Slot]:
         """Bring what slots hold into a recording's memory; return those that hold another kind of thing."""
-        unlike = [slot for slot in variant.empty if slot.get() is not None]
         others = [(slot, static, now) for slot, static in variant.before if (now := slot.get()) is not static]
         fits = [is_like(now, static) and id(static) not in variant.shared for _, static, now in others]
-        unlike += [slot for (slot, _, _), fit in zip(others, fits, strict=True) if not fit]
+        unlike = [slot for (slot, _, _), fit in zip(others, fits, strict=True) if not fit]
         like = [other for other, fit in zip(others, fits, strict=True) if fit]
         bring([(static, now) for _, static, now in like])
         for slot, static, _ in like:
@@ -167,10 +166,9 @@ class Captured:
 
     def _entry_of(self, variant: Variant) -> Entry | None:
         """Return what there is, on which a recording depends; None when a part of it is not there."""
-        looked_at = self._plain | {slot.name: slot for slot in variant.empty}
-        self._memory.settings_of(looked_at)
+        self._memory.settings_of(self._plain)
         self._memory.look()
-        moving = [slot for name, slot in looked_at.items() if name in self._memory.moving]
+        moving = [slot for name, slot in self._plain.items() if name in self._memory.moving]
         leaves = []
         for slot, static in variant.before:
             around = slot.around()
@@ -243,7 +241,6 @@ class Captured:
         tensors = [(slot, slot.get()) for slot in found if isinstance(slot.get(), torch.Tensor)]
         others = [(slot, slot.get()) for slot in found if is_plain(slot.get()) or isinstance(slot.get(), tuple)]
         wholes = [(slot, dict(slot.get())) for slot in found if isinstance(slot.get(), dict)]
-        empty = [slot for slot, value in others if value is None]
         if new := [slot for slot, _ in others if slot.name not in self._plain]:
             self._look_at(new)
         self._memory.watch(containers_of_terms(self._roots))
@@ -272,7 +269,7 @@ class Captured:
         self._memory.let_move([slot.name for slot, value in [*tensors, *others] if _moves(value, slot.get())])
         touched.note((outputs, [value for _, value in after], [whole for _, whole in contents]))  # handed on
         before = [(slot, value) for slot, value in tensors if touched.has(value)]
-        return key, Variant(recorder, before, shared_of(before), empty, after, contents, _standing(outputs[0]))
+        return key, Variant(recorder, before, shared_of(before), after, contents, _standing(outputs[0]))
 
     def _work_and_write_back(self, tensors: Sequence[tuple[Slot, torch.Tensor]]) -> Any:
         """Do the work, and write what slots hold then into the memory that they held before."""

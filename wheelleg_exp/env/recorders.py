@@ -55,7 +55,8 @@ class CudaGraph:
             # Random streams wait for the end of a capture, and would not be drawn from.
             with torch.cuda.graph(self._made(), capture_error_mode="thread_local"):
                 torch.zeros(1, device="cuda")
-            raise (failed or [error])[0] from None  # the work's own, which names the term
+            told = (failed or [error])[0]  # the work's own, which names the term
+            raise told from told.__cause__
 
     def replay(self) -> None:
         """Do the recorded work again."""

@@ -204,18 +204,18 @@ def _unfollowed(value: Any) -> Any:
         return [_unfollowed(entry) for entry in value.values()]
     if isinstance(value, list):
         return [_unfollowed(entry) for entry in value]
-    return _standing(value, set())
+    return _trace(value, set())
 
 
-def _standing(value: Any, seen: set[int]) -> Any:
+def _trace(value: Any, seen: set[int]) -> Any:
     """Return what tells whether an object holds the same tensors and plain values as before."""
     if is_plain(value):
         return value
     if isinstance(value, (tuple, list, deque, set, frozenset)):
-        return [_standing(entry, seen) for entry in value]
+        return [_trace(entry, seen) for entry in value]
     if isinstance(value, dict):
-        return [(key, _standing(entry, seen)) for key, entry in value.items()]
+        return [(key, _trace(entry, seen)) for key, entry in value.items()]
     if id(value) in seen or _is_own(type(value)) or isinstance(value, _STILL):
         return Itself(value)
     seen.add(id(value))
-    return [Itself(value), _standing(getattr(value, "__dict__", {}), seen)]
+    return [Itself(value), _trace(getattr(value, "__dict__", {}), seen)]

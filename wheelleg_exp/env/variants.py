@@ -130,7 +130,6 @@ class Variant:
     recorder: Recorder
     before: list[tuple[Slot, torch.Tensor]]
     shared: set[int]
-    empty: list[Slot]
     after: list[tuple[Slot, Any]]
     contents: list[tuple[Slot, dict[Any, Any]]]
     outputs: Any

@@ -22,17 +22,23 @@ class PolicyAverage:
 
     Args:
         policy: the network.
-        iterations: n; the mean is that of all at first, then m += (w - m) / n.
+        iterations: n; the mean is that of all at first, then m += (w - m) / n. 0 is no mean.
+
+    Attributes:
+        is_on: whether there is to be a mean.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
         self._policy, self._iterations = policy, iterations
+        self.is_on = iterations > 0
         self._count = 0
         self._mean: dict[str, torch.Tensor] = {}
 
     @torch.no_grad()
     def take(self) -> None:
         """Take the weights into the mean, as they are behind an update."""
+        if not self.is_on:
+            return
         now = self._policy.state_dict()
         self._mean = self._mean or cloned(now)
         self._count += 1
@@ -57,6 +63,8 @@ class PolicyAverage:
         Raises:
             ValueError: it is the mean of another network, or of no number of iterations.
         """
+        if not self.is_on:
+            return
         mean, own = saved.get(STATE) or {}, self._policy.state_dict()
         count = saved["unsaved"].get(_COUNT, 0)
         if mean and (type(count) is not int or count < 1 or _forms(mean) != _forms(own)):

@@ -90,8 +90,7 @@ class Trainer:
             load_initial(self.algorithm, initial)
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
-        over = int(agent.get("average_iterations", 0))
-        self._average = PolicyAverage(self.algorithm.get_policy(), over) if over else None
+        self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
         self._matmul = chosen_matmul(agent)
         graphs = bool(agent.get("graph_update")) and can(self.algorithm)
         self._graphed = GraphedUpdate(self.algorithm) if graphs else None
@@ -121,8 +120,7 @@ class Trainer:
                 self._require_sane(losses)
             if self.ranks.together:
                 self._share_buffers()
-            if self._average is not None:
-                self._average.take()
+            self.average.take()
             learned = time.perf_counter()
             scalars = self.log.collect() | self._means.collect()
             scalars |= {f"Loss/{name}": float(value) for name, value in losses.items()}
@@ -226,8 +224,8 @@ class Trainer:
             "iter": self.iteration - 1,
             "infos": None,
             **cloned(self.algorithm.save()),  # else it would go on with the networks
-            **({} if self._average is None else self._average.state_dict()),
-            "unsaved": unsaved_state(self.algorithm) | ({} if self._average is None else self._average.unsaved()),
+            **self.average.state_dict(),
+            "unsaved": unsaved_state(self.algorithm) | self.average.unsaved(),
             "env": self.env.env.state_dict(),
             "log": self.log.state_dict(),
             "rng": self._random_state(),
@@ -243,8 +241,7 @@ class Trainer:
         try:
             self.algorithm.load(dict(saved), None, True)
             load_unsaved_state(self.algorithm, saved["unsaved"])
-            if self._average is not None:
-                self._average.load_state_dict(saved)
+            self.average.load_state_dict(saved)
             self.env.env.load_state_dict(saved["env"])
             self.log.load_state_dict(saved["log"])
             torch.set_rng_state(saved["rng"]["torch"])
@@ -258,18 +255,12 @@ class Trainer:
             ) from error
         self.iteration = saved["iter"] + 1
 
-    @property
-    def is_averaged(self) -> bool:
-        """Whether the policy's weights are averaged."""
-        return self._average is not None
-
     @contextmanager
     def played(self) -> Iterator[MLPModel]:
         """Lend the policy on the CPU as it is played: with the mean of its weights where they are averaged."""
         policy = self.algorithm.get_policy().to("cpu")
         own = cloned(policy.state_dict())
-        if self._average is not None:
-            policy.load_state_dict(self._average.state_dict().get(averaging.STATE, own))
+        policy.load_state_dict(self.average.state_dict().get(averaging.STATE, own))
         try:
             yield policy
         finally:

@@ -46,7 +46,7 @@ def load(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None
     trainer.load_state_dict(own)
     if learning_rate is not None:
         trainer.set_learning_rate(learning_rate)
-    wanted = digests.of_state(own if trainer.is_averaged else averaging.without(own))
+    wanted = digests.of_state(own if trainer.average.is_on else averaging.without(own))
     found = digests.of_state(trainer.state_dict())
     lost = [name for name in wanted if wanted[name] != found.get(name)]
     return [f"the {', '.join(lost)} after loading are not what was saved"] if lost else []
