@@ -172,6 +172,21 @@ def test_what_was_recorded_is_entered_by_a_look_at_places_alone(monkeypatch):
     assert len(slow) < 0.1 * 5 * 30, [fast.index(part) for part in slow]
 
 
+def test_a_reset_kernel_by_kernel_leaves_what_was_recorded_to_be_entered_at_once(monkeypatch):
+    """Each recording would have to be found again: of resets there are up to a hundred and more."""
+    env = recorded(stand("walk"))
+    for count in (3, 3, 3, 5, 5, 5):
+        env._reset_idx(torch.arange(count))
+        env.step(torch.zeros(16, env.action_manager.total_action_dim))
+    before = env._captured_memory.version
+    monkeypatch.setattr(Captured, "_enter", lambda part, variant: pytest.fail("what was there has been looked for"))
+    for count in (3, 4, 3, 2, 5):
+        env._reset_idx(torch.arange(count))
+        env._captured.act()
+    assert env._captured_memory.version == before
+    assert sorted(env._captured_reset._parts) == [3, 5]
+
+
 def test_a_reset_in_which_counting_is_noticed_is_done_once():
     plain, taped = stand(), recorded(stand())
     for env in (plain, taped):

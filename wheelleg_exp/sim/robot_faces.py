@@ -286,13 +286,16 @@ class RobotFaces(Kept):
         columns_of_bodies = wrench.view(ids.shape[0], -1, 2, 3).mT.expand(-1, len(body_ids), -1, -1)
         for body, values in zip(body_ids, columns_of_bodies.unbind(dim=1), strict=True):
             self._wrench[:, body].index_copy_(0, ids, values)
-        self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
-        self._sim.asked.add(WRENCHES)
+        self._note_wrenches(body_ids)
 
     def add_wrench(self, body_ids: list[int], wrench: torch.Tensor) -> None:
         """Add to what acts on bodies: forces and torques as the two columns of (N, k, 3, 2), link axes, at the CoM."""
         self._wrench[:, body_ids] += wrench
-        self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
+        self._note_wrenches(body_ids)
+
+    def _note_wrenches(self, body_ids: list[int]) -> None:
+        if not set(body_ids) <= set(self._wrench_bodies):  # a recorded step takes another list for another setting
+            self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
         self._sim.asked.add(WRENCHES)
 
     # --- the rest ---
