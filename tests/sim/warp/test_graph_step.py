@@ -41,3 +41,28 @@ def test_a_captured_step_is_the_step_itself_through_resets_and_a_changed_weight(
         assert torch.equal(ours[3], theirs[3])
         ended += int(theirs[3].sum())
     assert ended > 0
+
+
+def waits(env) -> torch.Tensor:
+    """Ask for a number in the middle of the step."""
+    alive = (~env.termination_manager.terminated).float()
+    return alive if bool(alive.sum() > 0) else 2.0 * alive
+
+
+def test_a_step_with_a_term_that_waits_goes_on_kernel_by_kernel_and_names_it(device):
+    if not device.startswith("cuda"):
+        pytest.skip("CUDA graphs need a GPU")
+    plain, captured = stand(device, False), stand(device, True)
+    for env in (plain, captured):
+        env.reward_manager.get_term_cfg("alive").func = waits
+    action = torch.zeros(ENVS, plain.action_manager.total_action_dim, device=plain.device)
+
+    def both() -> None:
+        for _ in range(10):
+            captured.load_state_dict(plain.state_dict())
+            theirs, ours = plain.step(action), captured.step(action)
+            torch.testing.assert_close(ours[1], theirs[1], atol=2e-2, rtol=2e-2)
+
+    with pytest.warns(UserWarning, match=r"kernel by kernel: env\.rewards\.alive") as told:
+        both()
+    assert len([one for one in told if "kernel by kernel" in str(one.message)]) == 1
