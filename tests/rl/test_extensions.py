@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.symmetry import unevenness
 
 pytestmark = pytest.mark.train
 
@@ -58,3 +59,18 @@ def test_mirror_images_make_a_policy_its_own_image(make_trainer):
         for key, factor in [("agent.algorithm.symmetry_cfg.mirror_loss_coeff", c) for c in (0.0, 10.0)]
     ]
     assert losses[1] < 0.5 * losses[0]
+
+
+def test_what_is_told_of_unevenness_is_rsl_rls_own_number_and_asks_the_policy_once(make_trainer, monkeypatch):
+    asked, found = [], []
+    for read_off in (unevenness.read_off, lambda algorithm: None):
+        monkeypatch.setattr("wheelleg_exp.rl.algorithm.read_off", read_off)
+        trainer, seen = make_trainer("agent=ppo_symmetry"), []
+        trainer.algorithm.get_policy().mlp.register_forward_pre_hook(
+            lambda _, given, seen=seen: seen.append(len(given[0]))
+        )
+        found.append([without_times(done) for done in trainer.learn(until=2)])
+        asked.append(seen.count(max(seen)))
+    assert found[0] == found[1]
+    assert found[0][-1]["Loss/symmetry"] > 0.0
+    assert asked[1] == 2 * asked[0] > 0
