@@ -187,6 +187,20 @@ def test_a_reset_kernel_by_kernel_leaves_what_was_recorded_to_be_entered_at_once
     assert sorted(env._captured_reset._parts) == [3, 5]
 
 
+def test_a_recorded_reset_that_is_the_first_to_push_a_body_pushes_it_again():
+    """What a state that was loaded knew nothing of."""
+    plain, env = stand(), recorded(stand())
+    for _ in range(8):
+        for each in (plain, env):
+            robot = each.scene.robot
+            assert robot.state_dict()["wrench_bodies"] == [0]
+            robot.load_state_dict({**robot.state_dict(), "wrench_bodies": []})
+            each._reset_idx(torch.arange(3))
+            each.step(torch.zeros(16, each.action_manager.total_action_dim))
+        assert torch.equal(env.scene.sim.state, plain.scene.sim.state)
+    assert list(env._captured_reset._parts) == [3]
+
+
 def test_a_reset_in_which_counting_is_noticed_is_done_once():
     plain, taped = stand(), recorded(stand())
     for env in (plain, taped):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.extensions.symmetry import Symmetry
+from rsl_rl.modules.distribution import GaussianDistribution
 
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.symmetry import unevenness
@@ -74,3 +77,31 @@ def test_what_is_told_of_unevenness_is_rsl_rls_own_number_and_asks_the_policy_on
     assert found[0] == found[1]
     assert found[0][-1]["Loss/symmetry"] > 0.0
     assert asked[1] == 2 * asked[0] > 0
+
+
+class LooksIntoThePolicy(Symmetry):
+    """Needs more of the policy than its answers."""
+
+    def compute_loss(self, actor, batch, original_batch_size):
+        return actor.get_latent(batch.observations).mean().detach()
+
+
+class Squashed(GaussianDistribution):
+    """Does something else than its mean."""
+
+    def deterministic_output(self, mlp_output):
+        return mlp_output.tanh()
+
+
+@pytest.mark.parametrize("kind", ["symmetry", "distribution", "algorithm"])
+def test_what_is_not_rsl_rls_own_is_asked_as_it_asks(make_trainer, kind):
+    algorithm = make_trainer("agent=ppo_symmetry").algorithm
+    del algorithm.symmetry.compute_loss  # what was built read it off
+    changed, its = {
+        "symmetry": (algorithm.symmetry, LooksIntoThePolicy),
+        "distribution": (algorithm.get_policy().distribution, Squashed),
+        "algorithm": (algorithm, type("Mine", (PPO,), {})),
+    }[kind]
+    changed.__class__ = its
+    unevenness.read_off(algorithm)
+    assert "compute_loss" not in vars(algorithm.symmetry)

@@ -107,7 +107,7 @@ class Robot(RobotParameters):
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
         self._made = self._settings()
-        self._wrench_bodies: list[int] = []
+        self._wrench_bodies: tuple[int, ...] = ()
         # Components first in memory, as the product with rotations of components first is fastest.
         self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
@@ -164,7 +164,7 @@ class Robot(RobotParameters):
             start = stop
         self._has_new_targets = False
         if self._wrench_bodies:
-            self._write_wrenches(self._wrench_bodies)
+            self._write_wrenches(list(self._wrench_bodies))
 
     def _write_wrenches(self, bodies: list[int]) -> None:
         """Turn permanent wrenches from link axes, as the links stand now, to the world's."""
@@ -238,7 +238,7 @@ class Robot(RobotParameters):
             actuator.load_state_dict(saved["actuators"][name])
         self.data.load_state_dict(saved)
         self._wrench.copy_(saved["wrench"])
-        self._wrench_bodies = list(saved["wrench_bodies"])
+        self._wrench_bodies = tuple(saved["wrench_bodies"])
         ids = ids_where(saved["stale"])
         self._stale = [ids] if len(ids) else []
 

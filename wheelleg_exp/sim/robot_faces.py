@@ -44,7 +44,7 @@ class RobotFaces(Kept):
     _root_qpos: torch.Tensor
     _root_qvel: torch.Tensor
     _wrench: torch.Tensor
-    _wrench_bodies: list[int]
+    _wrench_bodies: tuple[int, ...]
     _has_new_targets: bool
 
     def mark_written(self, ids: torch.Tensor) -> None:
@@ -294,8 +294,8 @@ class RobotFaces(Kept):
         self._note_wrenches(body_ids)
 
     def _note_wrenches(self, body_ids: list[int]) -> None:
-        if not set(body_ids) <= set(self._wrench_bodies):  # a recorded step takes another list for another setting
-            self._wrench_bodies = sorted({*self._wrench_bodies, *body_ids})
+        if not set(body_ids) <= set(self._wrench_bodies):  # a recorded step looks at what is there by identity first
+            self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
         self._sim.asked.add(WRENCHES)
 
     # --- the rest ---
