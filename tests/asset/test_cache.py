@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 import shutil
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -112,7 +113,8 @@ def _work(arguments: tuple[str, str]) -> bytes:
 
 def test_several_processes_may_fill_one_cache(robot, tmp_path):
     cache = tmp_path / "cache"
-    with ProcessPoolExecutor(2) as pool:
+    fresh = multiprocessing.get_context("spawn")  # a fork has USD's locks, and none of the threads that hold them
+    with ProcessPoolExecutor(2, mp_context=fresh) as pool:
         found = set(pool.map(_work, [(str(robot), str(cache))] * 4))
     assert len(found) == 1
     assert len(list(cache.iterdir())) == 1  # one entry, and nothing half made beside it
