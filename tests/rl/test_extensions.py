@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from rsl_rl.algorithms import PPO
-from rsl_rl.extensions.symmetry import Symmetry
-from rsl_rl.modules.distribution import GaussianDistribution
 
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.symmetry import unevenness
 
 pytestmark = pytest.mark.train
 
@@ -62,46 +58,3 @@ def test_mirror_images_make_a_policy_its_own_image(make_trainer):
         for key, factor in [("agent.algorithm.symmetry_cfg.mirror_loss_coeff", c) for c in (0.0, 10.0)]
     ]
     assert losses[1] < 0.5 * losses[0]
-
-
-def test_what_is_told_of_unevenness_is_rsl_rls_own_number_and_asks_the_policy_once(make_trainer, monkeypatch):
-    asked, found = [], []
-    for read_off in (unevenness.read_off, lambda algorithm: None):
-        monkeypatch.setattr("wheelleg_exp.rl.algorithm.read_off", read_off)
-        trainer, seen = make_trainer("agent=ppo_symmetry"), []
-        trainer.algorithm.get_policy().mlp.register_forward_pre_hook(
-            lambda _, given, seen=seen: seen.append(len(given[0]))
-        )
-        found.append([without_times(done) for done in trainer.learn(until=2)])
-        asked.append(seen.count(max(seen)))
-    assert found[0] == found[1]
-    assert found[0][-1]["Loss/symmetry"] > 0.0
-    assert asked[1] == 2 * asked[0] > 0
-
-
-class LooksIntoThePolicy(Symmetry):
-    """Needs more of the policy than its answers."""
-
-    def compute_loss(self, actor, batch, original_batch_size):
-        return actor.get_latent(batch.observations).mean().detach()
-
-
-class Squashed(GaussianDistribution):
-    """Does something else than its mean."""
-
-    def deterministic_output(self, mlp_output):
-        return mlp_output.tanh()
-
-
-@pytest.mark.parametrize("kind", ["symmetry", "distribution", "algorithm"])
-def test_what_is_not_rsl_rls_own_is_asked_as_it_asks(make_trainer, kind):
-    algorithm = make_trainer("agent=ppo_symmetry").algorithm
-    del algorithm.symmetry.compute_loss  # what was built read it off
-    changed, its = {
-        "symmetry": (algorithm.symmetry, LooksIntoThePolicy),
-        "distribution": (algorithm.get_policy().distribution, Squashed),
-        "algorithm": (algorithm, type("Mine", (PPO,), {})),
-    }[kind]
-    changed.__class__ = its
-    unevenness.read_off(algorithm)
-    assert "compute_loss" not in vars(algorithm.symmetry)

@@ -20,7 +20,6 @@ from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.options import require_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.symmetry.mirror import Mirror, options_of
-from wheelleg_exp.rl.symmetry.unevenness import read_off
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_code import ending_as, in_words
 
@@ -79,15 +78,13 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     try:
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):
             kind = resolve_callable(config["algorithm"]["class_name"])
-            algorithm = kind.construct_algorithm(observations, env, config, str(agent["device"]))
+            return kind.construct_algorithm(observations, env, config, str(agent["device"]))
     except Exception as error:  # its classes may be a user's own
         raise ConfigError(
             f"rsl_rl refuses it: {in_words(error).splitlines()[0]}",
             key="agent",
             expected="rsl_rl's own configuration",
         ) from error
-    read_off(algorithm)
-    return algorithm
 
 
 def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:

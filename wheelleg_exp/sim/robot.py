@@ -164,14 +164,15 @@ class Robot(RobotParameters):
             start = stop
         self._has_new_targets = False
         if self._wrench_bodies:
-            self._write_wrenches(list(self._wrench_bodies))
+            self._write_wrenches(self._wrench_bodies)
 
-    def _write_wrenches(self, bodies: list[int]) -> None:
+    def _write_wrenches(self, pushed: tuple[int, ...]) -> None:
         """Turn permanent wrenches from link axes, as the links stand now, to the world's."""
-        if bodies == [0]:  # the root's rotation is in the state itself
+        if pushed == (0,):  # the root's rotation is in the state itself
             turn = self.data.root_rot_w.permute(1, 2, 0)
             self._root_xfrc.copy_((turn * self._root_wrench).sum(dim=2))
             return
+        bodies = list(pushed)  # a tuple would be an index of several dimensions
         world = self.data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
         self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)
 

@@ -7,7 +7,6 @@
 | `rules` | how each kind of observation turns in a mirror |
 | `turning`, `sensed` | what each rule makes of a term, of rays and IMUs |
 | `mirror` | the images of whole observations and actions |
-| `unevenness` | how far a policy is from its own image, for the log |
 """
 
 from wheelleg_exp.rl.symmetry.mirror import Mirror, left_right
