@@ -14,7 +14,7 @@ def without_times(done):
     return {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
 
 
-@pytest.mark.parametrize("agent", ["ppo_rnd", "ppo_symmetry"])
+@pytest.mark.parametrize("agent", ["ppo_rnd", "ppo_symmetry", "ppo_mirrored"])
 def test_three_iterations_are_one_and_two_more(make_trainer, tmp_path, agent):
     words = [f"agent={agent}"]
     trainer = make_trainer(*words)

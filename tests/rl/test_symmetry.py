@@ -25,8 +25,8 @@ def adapter(make_trainer):
     return make_trainer(MIRRORED, *CALM, "env.num_envs=32", *words).env
 
 
-def write_twins(env):
-    """Give environments 0-15 any states near the ground, and 16-31 their images, by hand."""
+def write_twins(env, ids=None):
+    """Give the first half of ``ids``, 0-31, any states near the ground, and the second half their images, by hand."""
     robot, half, generator = env.scene.robot, 16, torch.Generator().manual_seed(4)
 
     def draw(*shape, size=1.0):
@@ -36,17 +36,17 @@ def write_twins(env):
     quat = torch.nn.functional.normalize(torch.tensor([1.0, 0.0, 0.0, 0.0]) + draw(half, 4, size=0.1), dim=1)
     lin, ang = draw(half, 3, size=0.3), draw(half, 3, size=2.0)
     q, v = robot.layout.default_joint_pos + draw(half, 6, size=0.2), draw(half, 6, size=3.0)
-    ids = torch.arange(32)
+    ids = torch.arange(32) if ids is None else ids
     pose, velocity = torch.cat((pos, quat), dim=1), torch.cat((lin, ang), dim=1)
     pose = torch.cat((pose, pose * torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0])))
-    pose[:, :3] += env.scene.env_origins
+    pose[:, :3] += env.scene.env_origins[ids]
     robot.write_root_pose_to_sim(pose, ids)
     mirrored = velocity * torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
     robot.write_root_velocity_to_sim(torch.cat((velocity, mirrored)), ids)
     robot.write_joint_state_to_sim(torch.cat((q, q[:, SIDES])), torch.cat((v, v[:, SIDES])), env_ids=ids)
     command = env.command_manager.get_term("base_velocity")
     vx_vy_wz = draw(half, 3)
-    command.command[:] = torch.cat((vx_vy_wz, vx_vy_wz * torch.tensor([1.0, -1.0, -1.0])))
+    command.command[ids] = torch.cat((vx_vy_wz, vx_vy_wz * torch.tensor([1.0, -1.0, -1.0])))
     env.scene.refresh()
 
 
@@ -71,6 +71,29 @@ def test_the_image_of_a_state_steps_to_the_image_of_the_next_state(adapter):
     assert contacts > 1.0
     still = adapter.get_observations()[half:]["policy"]
     assert (adapter.get_observations()[:half]["policy"] - still).abs().max() > 0.5  # the images are not the same
+
+
+def test_every_second_robot_met_in_a_mirror_is_as_its_twin(make_trainer):
+    """The policy that acts alike on both sees alike and earns alike, though one robot is the other's image."""
+    command = "env.commands.base_velocity"
+    words = [f"{command}.resampling_time_range=[9,9]", f"{command}.rel_standing_envs=0.0"]
+    adapter = make_trainer("agent=ppo_mirrored", *CALM, "env.num_envs=32", *words).env
+    env, ones, images = adapter.env, torch.arange(0, 32, 2), torch.arange(1, 32, 2)
+    env.autoreset = "disabled"
+    env.reset()
+    write_twins(env, torch.cat((ones, images)))
+    generator = torch.Generator().manual_seed(7)
+    for _ in range(12):
+        one = 2.0 * torch.rand(16, 6, generator=generator) - 1.0
+        seen, rewards, dones, _ = adapter.step(one.repeat_interleave(2, dim=0))
+        for group in ("policy", "critic"):
+            torch.testing.assert_close(seen[group][images], seen[group][ones], atol=1e-4, rtol=1e-4)
+            assert torch.equal(adapter.get_observations()[group], seen[group])
+        torch.testing.assert_close(rewards[images], rewards[ones], atol=1e-4, rtol=1e-3)
+        assert torch.equal(dones[images], dones[ones])
+    raw = env.action_manager.action
+    torch.testing.assert_close(raw[images], one[:, ACTIONS])  # what the robots themselves are told
+    assert (env.observation_manager.obs_buf["policy"][images] - seen["policy"][images]).abs().max() > 0.5
 
 
 def test_an_image_of_an_image_is_what_it_was(adapter):

@@ -19,7 +19,7 @@ from wheelleg_exp.packages import make_classes_importable
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.options import require_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks
-from wheelleg_exp.rl.symmetry.mirror import Mirror, options_of
+from wheelleg_exp.rl.symmetry.mirror import Half, Mirror, options_of
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_code import ending_as, in_words
 
@@ -71,6 +71,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     if options is not None:
         groups = [group for role in ("actor", "critic") for group in agent["obs_groups"].get(role, [])]
         env.mirror = Mirror(env.env, options, groups, str(agent["device"]))
+        env.half = Half(Mirror(env.env, options, groups, env.device), env.num_envs) if options.mirrored_envs else None
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()

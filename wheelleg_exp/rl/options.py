@@ -28,16 +28,19 @@ from wheelleg_exp.terms.values import value_errors
 
 @dataclass(frozen=True)
 class SymmetryOptions:
-    r"""``agent.symmetry``: how the robot is mirrored, for ``wheelleg_exp.rl.symmetry.left_right``.
+    r"""``agent.symmetry``: how the robot is mirrored, for ``wheelleg_exp.rl.symmetry.left_right`` and mirrored robots.
 
     Attributes:
         joint_pairs: expressions of whole names of joints of one side, and the names of their images on the other, with
             `\1` for what a group matched; a joint that is not named is its own image.
         terms: how observations turn that are no stock terms: a rule by the term's name, or a sign for each number.
+        mirrored_envs: whether every second environment's robot is met in a mirror while training, by observations and
+            actions: the policy learns on both sides from no more samples than without.
     """
 
     joint_pairs: dict[str, str]
     terms: dict[str, str | Sequence[float]] = field(default_factory=dict)
+    mirrored_envs: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,6 +29,7 @@ class RslRlVecEnv(VecEnv):
         self._clip_actions = clip_actions
         self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
         self.mirror: Any = None  # what rsl_rl's symmetry asks for images
+        self.half: Any = None  # the environments whose robots are met in a mirror
         env.reset()
 
     @property
@@ -57,10 +58,14 @@ class RslRlVecEnv(VecEnv):
         """
         if self._clip_actions is not None:
             actions = actions.clamp(-self._clip_actions, self._clip_actions)
+        if self.half is not None:
+            actions = self.half.actions(actions)
         observations, rewards, terminated, time_outs, extras = self.env.step(actions)
         dones = (terminated | time_outs).long()
         told = {} if self._is_finite else {"time_outs": time_outs}
         return self._as_tensordict(observations), rewards, dones, {**extras, **told}
 
     def _as_tensordict(self, observations: Observations) -> TensorDict:
+        if self.half is not None:
+            observations = self.half.observations(observations)
         return TensorDict(dict(observations), batch_size=[self.num_envs])

@@ -38,7 +38,7 @@ class Mirror:
     def __init__(
         self, env: ManagerBasedRLEnv, options: SymmetryOptions, groups: Iterable[str], device: str | torch.device
     ) -> None:
-        self._env, self._options = env, options
+        self._env, self._options, self.device = env, options, device
         self._require_known_terms(groups)
         robot = env.scene.robot
         self._images = partners(robot.joint_names, options.joint_pairs)
@@ -51,8 +51,12 @@ class Mirror:
 
     def observations(self, observations: TensorDict) -> TensorDict:
         """Return the image of a batch; groups that no network sees stay as they are."""
-        turned = {name: _turned(observations[name], *self._groups[name]) for name in self._groups}
-        return TensorDict({**dict(observations.items()), **turned}, batch_size=observations.batch_size)
+        turned = {**dict(observations.items()), **self.images(observations)}
+        return TensorDict(turned, batch_size=observations.batch_size)
+
+    def images(self, observations: Mapping[str, Any] | TensorDict) -> dict[str, torch.Tensor]:
+        """Return the images of the groups that networks see."""
+        return {name: _turned(observations[name], *tensors) for name, tensors in self._groups.items()}
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Return the image of raw actions (B, A)."""
@@ -169,6 +173,29 @@ class Mirror:
             if isinstance(rule, str) and rule not in rules.NAMES:
                 expected, nearest = "one of " + ", ".join(rules.NAMES), nearest_name(rule, rules.NAMES)
                 raise ConfigError(f"'{rule}' is no rule", key=key, expected=expected, nearest=nearest)
+
+
+class Half:
+    """Every second environment's robot, met in a mirror: its observations and actions are images, the others' are not.
+
+    Args:
+        mirror: what images are made by, where the environments' tensors are.
+        num_envs: number of environments.
+    """
+
+    def __init__(self, mirror: Mirror, num_envs: int) -> None:
+        self._mirror = mirror
+        number = torch.arange(num_envs, device=mirror.device).unsqueeze(1)
+        self._mirrored = number % 2 == 1
+
+    def actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Return raw actions (N, A) as the environments take them."""
+        return torch.where(self._mirrored, self._mirror.actions(actions), actions)
+
+    def observations(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+        """Return observations (N, ...) by group as networks see them; groups that none sees stay as they are."""
+        images = self._mirror.images(observations)
+        return {**observations, **{g: torch.where(self._mirrored, v, observations[g]) for g, v in images.items()}}
 
 
 def left_right(
