@@ -1,4 +1,4 @@
-"""Composing starts fast: without torch and MuJoCo, and in well under a second of a processor's time."""
+"""Composing starts fast: without torch and MuJoCo, and in little more time than Hydra itself."""
 
 from __future__ import annotations
 
@@ -42,13 +42,15 @@ def test_commands_that_only_read_files_import_nothing_heavy():
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_composing_takes_less_than_a_second_of_a_processor(task):
-    def spent() -> float:
+def test_composing_takes_little_more_than_starting_hydra(task):
+    """In processor time, side by side: 2.5 to 4 times, on any machine. Loading torch alone takes 13 times."""
+
+    def spent(*words: str) -> float:
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)
         before = usage.ru_utime + usage.ru_stime
-        subprocess.run(words, capture_output=True, check=True)
+        subprocess.run([sys.executable, *words], capture_output=True, check=True)
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)
         return usage.ru_utime + usage.ru_stime - before
 
-    words = [sys.executable, "-m", "wheelleg_exp.cli.main", "compose", f"task={task}"]
-    assert spent() < 1.0 or spent() < 1.0  # another try on a machine that is busy
+    starting, composing = ("-c", "import hydra, omegaconf"), ("-m", "wheelleg_exp.cli.main", "compose", f"task={task}")
+    assert any(spent(*composing) < 6.0 * spent(*starting) for _ in range(3))  # more tries on a machine that is busy
