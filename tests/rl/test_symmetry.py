@@ -8,8 +8,11 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.symmetry import left_right
 from wheelleg_exp.rl.symmetry.joints import partners, signs
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 MIRRORED = "agent=ppo_symmetry"
 CALM = ["event@env.events=[]", "env.terminations.leg_contact=null", "env.terminations.base_contact=null"]
@@ -94,6 +97,31 @@ def test_every_second_robot_met_in_a_mirror_is_as_its_twin(make_trainer):
     raw = env.action_manager.action
     torch.testing.assert_close(raw[images], one[:, ACTIONS])  # what the robots themselves are told
     assert (env.observation_manager.obs_buf["policy"][images] - seen["policy"][images]).abs().max() > 0.5
+
+
+def test_a_policy_that_is_played_meets_no_robot_in_a_mirror(make_trainer, tmp_path):
+    trainer = make_trainer("agent=ppo_mirrored", "env.num_envs=3")
+    path = tmp_path / "model_0.pt"
+    path.write_bytes(checkpoint.serialize(trainer.state_dict()))
+    played = RslRlVecEnv(trainer.env.env)
+    load_policy(path, played, trainer._agent)
+    own = played.env.observation_manager.obs_buf["policy"]
+    assert torch.equal(played.get_observations()["policy"], own)
+    trained = trainer.env.get_observations()["policy"]
+    assert [torch.equal(trained[i], own[i]) for i in range(3)] == [True, False, True]
+
+
+def test_one_robot_has_no_second(make_trainer):
+    with pytest.raises(ConfigError, match=r"agent\.symmetry\.mirrored_envs.*there is one"):
+        make_trainer("agent=ppo_mirrored", "env.num_envs=1")
+
+
+@pytest.mark.filterwarnings("ignore:The observation configuration dictionary")
+def test_a_group_that_is_not_named_for_the_critic_is_mirrored_too(make_trainer):
+    """rsl_rl takes the group of its name."""
+    trainer = make_trainer("agent=ppo_mirrored", "~agent.obs_groups.critic", "env.num_envs=4")
+    seen, own = trainer.env.get_observations()["critic"], trainer.env.env.observation_manager.obs_buf["critic"]
+    assert [torch.equal(seen[i], own[i]) for i in range(4)] == [True, False, True, False]
 
 
 def test_an_image_of_an_image_is_what_it_was(adapter):

@@ -68,10 +68,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     if torch.device(agent["device"]).type == "cpu":
         _require_memory(env, observations, agent)
     options = options_of(agent)
-    if options is not None:
-        groups = [group for role in ("actor", "critic") for group in agent["obs_groups"].get(role, [])]
-        env.mirror = Mirror(env.env, options, groups, str(agent["device"]))
-        env.half = Half(Mirror(env.env, options, groups, env.device), env.num_envs) if options.mirrored_envs else None
+    env.mirror = options and Mirror(env.env, options, _seen(agent, observations), str(agent["device"]))
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()
@@ -86,6 +83,28 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
             key="agent",
             expected="rsl_rl's own configuration",
         ) from error
+
+
+def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Half | None:
+    """Return what makes images of every second environment's observations and actions, of a training that asks for it.
+
+    Raises:
+        ConfigError: there is one environment, or it is not known how a term turns.
+    """
+    options = options_of(agent)
+    if options is None or not options.mirrored_envs:
+        return None
+    if env.num_envs < 2:
+        message, key = "every second robot is met in a mirror, and there is one", "agent.symmetry.mirrored_envs"
+        raise ConfigError(message, key=key, expected="false, or env.num_envs of at least 2")
+    groups = [*_seen(agent, env.get_observations()), *agent["obs_groups"].get("rnd_state", ())]
+    return Half(Mirror(env.env, options, groups, env.device), env.num_envs)
+
+
+def _seen(agent: Mapping[str, Any], observations: Any) -> list[str]:
+    """Return the observation groups of actor and critic, with what rsl_rl takes where they are not named."""
+    sets = {role: [role if role in observations else "policy"] for role in ("actor", "critic")} | agent["obs_groups"]
+    return [group for role in ("actor", "critic") for group in sets[role]]
 
 
 def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:

@@ -16,7 +16,7 @@ from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegEr
 from wheelleg_exp.managers.finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.rl import averaging, checkpoint
-from wheelleg_exp.rl.algorithm import build_algorithm
+from wheelleg_exp.rl.algorithm import build_algorithm, mirrored_half
 from wheelleg_exp.rl.averaging import PolicyAverage
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
@@ -84,6 +84,7 @@ class Trainer:
         self._agent = dict(agent)
         torch.manual_seed(stream_seed(ranks.seed(seed), "agent"))
         self.algorithm = build_algorithm(env, agent, ranks)
+        env.half = mirrored_half(env, agent)
         if teacher is not None:
             load_teacher(self.algorithm, teacher)
         if initial is not None:

@@ -29,7 +29,7 @@ class RslRlVecEnv(VecEnv):
         self._clip_actions = clip_actions
         self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
         self.mirror: Any = None  # what rsl_rl's symmetry asks for images
-        self.half: Any = None  # the environments whose robots are met in a mirror
+        self.half: Any = None  # what a training meets in a mirror
         env.reset()
 
     @property
