@@ -43,7 +43,7 @@ def test_commands_that_only_read_files_import_nothing_heavy():
 
 @pytest.mark.parametrize("task", TASKS)
 def test_composing_takes_little_more_than_starting_hydra(task):
-    """In processor time, side by side: 2.5 to 4 times, on any machine. Loading torch alone takes 13 times."""
+    """In processor time, side by side: it was 2.5 to 4.2 times; loading torch alone took 13 times."""
 
     def spent(*words: str) -> float:
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -53,4 +53,4 @@ def test_composing_takes_little_more_than_starting_hydra(task):
         return usage.ru_utime + usage.ru_stime - before
 
     starting, composing = ("-c", "import hydra, omegaconf"), ("-m", "wheelleg_exp.cli.main", "compose", f"task={task}")
-    assert any(spent(*composing) < 6.0 * spent(*starting) for _ in range(3))  # more tries on a machine that is busy
+    assert any(spent(*composing) < 5.0 * spent(*starting) for _ in range(3))  # more tries on a machine that is busy

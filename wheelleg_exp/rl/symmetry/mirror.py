@@ -185,8 +185,7 @@ class Half:
 
     def __init__(self, mirror: Mirror, num_envs: int) -> None:
         self._mirror = mirror
-        number = torch.arange(num_envs, device=mirror.device).unsqueeze(1)
-        self._mirrored = number % 2 == 1
+        self._mirrored = (torch.arange(num_envs, device=mirror.device) % 2 == 1).unsqueeze(1)
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Return raw actions (N, A) as the environments take them."""
