@@ -14,7 +14,7 @@ def without_times(done):
     return {key: value for key, value in done.scalars.items() if not key.startswith("Perf/")}
 
 
-@pytest.mark.parametrize("agent", ["ppo_rnd", "ppo_symmetry", "ppo_mirrored"])
+@pytest.mark.parametrize("agent", ["ppo_rnd", "ppo_symmetry", "ppo_mirrored", "ppo_mirror_loss"])
 def test_three_iterations_are_one_and_two_more(make_trainer, tmp_path, agent):
     words = [f"agent={agent}"]
     trainer = make_trainer(*words)
@@ -50,9 +50,11 @@ def test_novelty_is_rewarded_by_the_weight_and_the_control_step(make_trainer):
         torch.testing.assert_close(rnd.get_intrinsic_reward(seen), expected)
 
 
-def test_mirror_images_make_a_policy_its_own_image(make_trainer):
+@pytest.mark.parametrize(
+    "words", [["agent=ppo_symmetry", "agent.algorithm.symmetry_cfg.use_mirror_loss=true"], ["agent=ppo_mirror_loss"]]
+)
+def test_mirror_images_make_a_policy_its_own_image(make_trainer, words):
     """With the loss on it, the policy's answer to an image comes nearer to the image of its answer."""
-    words = ["agent=ppo_symmetry", "agent.algorithm.symmetry_cfg.use_mirror_loss=true"]
     losses = [
         [done.scalars["Loss/symmetry"] for done in make_trainer(*words, f"{key}={factor}").learn(until=6)][-1]
         for key, factor in [("agent.algorithm.symmetry_cfg.mirror_loss_coeff", c) for c in (0.0, 10.0)]
