@@ -35,3 +35,7 @@ def test_a_full_training_is_replayed(stand: Lab):
 def test_kills_at_many_moments(lab: Lab, seed: int):
     lines = random.Random(seed).choices(range(5), k=3)
     assert checks.killed(lab, lines, seed=100 + seed, longest_s=0.5) == []
+
+
+def test_a_stop_after_any_iteration_changes_nothing(lab: Lab):
+    assert checks.splits(lab, every=[[1], [3]]) == []

@@ -12,46 +12,56 @@ from repro import checks
 from repro.runs import Lab, Refused
 from wheelleg_exp.run import inventory
 
-pytestmark = [pytest.mark.repro, pytest.mark.train]
+pytestmark = pytest.mark.train
+usual, long = pytest.mark.repro, pytest.mark.full
 
 Planter = Callable[..., Lab]
 
 
+@usual
 def test_two_processes_show_a_draw_that_has_no_stream(planted: Planter):
     assert "model_0.pt" in checks.two_processes(planted("entropy"))
 
 
+@long
 def test_torch_threads_show_a_term_that_depends_on_them(planted: Planter):
     assert "model_0.pt" in checks.torch_threads(planted("torch_threads"))
 
 
+@long
 def test_physics_threads_show_a_term_that_depends_on_them(planted: Planter):
     assert "model_0.pt" in checks.physics_threads(planted("physics_threads"))
 
 
+@long
 def test_recording_shows_a_term_that_sees_it(planted: Planter):
     assert "model_0.pt" in checks.recording(planted("observers"))
 
 
+@usual
 def test_another_term_shows_a_draw_from_a_stream_that_is_not_its_own(lab: Lab):
     assert any("actor_state_dict" in what for what in checks.added_term(lab, "planted.terms.borrowed_draw"))
 
 
+@usual
 def test_a_draw_from_the_shared_generator_is_refused(lab: Lab):
     with pytest.raises(Refused, match="generator"):
         checks.added_term(lab, "planted.terms.global_draw")
 
 
+@usual
 def test_a_split_shows_state_that_is_not_saved(planted: Planter):
     found = checks.splits(planted("hidden_steps"), every=[[2]])
     assert "stopped after [2]: model_2.pt" in found
     assert "stopped after [2]: model_1.pt" not in found
 
 
+@long
 def test_kill_9_shows_state_that_is_not_saved(planted: Planter):
     assert "model_3.pt" in checks.killed(planted("hidden_steps"), lines=[2])
 
 
+@usual
 def test_a_replay_shows_what_the_snapshot_does_not_hold(planted: Planter, tmp_path):
     outside = tmp_path / "outside.txt"
     outside.write_text("1.0")
@@ -61,6 +71,7 @@ def test_a_replay_shows_what_the_snapshot_does_not_hold(planted: Planter, tmp_pa
     assert checks.replay(lab) != []
 
 
+@usual
 def test_a_changed_snapshot_is_not_what_the_source_composes_to(lab: Lab, tmp_path):
     run = checks.copy_of(lab.once(), tmp_path)
     params = run / "params" / "env.yaml"
@@ -70,6 +81,7 @@ def test_a_changed_snapshot_is_not_what_the_source_composes_to(lab: Lab, tmp_pat
     assert checks.snapshot_differences(run) == ["params: env.rewards.base_height.weight"]
 
 
+@usual
 def test_a_flipped_bit_shows_digests_that_are_not_computed_anew(lab: Lab, tmp_path, monkeypatch):
     monkeypatch.setattr(inventory, "sha256", functools.cache(inventory.sha256))
     other = Lab(tmp_path)
