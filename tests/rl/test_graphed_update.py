@@ -34,6 +34,8 @@ def updated(trainer, update) -> tuple[list[dict], list[float]]:
     [
         ("agent.actor.obs_normalization=true",),
         ("agent.algorithm.normalize_advantage_per_mini_batch=true", "agent.algorithm.use_clipped_value_loss=false"),
+        ("agent=ppo_mirror_loss", "agent.actor.obs_normalization=true"),
+        ("agent=ppo_mirror_loss", "agent.algorithm.symmetry_cfg.use_mirror_loss=false"),
     ],
 )
 def test_an_update_is_that_of_rsl_rl(make_trainer, changes):
@@ -89,6 +91,7 @@ def test_what_it_does_not_do_is_rsl_rls(make_trainer):
     trainer = make_trainer()
     assert not can(trainer.algorithm)  # on a CPU
     assert not is_plain(make_trainer("agent.algorithm.optimizer=sgd").algorithm)
+    assert not is_plain(make_trainer("agent=ppo_symmetry").algorithm)
 
 
 # Each process updates one trainer as rsl_rl does and another as graphs would, with environments of its own.

@@ -15,24 +15,31 @@ from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from torch import nn
 
+from wheelleg_exp.rl.symmetry import left_right
+
 _LOSSES = ("value", "surrogate", "entropy")
+_MIRROR_LOSS = "symmetry"  # its name among them, where there is one
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5  # rsl_rl's bounds of an adaptive learning rate, and its step
 
 
 def can(algorithm: Any) -> bool:
-    """Return whether an algorithm's update is one that this does: plain PPO, on a GPU."""
+    """Return whether an algorithm's update is one that this does: plain PPO, or with the mirror loss, on a GPU."""
     return torch.device(algorithm.device).type == "cuda" and is_plain(algorithm)
 
 
 def is_plain(algorithm: Any) -> bool:
-    """Return whether it is rsl_rl's PPO, with Adam, without what is beside it, and its networks are perceptrons."""
+    """Return whether it is rsl_rl's PPO, with Adam, no more beside it than a mirror loss, and perceptrons."""
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
-    beside = algorithm.rnd or algorithm.symmetry or algorithm.use_mixed_precision
+    beside = algorithm.rnd or algorithm.use_mixed_precision or not _only_a_loss(algorithm.symmetry)
     networks = (algorithm.actor, algorithm.critic)
     others = any(type(network).forward is not MLPModel.forward for network in networks)
     compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
     return not (beside or others or compiled)
+
+
+def _only_a_loss(symmetry: Any) -> bool:
+    return symmetry is None or (symmetry.data_augmentation_func is left_right and not symmetry.use_data_augmentation)
 
 
 class GraphedUpdate:
@@ -57,7 +64,11 @@ class GraphedUpdate:
         self._rows = torch.zeros(rows, dtype=torch.long, device=algorithm.device)
         self._advantages = torch.zeros_like(storage.returns)
         self._rate = torch.zeros((), device=algorithm.device)
-        self._sums = torch.zeros(len(_LOSSES), device=algorithm.device)
+        symmetry = algorithm.symmetry
+        # What is only logged has no weight.
+        self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
+        self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
+        self._sums = torch.zeros(len(self._losses), device=algorithm.device)
 
     def __call__(self) -> dict[str, float]:
         """Do what ``PPO.update`` does; return its mean losses."""
@@ -76,7 +87,7 @@ class GraphedUpdate:
         self._take_back(kept, rate)
         storage.clear()
         updates = algorithm.num_learning_epochs * count
-        return {name: total / updates for name, total in zip(_LOSSES, sums, strict=True)}
+        return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
 
     def _minibatches(self, order: torch.Tensor) -> None:
         """Go through the minibatches (B, n) of every pass."""
@@ -149,7 +160,8 @@ class GraphedUpdate:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
         # Not the actor itself, which draws as well: nobody uses it, and torch waits for the GPU to look at deviations.
-        actor.distribution.update(actor.mlp(actor.get_latent(observations)))
+        answers = actor.mlp(actor.get_latent(observations))
+        actor.distribution.update(answers)
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
         entropy = actor.output_entropy.mean()
@@ -162,14 +174,26 @@ class GraphedUpdate:
                 self._adapt(divergence)
         surrogate = self._surrogate(log_prob - old_log_prob.squeeze(-1), advantages.squeeze(-1))
         value = self._value(values, old_values, returns)
+        loss = surrogate + algorithm.value_loss_coef * value - algorithm.entropy_coef * entropy
+        found: list[torch.Tensor] = []
+        if algorithm.symmetry:
+            found = [self._mirror_loss(observations, answers)]
+            loss = loss + self._mirror_weight * found[0]
         algorithm.optimizer.zero_grad()
-        (surrogate + algorithm.value_loss_coef * value - algorithm.entropy_coef * entropy).backward()
+        loss.backward()
         if algorithm.is_multi_gpu:
             algorithm.reduce_parameters()
         for network in (algorithm.actor, algorithm.critic):
             nn.utils.clip_grad_norm_(network.parameters(), algorithm.max_grad_norm)
         algorithm.optimizer.step()
-        self._sums += torch.stack([value.detach(), surrogate.detach(), entropy.detach()])
+        self._sums += torch.stack([one.detach() for one in (value, surrogate, entropy, *found)])
+
+    def _mirror_loss(self, observations: Any, answers: torch.Tensor) -> torch.Tensor:
+        """Return how far the actor's means for images are from the images of its means, squared."""
+        actor, mirror = self._algorithm.actor, self._algorithm.symmetry.env.mirror
+        means = actor.distribution.deterministic_output(answers)
+        images = actor.mlp(actor.get_latent(mirror.observations(observations)))
+        return nn.functional.mse_loss(actor.distribution.deterministic_output(images), mirror.actions(means).detach())
 
     def _adapt(self, divergence: torch.Tensor) -> None:
         """Take a slower or faster learning rate when the policy has changed by more or less than is desired."""
