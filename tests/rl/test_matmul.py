@@ -234,6 +234,7 @@ def bits(*threads, **variables):
     return [said[first : first + 27] for first in range(0, len(said), 27)]
 
 
+@pytest.mark.full
 def test_processes_give_the_same_bits():
     assert bits(2) == bits(2)
 

@@ -216,6 +216,7 @@ print(hashlib.sha256(checkpoint.serialize(trainer.state_dict())).hexdigest())
 
 
 @pytest.mark.train
+@pytest.mark.full
 def test_three_iterations_are_one_and_two_more_in_a_new_process(mjcf, straight, stopped):
     environment = {**os.environ, "WHEELLEG_CACHE": str(mjcf.parents[2])}
     command = [sys.executable, "-c", _GO_ON, str(stopped), "task=stand", *TINY, *NORMALISED]
