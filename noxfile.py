@@ -12,6 +12,7 @@ nox.needs_version = ">=2025.5"
 nox.options.sessions = ["lint", "typecheck", "repro", "tests"]
 nox.options.default_venv_backend = "none"
 nox.options.error_on_external_run = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # tests start hundreds of processes: what is compiled once is kept
 
 # Each file's tests stay in one process, where they share what they have trained; files in order, long ones not last.
 SPREAD = ("-n", "logical", "--dist", "loadfile", "--no-loadscope-reorder")

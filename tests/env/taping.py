@@ -7,7 +7,7 @@ from sim.small_envs import ASSETS
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten
 
-from wheelleg_exp.config.composing.compose import compose
+from env.composed import composed
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.captured import Captured
 from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
@@ -48,7 +48,7 @@ class Tape(TorchDispatchMode):
 
 def stand(task: str = "stand", *more: str) -> ManagerBasedRLEnv:
     words = [f"task={task}", "env.num_envs=16", "env.sim.nthread=1", "env.episode_length_s=0.5", *more]
-    env = ManagerBasedRLEnv(compose(words).config["env"], ASSETS / "legged.xml", 0)
+    env = ManagerBasedRLEnv(composed(*words).config["env"], ASSETS / "legged.xml", 0)
     env.reset(seed=0)
     return env
 

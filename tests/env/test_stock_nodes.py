@@ -6,7 +6,6 @@ one another and are tried one by one.
 
 from __future__ import annotations
 
-import copy
 import io
 from pathlib import Path
 
@@ -14,11 +13,11 @@ import pytest
 import torch
 import yaml
 
+from env.composed import composed
 from env.crawler import Crawl, differing
 from env.test_state import DERIVED as KNOWN
 from env.test_state import act, equal
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl.global_draws import no_global_draws
 
@@ -128,11 +127,10 @@ def mounting(group: str, options: list[str]) -> list[str]:
 
 def built(overrides: list[str]):
     """Return the environment of the stock task with some overrides."""
-    composed = compose(["task=stand", *SIZE, *overrides])
-    config = copy.deepcopy(composed.config)
-    for reward in config["env"]["rewards"].values():
+    found = composed("task=stand", *SIZE, *overrides)
+    for reward in found.config["env"]["rewards"].values():
         reward["weight"] = reward["weight"] or 1.0  # one of weight 0 is not called
-    return build_env(config, asset_roots=composed.asset_roots)
+    return build_env(found.config, asset_roots=found.asset_roots)
 
 
 def hold(overrides: list[str]) -> None:
