@@ -174,6 +174,11 @@ def test_pairs_that_cannot_be_are_told(pairs, said):
     assert said in str(caught.value)
 
 
+def test_a_pair_that_is_null_is_none():
+    """Who builds on an agent of other joints' names takes its pair back."""
+    assert partners(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
+
+
 def lopsided(change):
     sides = {"l": 'pos="0 0.2 0"', "r": 'pos="0 -0.2 0"'} | change
     bodies = "".join(
@@ -235,6 +240,18 @@ def test_a_term_whose_image_is_not_known_is_told(make_trainer):
         make_trainer(MIRRORED, own)
     mirror = make_trainer(MIRRORED, own, "+agent.symmetry.terms={own: [1, -1]}").env.mirror
     assert mirror is not None
+
+
+@pytest.mark.usefixtures("allow_test_terms")
+def test_what_is_looked_at_for_novelty_alone_has_an_image_too(make_trainer):
+    group = "+env.observations.novel={terms: {own: {_target_: mdp.fakes.two_numbers}}}"
+    novelty = "{weight: 0.1, num_outputs: 8, predictor_hidden_dims: [8], target_hidden_dims: [8]}"
+    words = [group, "+agent.obs_groups.rnd_state=[novel]", f"+agent.algorithm.rnd_cfg={novelty}"]
+    with pytest.raises(ConfigError, match=r"agent\.symmetry\.terms\.own"):
+        make_trainer("agent=ppo_mirrored", *words)
+    trainer = make_trainer("agent=ppo_mirrored", *words, "+agent.symmetry.terms={own: [1, -1]}")
+    own = trainer.env.env.observation_manager.obs_buf["novel"]
+    assert torch.equal(trainer.env.get_observations()["novel"][1], own[1] * torch.tensor([1.0, -1.0]))
 
 
 @pytest.mark.train

@@ -17,7 +17,7 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.memory import require_memory
 from wheelleg_exp.packages import make_classes_importable
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.options import require_agent
+from wheelleg_exp.rl.options import SymmetryOptions, require_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.symmetry.mirror import Half, Mirror, options_of
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -68,7 +68,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     if torch.device(agent["device"]).type == "cpu":
         _require_memory(env, observations, agent)
     options = options_of(agent)
-    env.mirror = options and Mirror(env.env, options, _seen(agent, observations), str(agent["device"]))
+    env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), str(agent["device"]))
     # rsl_rl changes the dictionary that it is given, and prints the networks.
     config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()
@@ -97,14 +97,19 @@ def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Half | None:
     if env.num_envs < 2:
         message, key = "every second robot is met in a mirror, and there is one", "agent.symmetry.mirrored_envs"
         raise ConfigError(message, key=key, expected="false, or env.num_envs of at least 2")
-    groups = [*_seen(agent, env.get_observations()), *agent["obs_groups"].get("rnd_state", ())]
+    groups = _seen(agent, env.get_observations(), options)
     return Half(Mirror(env.env, options, groups, env.device), env.num_envs)
 
 
-def _seen(agent: Mapping[str, Any], observations: Any) -> list[str]:
-    """Return the observation groups of actor and critic, with what rsl_rl takes where they are not named."""
-    sets = {role: [role if role in observations else "policy"] for role in ("actor", "critic")} | agent["obs_groups"]
-    return [group for role in ("actor", "critic") for group in sets[role]]
+def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions) -> list[str]:
+    """Return the groups whose images are needed, with what rsl_rl takes where they are not named.
+
+    Those of actor and critic; a robot in a mirror is new to what looks for novelty there as well.
+    """
+    novel = options.mirrored_envs and agent["algorithm"].get("rnd_cfg")
+    roles = ("actor", "critic", "rnd_state") if novel else ("actor", "critic")
+    sets = {role: [role if role in observations else "policy"] for role in roles} | agent["obs_groups"]
+    return [group for role in roles for group in sets[role]]
 
 
 def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:

@@ -32,13 +32,13 @@ class SymmetryOptions:
 
     Attributes:
         joint_pairs: expressions of whole names of joints of one side, and the names of their images on the other, with
-            `\1` for what a group matched; a joint that is not named is its own image.
+            `\1` for what a group matched; a joint that is not named is its own image, and null takes a pair back.
         terms: how observations turn that are no stock terms: a rule by the term's name, or a sign for each number.
         mirrored_envs: whether every second environment's robot is met in a mirror while training, by observations and
             actions: the policy learns on both sides from no more samples than without.
     """
 
-    joint_pairs: dict[str, str]
+    joint_pairs: dict[str, str | None]
     terms: dict[str, str | Sequence[float]] = field(default_factory=dict)
     mirrored_envs: bool = False
 
@@ -54,7 +54,7 @@ class Learning:
             stay float32), `tf32` (on GPUs: factors have 10 bits), or `auto`: bfloat16 where the CPU has units for it,
             tf32 on a GPU. Acting is float32 in any case.
         graph_update: on a GPU, whether PPO's acting and update are CUDA graphs, the learning rate kept on the GPU; what
-            rsl_rl's PPO has beside it (RND, symmetry, recurrent networks) is updated by rsl_rl itself.
+            PPO has beside it and a mirror loss (RND, images as samples, recurrent ones) is updated by rsl_rl itself.
         average_iterations: iterations over which the policy's weights are averaged, exponentially; the mean is what is
             played, evaluated, exported and begun with, and training goes on with the weights themselves. 0 is none.
     """

@@ -41,6 +41,7 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
             errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
     errors += _check_groups(agent.get("obs_groups"), groups)
     errors += _check_extensions(agent)
+    errors += _check_images(agent.get("symmetry"))
     for section in ("algorithm", "actor", "critic", "student", "teacher"):
         errors += _check_constructor(f"agent.{section}", agent.get(section))
     return errors or (batch_errors(agent, num_envs) if fits(num_envs, Count) else [])
@@ -100,7 +101,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         error.key = error.key or path
         return [error]
     if found is None:
-        nearest = nearest_name(str(name), _library_names())
+        nearest = nearest_name(str(name), [*_library_names(), _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
     # What a module has only imported is not its own: a standard library function must not slip through.
     own = allowed_targets.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
@@ -149,6 +150,17 @@ def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
             expected = "the observation groups whose novelty counts"
             errors.append(MissingValue(key="agent.obs_groups.rnd_state", expected=expected))
     return errors
+
+
+def _check_images(symmetry: Any) -> list[ConfigError]:
+    """Hold the rules by which observations turn in a mirror against those that there are."""
+    from wheelleg_exp.rl.symmetry import rules
+
+    terms = symmetry.get("terms") if isinstance(symmetry, Mapping) else None
+    named = terms.items() if isinstance(terms, Mapping) else ()
+    return [
+        rules.unknown(str(rule), str(name)) for name, rule in named if isinstance(rule, str) and rule not in rules.NAMES
+    ]
 
 
 def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[ConfigError]:

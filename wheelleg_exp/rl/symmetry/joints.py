@@ -16,18 +16,19 @@ _TILTED = 0.99  # cosine between an axis and the other's image
 _FLIP = np.array([1.0, -1.0, 1.0])  # a mirror in the plane of the base's x and z axes
 
 
-def partners(names: Sequence[str], pairs: Mapping[str, str]) -> list[int]:
+def partners(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
     r"""Return the index of each joint's image; a joint that no expression names is its own.
 
     Args:
         names: the joints.
-        pairs: expressions of whole names of the one side, and what the name of the image is, with ``\1`` for groups.
+        pairs: expressions of whole names of the one side, and what the name of the image is, with ``\1`` for groups;
+            None where there is none.
 
     Raises:
         ConfigError: an expression fits no joint, or there is no joint of the image's name.
     """
     found = list(range(len(names)))
-    for expression, image in pairs.items():
+    for expression, image in ((expression, image) for expression, image in pairs.items() if image is not None):
         key = f"{PAIRS}[{expression}]"
         try:
             matches = [match for name in names if (match := re.fullmatch(expression, name))]

@@ -18,7 +18,6 @@ from wheelleg_exp.rl.symmetry import rules
 from wheelleg_exp.rl.symmetry.joints import PAIRS, partners, signs
 from wheelleg_exp.rl.symmetry.turning import Turned, Turning
 
-_TERMS = "agent.symmetry.terms"
 _LARGEST = 1e-4  # rad, or the units of targets: defaults and targets that differ by more are no images
 
 
@@ -119,7 +118,7 @@ class Mirror:
         if len(turned) != width:
             told = rule if isinstance(rule, str) else list(rule)
             message = f"the mirror rule {told} is of {len(turned)} numbers, and the term has {width}"
-            raise ConfigError(message, key=path, expected=f"{_TERMS}.{name}: a sign for each number")
+            raise ConfigError(message, key=path, expected=f"{rules.TERMS}.{name}: a sign for each number")
         self._require_even(term, turned, path)
         return turned
 
@@ -132,7 +131,7 @@ class Mirror:
         if rule is None:
             raise ConfigError(
                 f"it is not known how '{term.term.target}' turns in a mirror (observation '{name}' of '{group}')",
-                key=f"{_TERMS}.{name}",
+                key=f"{rules.TERMS}.{name}",
                 expected="one of " + ", ".join(rules.NAMES) + ", or a list of a sign for each number",
             )
         return rule
@@ -166,13 +165,12 @@ class Mirror:
         manager = self._env.observation_manager
         names = dict.fromkeys(name for group in groups for name in manager.terms(group))
         for name, rule in self._options.terms.items():
-            key = f"{_TERMS}.{name}"
             if name not in names:
+                key, message = f"{rules.TERMS}.{name}", "no network sees such an observation"
                 expected, nearest = "one of " + ", ".join(names), nearest_name(name, names)
-                raise ConfigError("no network sees such an observation", key=key, expected=expected, nearest=nearest)
+                raise ConfigError(message, key=key, expected=expected, nearest=nearest)
             if isinstance(rule, str) and rule not in rules.NAMES:
-                expected, nearest = "one of " + ", ".join(rules.NAMES), nearest_name(rule, rules.NAMES)
-                raise ConfigError(f"'{rule}' is no rule", key=key, expected=expected, nearest=nearest)
+                raise rules.unknown(rule, name)
 
 
 class Half:

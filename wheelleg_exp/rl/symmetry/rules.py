@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+TERMS = "agent.symmetry.terms"
 # The signs of rows of fixed width, by rule.
 SIGNS: Mapping[str, tuple[float, ...]] = {
     "vector": (1, -1, 1),  # velocity, acceleration, force, gravity
@@ -92,3 +95,9 @@ def known(target: str) -> str | None:
     """Return the rule of a stock observation by its dotted name; None when there is none."""
     module, _, name = target.rpartition(".")
     return OF_TERMS.get(name) if f"{module}.".startswith(f"{_OBSERVATIONS}.") else None
+
+
+def unknown(rule: str, term: str) -> ConfigError:
+    """Return what is told of a rule that there is not."""
+    expected, nearest = "one of " + ", ".join(NAMES), nearest_name(rule, NAMES)
+    return ConfigError(f"'{rule}' is no rule", key=f"{TERMS}.{term}", expected=expected, nearest=nearest)
