@@ -210,7 +210,6 @@ def test_a_run_with_a_project_of_the_users_own_is_replayed_from_all_its_sources(
     assert [tree["origin"] for tree in found["source"]] == [str(clone), str(tmp_path / "lab_clone"), None]
 
 
-@pytest.mark.full
 def test_an_interrupt_reaches_the_training_and_the_source_is_removed(run, clone, tmp_path, scratch):
     line = json.loads(lines_of(run)[-1])
     with (run / "iterations.jsonl").open("a") as file:

@@ -136,7 +136,6 @@ def exported_elsewhere(folder: Path, hash_seed: int, *hidden: list[int]) -> RunD
     return run
 
 
-@pytest.mark.full
 def test_what_is_exported_depends_neither_on_the_process_nor_on_what_it_exported_before(tmp_path):
     first = exported_elsewhere(tmp_path / "first", 1, [8, 8, 6])
     other = exported_elsewhere(tmp_path / "other", 3, [4], [16, 8], [8, 8, 6])

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
 SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")  # of which a run keeps no resolved copy
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
-_STEPS, _LETTERS = 2_000, 100_000  # most interpolations that are resolved, and most letters of all that hold one
+_STEPS, _LETTERS = 10_000, 100_000  # most interpolations that are resolved, and most letters of all that hold one
 _NONE = object()
 
 
