@@ -316,17 +316,6 @@ OVERRIDES = {
         ["agent.obs_groups.critic=[policy]"],
         ["agent.obs_groups.critic: no network gets", "'critic'", "override agent.obs_groups.critic=[policy]"],
     ),
-    "a rule by which nothing turns in a mirror": (
-        ["agent=ppo_mirrored", "+agent.symmetry.terms={base_ang_vel: psudovector}"],
-        ["agent.symmetry.terms.base_ang_vel: 'psudovector' is no rule", "did you mean 'pseudovector'"],
-    ),
-    "a function that makes no images": (
-        [
-            "agent=ppo_symmetry",
-            "agent.algorithm.symmetry_cfg.data_augmentation_func=wheelleg_exp.rl.symmetry.left_rigt",
-        ],
-        ["data_augmentation_func: there is no", "did you mean 'wheelleg_exp.rl.symmetry.left_right'"],
-    ),
     "a set of groups that no network reads": (
         ["+agent.obs_groups.actr=[policy]"],
         ["agent.obs_groups.actr: no network reads this set", "override", "did you mean 'actor'"],

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.policy import load_policy
@@ -15,6 +17,7 @@ from wheelleg_exp.rl.symmetry.joints import partners, signs
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 MIRRORED = "agent=ppo_symmetry"
+SETTINGS = "agent.algorithm.symmetry_cfg"
 CALM = ["event@env.events=[]", "env.terminations.leg_contact=null", "env.terminations.base_contact=null"]
 # By hand: joints l01 r01 l02 r02 l03 r03 change sides, and all turn about +y on both sides, so that no sign changes.
 SIDES = [1, 0, 3, 2, 5, 4]
@@ -240,6 +243,23 @@ def test_a_term_whose_image_is_not_known_is_told(make_trainer):
         make_trainer(MIRRORED, own)
     mirror = make_trainer(MIRRORED, own, "+agent.symmetry.terms={own: [1, -1]}").env.mirror
     assert mirror is not None
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "nearest"),
+    [
+        ("+agent.symmetry.terms", "{base_ang_vel: psudovector}", "pseudovector"),
+        (
+            f"{SETTINGS}.data_augmentation_func",
+            "wheelleg_exp.rl.symmetry.left_rigt",
+            "wheelleg_exp.rl.symmetry.left_right",
+        ),
+    ],
+)
+def test_a_wrong_word_is_told_before_anything_is_built(key, value, nearest):
+    (error,) = check(compose(["task=stand", MIRRORED, f"{key}={value}"]))
+    assert error.key.startswith(key.lstrip("+"))
+    assert error.nearest == nearest
 
 
 @pytest.mark.usefixtures("allow_test_terms")
