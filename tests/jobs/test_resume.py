@@ -176,7 +176,6 @@ def killed(point: str, cache: Path, *words: str | Path) -> None:
     assert done.returncode == -signal.SIGKILL, (point, done.stderr)
 
 
-@pytest.mark.full
 def test_kill_9_at_any_moment(straight, tmp_path, tmp_path_factory):
     """One run, killed three times: in the middle of a checkpoint; of a rollout, with the logs, the events and the
     recording torn; and of the manifest's last writing.

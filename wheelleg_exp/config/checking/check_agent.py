@@ -158,9 +158,7 @@ def _check_images(symmetry: Any) -> list[ConfigError]:
 
     terms = symmetry.get("terms") if isinstance(symmetry, Mapping) else None
     named = terms.items() if isinstance(terms, Mapping) else ()
-    return [
-        rules.unknown(str(rule), str(name)) for name, rule in named if isinstance(rule, str) and rule not in rules.NAMES
-    ]
+    return [rules.unknown(rule, str(name)) for name, rule in named if isinstance(rule, str) and rule not in rules.NAMES]
 
 
 def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[ConfigError]:

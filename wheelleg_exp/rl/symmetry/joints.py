@@ -28,7 +28,9 @@ def partners(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]
         ConfigError: an expression fits no joint, or there is no joint of the image's name.
     """
     found = list(range(len(names)))
-    for expression, image in ((expression, image) for expression, image in pairs.items() if image is not None):
+    for expression, image in pairs.items():
+        if image is None:
+            continue
         key = f"{PAIRS}[{expression}]"
         try:
             matches = [match for name in names if (match := re.fullmatch(expression, name))]
