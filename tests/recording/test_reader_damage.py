@@ -15,7 +15,6 @@ from rrd import healthy
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.inspection.questions.summary import summarize
-from wheelleg_exp.recording.reading.checksum import xxh32
 from wheelleg_exp.recording.reading.contents import Contents
 from wheelleg_exp.recording.reading.digest import entity_digests
 from wheelleg_exp.recording.reading.messages import ROWS, File, spans
@@ -169,17 +168,3 @@ def test_changed_bytes_never_end_in_anything_but_an_answer_or_an_error_for_peopl
             summarize(Recording(written(tmp_path, bytes(data)))).as_dict()
         except RunDirectoryError:
             continue
-
-
-@pytest.mark.parametrize(
-    ("data", "digest"),
-    [
-        (b"", 0x02CC5D05),
-        (b"a", 0x550D7456),
-        (b"abc", 0x32D153FF),
-        (b"Nobody inspects the spammish repetition", 0xE2293B2F),
-    ],
-)
-def test_the_checksum_is_xxh32(data, digest):
-    """Published test values."""
-    assert xxh32(data) == digest
