@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from foreign.trial import SECRET, VARIABLE
+from foreign.trial import SECRET, VARIABLE, Trial
 from wheelleg_exp.files import write_json
 
 pytestmark = pytest.mark.train
@@ -15,6 +15,15 @@ pytestmark = pytest.mark.train
 MANIFEST, GIT, LOG = "manifest.json", "source/git.json", "iterations.jsonl"
 READERS = ("verify", "report", "inspect", "diff", "play", "resume", "replay")
 DIGEST = {"sha256": "0" * 64, "size": 1}
+
+
+@pytest.fixture
+def trial(trial: Trial) -> Trial:
+    """Without its recording, of which nothing here tells and which most commands would read."""
+    (trial.run.path / "recording.rrd").unlink()
+    trial.record()
+    return trial
+
 
 BROKEN = {
     "deep brackets": "[" * 100_000,
