@@ -25,6 +25,9 @@ for number, handler in {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: lambda *_
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
 
+# What tests write need not outlive a power cut, and a small training waits for the disk eighty times.
+os.fsync = lambda _: None
+
 EnvMaker = Callable[..., "ManagerBasedRLEnv"]
 
 

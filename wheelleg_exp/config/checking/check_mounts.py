@@ -12,7 +12,6 @@ from typing import Any
 from wheelleg_exp.config.checking.diagnose_groups import place_of_option, where_of
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.composing.headers import missing_headers, package_header
-from wheelleg_exp.config.composing.loader import hydra_globals
 from wheelleg_exp.config.tree import at, line_table, section_at, self_before_others, show_file
 from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
 from wheelleg_exp.terms.binding import RESERVED, TARGET, NotSelected, split_node
@@ -51,11 +50,9 @@ class MountedFile:
 
 def mounted_files(composed: Composed) -> list[MountedFile]:
     """Return every file of the composition, in the order in which they are merged."""
-    with hydra_globals():
-        defaults = composed.loader.defaults(composed.primary, composed.parsed).defaults
     loaded = composed.loader.repository_used.loaded
     found = []
-    for default in defaults:
+    for default in composed.loader.merged:
         path = str(default.config_path)
         if path in loaded and not path.startswith("hydra/"):
             file, content = loaded[path].file, loaded[path].content

@@ -61,7 +61,7 @@ class Composed:
     @cached_property
     def mounts(self) -> list[Mount]:
         """The groups that the composition mounts, without Hydra's own, found when they are first asked for."""
-        return find_mounts(self.loader, self.primary, self.parsed)
+        return find_mounts(self.loader, self.parsed)
 
     @cached_property
     def raw_tree(self) -> dict[str, Any]:

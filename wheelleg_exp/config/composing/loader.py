@@ -18,6 +18,7 @@ from hydra._internal.config_repository import CachingConfigRepository, IConfigRe
 from hydra._internal.defaults_list import DefaultsList, create_defaults_list
 from hydra._internal.utils import create_config_search_path
 from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.default_element import ResultDefault
 from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -210,9 +211,15 @@ def _require_available(repository: Repository) -> None:
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's loader over the stock configs and the user's config folders."""
+    """Hydra's loader over the stock configs and the user's config folders.
+
+    Attributes:
+        repository_used: what the last ``load`` read its files from.
+        merged: the files that it merged, in that order.
+    """
 
     repository_used: Repository
+    merged: Sequence[ResultDefault]
 
     def __init__(self, config_dirs: Sequence[Path] = ()) -> None:
         super().__init__(search_path(config_dirs))
@@ -227,6 +234,10 @@ class Loader(ConfigLoaderImpl):
             self._process_config_searchpath(config_name, parsed, self.repository_used)
         _require_available(self.repository_used)
         return parsed, self.repository_used
+
+    def _compose_config_from_defaults_list(self, defaults: list[ResultDefault], repo: IConfigRepository) -> DictConfig:
+        self.merged = defaults
+        return super()._compose_config_from_defaults_list(defaults, repo)
 
     def load(self, primary: str, overrides: Sequence[str]) -> DictConfig:
         """Compose like Hydra's compose API; the result holds the ``hydra`` node as well."""

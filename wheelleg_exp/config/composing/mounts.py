@@ -52,16 +52,15 @@ class Mount:
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
-def find_mounts(loader: Loader, primary: str, parsed: Sequence[Override]) -> list[Mount]:
+def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
     """Return the groups that a composition mounts, without Hydra's own.
 
     Args:
         loader: the loader that has composed it.
-        primary: name of the primary config.
         parsed: the overrides.
     """
+    found = loader.merged
     with hydra_globals():
-        found = loader.defaults(primary, parsed).defaults
         return [_mount(loader, name, choices, found) for name, choices in _written(loader, parsed, found).items()]
 
 
