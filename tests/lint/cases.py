@@ -73,6 +73,7 @@ CONFIG: dict[str, Any] = {
     "agent": {
         "num_steps_per_env": 10,
         "max_iterations": 20,
+        "average_iterations": 0,
         "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
         "algorithm": {"num_mini_batches": 4, "gamma": 0.995},
         "actor": {},

@@ -159,6 +159,7 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
         lambda x: case(robot(x), **observed("joint_vel", scale=99.0)),
         lambda x: case(robot(x), **observed("joint_vel", scale=1e-6)),
     ],
+    "late_average": [lambda x: case(average_iterations=80, max_iterations=round(18 * x))],
     "push_size": [lambda x: case(robot(x), **push(x, 9.0)), lambda x: case(robot(x), **push(1.0 / x, 1e-3))],
     "reward_too_small": [
         lambda x: case(robot(x), **reward("base_height_l2", weight=-0.01, target_height=0.4 * x)),

@@ -219,3 +219,12 @@ def test_a_discount_short_of_a_fall_is_found():
     (finding,) = found("discount_horizon", case(algorithm={"gamma": 0.99}))  # 2 s; five time constants are 2.5 s
     assert finding.figures["time_constant_s"] == pytest.approx(0.5)
     assert found("discount_horizon", case()) == []  # 4 s
+
+
+def test_a_mean_of_weights_that_reaches_back_to_the_beginning_is_found():
+    (finding,) = found("late_average", case(average_iterations=10))  # 0.9 to the power of 20 - 10
+    assert finding.figures == {"early_share": pytest.approx(0.34867844)}
+    (finding,) = found("late_average", case(average_iterations=80))
+    assert finding.message == "100% of what is played is of the first 20 of 20 iterations"
+    assert found("late_average", case(average_iterations=8)) == []  # 0.875 to the power of 12 is 0.20
+    assert found("late_average", case(average_iterations=1)) == found("late_average", case()) == []

@@ -131,6 +131,7 @@ PHYSICS_RULES: tuple[str, ...] = (
     "falling_pays",
     "gains_against_time_step",
     "joint_limits",
+    "late_average",
     "levels_out_of_reach",
     "link_masses",
     "lopsided_pose",

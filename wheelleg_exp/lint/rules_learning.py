@@ -13,6 +13,7 @@ from wheelleg_exp.lint.rules_rewards import horizon_steps
 _GAMMA = "agent.algorithm.gamma"
 _DUST = 1e-9  # of binary fractions, in 1 - gamma
 _FALLS = 5.0  # time constants of the fall that the discount should reach
+_EARLY = 0.25  # most of a mean of weights that may be of its beginning
 
 
 @rule
@@ -67,3 +68,26 @@ def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]
         return {"hint": f"episodes longer than {fall:.2g} s first: no gamma reaches a fall and ends within an episode"}
     gamma = round(1.0 - share, 12)
     return {"hint": f"gamma of at {bound} {gamma:g}", "advice": ({_GAMMA: gamma},)}
+
+
+@rule
+def late_average(case: Case) -> Iterator[Finding]:
+    """A mean of the policy's weights that is much of what they were at the beginning of the training.
+
+    It is the mean of all n iterations at first, and m += (w - m) / n behind these: (1 - 1/n)^(i - n) of that is left
+    after i iterations, in what is played. Source: the weights of an exponential mean.
+    """
+    reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
+    if reach < 2:
+        return
+    early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
+    if early > _EARLY:
+        key = "agent.average_iterations"
+        enough = int(iterations / (1.0 - math.log(_EARLY)))  # (1 - 1/n)^(i - n) is at most exp(1 - i/n)
+        yield Finding(
+            key,
+            f"{early:.0%} of what is played is of the first {min(reach, iterations)} of {iterations} iterations",
+            f"at most {enough:g}, or more iterations",
+            {"early_share": early},
+            ({key: enough},),
+        )
