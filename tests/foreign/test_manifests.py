@@ -21,8 +21,13 @@ DIGEST = {"sha256": "0" * 64, "size": 1}
 def trial(trial: Trial) -> Trial:
     """Without its recording, of which nothing here tells and which most commands would read."""
     (trial.run.path / "recording.rrd").unlink()
+    trial.yaml(".hydra/config.yaml", lambda config: config["recording"].update(enabled=False))
     trial.record()
     return trial
+
+
+def test_without_what_is_planted_it_is_whole(trial):
+    trial.try_("verify", 0)
 
 
 BROKEN = {

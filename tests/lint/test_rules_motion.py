@@ -225,6 +225,6 @@ def test_a_mean_of_weights_that_reaches_back_to_the_beginning_is_found():
     (finding,) = found("late_average", case(average_iterations=10))  # 0.9 to the power of 20 - 10
     assert finding.figures == {"early_share": pytest.approx(0.34867844)}
     (finding,) = found("late_average", case(average_iterations=80))
-    assert finding.message == "100% of what is played is of the first 20 of 20 iterations"
+    assert finding.message == "100 % of what is played is of iterations 1 to 20 of 20"
     assert found("late_average", case(average_iterations=8)) == []  # 0.875 to the power of 12 is 0.20
     assert found("late_average", case(average_iterations=1)) == found("late_average", case()) == []

@@ -11,6 +11,7 @@ from wheelleg_exp.lint.findings import Finding, at_least, at_most, rule
 from wheelleg_exp.lint.rules_rewards import horizon_steps
 
 _GAMMA = "agent.algorithm.gamma"
+_AVERAGE = "agent.average_iterations"
 _DUST = 1e-9  # of binary fractions, in 1 - gamma
 _FALLS = 5.0  # time constants of the fall that the discount should reach
 _EARLY = 0.25  # most of a mean of weights that may be of its beginning
@@ -75,19 +76,20 @@ def late_average(case: Case) -> Iterator[Finding]:
     """A mean of the policy's weights that is much of what they were at the beginning of the training.
 
     It is the mean of all n iterations at first, and m += (w - m) / n behind these: (1 - 1/n)^(i - n) of that is left
-    after i iterations, in what is played. Source: the weights of an exponential mean.
+    after i iterations, in what is played, be the beginning noise or the policy of ``init_from``. Source: the weights of
+    an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
     if reach < 2:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
-        key = "agent.average_iterations"
-        enough = int(iterations / (1.0 - math.log(_EARLY)))  # (1 - 1/n)^(i - n) is at most exp(1 - i/n)
+        few = int(iterations / (1.0 - math.log(_EARLY)))  # (1 - 1/n)^(i - n) is at most exp(1 - i/n)
+        enough = few if few > 1 else 0  # the mean of one is no mean
         yield Finding(
-            key,
-            f"{early:.0%} of what is played is of the first {min(reach, iterations)} of {iterations} iterations",
+            _AVERAGE,
+            f"{100 * early:.0f} % of what is played is of iterations 1 to {min(reach, iterations)} of {iterations}",
             f"at most {enough:g}, or more iterations",
             {"early_share": early},
-            ({key: enough},),
+            ({_AVERAGE: enough},),
         )

@@ -4,7 +4,7 @@
 |---|---|
 | ``reader``, ``groups``, ``statics``, ``events``, ``journal`` | what it holds: numbers, facts, words, curves |
 | ``contents``, ``rows``, ``components``, ``plain`` | rows by entity, and Arrow's values as Python's own |
-| ``messages``, ``checksum`` | the format of a file |
+| ``messages`` | the format of a file |
 | ``health``, ``repair`` | how whole a file is, and mending it |
 | ``digest`` | the same for every run that did the same |
 """

@@ -40,7 +40,6 @@ _FOOTER = struct.Struct("<QQI8sI")  # offset, length and checksum of the index, 
 _FOOTER_MARK = b"RRF2FOOT"
 FOOTER_SIZE = _FOOTER.size
 _CHECKSUM_SEED = 7850921
-_LARGEST_INDEX = 1 << 27  # bytes
 _KINDS = (b"control", b"index", b"data")
 _TIMES = (pa.int64(), pa.duration("ns"), pa.timestamp("ns"))
 # Types whose values share bytes, so that few of these are a flood of those.
@@ -166,7 +165,7 @@ def is_closed(file: File, last: Span) -> bool:
 def index_holds(file: File, last: Span) -> bool:
     """Return whether the index of a closed file is as it was written."""
     _, _, checksum, _, _ = _FOOTER.unpack(file.read(last.end, file.size))
-    return last.end - last.begin < _LARGEST_INDEX and xxh32_intdigest(last.payload(file), _CHECKSUM_SEED) == checksum
+    return last.end - last.begin < MESSAGE_LIMIT and xxh32_intdigest(last.payload(file), _CHECKSUM_SEED) == checksum
 
 
 def announced(file: File, span: Span) -> tuple[int, str] | None:
