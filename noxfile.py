@@ -50,7 +50,7 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def typecheck(session: nox.Session) -> None:
     """Check types."""
-    _python(session, "mypy")
+    _python(session, "mypy", "--num-workers", "2")
 
 
 @nox.session
