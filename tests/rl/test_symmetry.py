@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -294,3 +296,34 @@ def test_each_minibatch_holds_the_images_too(make_trainer, monkeypatch):
     frame = np.s_[12:15]  # the newest angular velocity of five: by hand, it turns as a pseudovector does
     assert torch.equal(batch[half:, frame], batch[:half, frame] * torch.tensor([-1.0, 1.0, -1.0]))
     assert done.scalars["Loss/symmetry"] >= 0.0
+
+
+@pytest.mark.parametrize("is_learned_from", ["true", "false"])
+def test_the_mirror_loss_is_that_of_rsl_rl(make_trainer, monkeypatch, is_learned_from):
+    """Its value and all gradients, of a policy that is far from its image."""
+    words = ("agent=ppo_mirror_loss", f"{SETTINGS}.use_mirror_loss={is_learned_from}")
+    trainer = make_trainer(*words, "agent.actor.obs_normalization=true")
+    trainer._collect()
+    algorithm = trainer.algorithm
+    actor, storage, passes = algorithm.actor, algorithm.storage, []
+    batch = next(storage.mini_batch_generator(4, 1))
+    size = len(batch.observations)
+    forward = type(actor.mlp).forward
+    monkeypatch.setattr(type(actor.mlp), "forward", lambda self, x: (passes.append(len(x)), forward(self, x))[1])
+
+    def found(loss):
+        actor.zero_grad()
+        actor(batch.observations, stochastic_output=True)
+        passes.clear()
+        value = loss(actor, copy.copy(batch), size)
+        if value.requires_grad:
+            value.backward()
+        return value.detach(), [p.grad.clone() for p in actor.mlp.parameters() if p.grad is not None], sum(passes)
+
+    ours = found(algorithm.symmetry.compute_loss)
+    theirs = found(type(algorithm.symmetry).compute_loss.__get__(algorithm.symmetry))
+    assert ours[0] > 1e-4
+    torch.testing.assert_close(ours[0], theirs[0])
+    assert bool(ours[1]) is (is_learned_from == "true")
+    torch.testing.assert_close(ours[1], theirs[1])
+    assert (ours[2], theirs[2]) == (size, 2 * size)

@@ -20,6 +20,7 @@ from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.options import SymmetryOptions, require_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.symmetry.mirror import Half, Mirror, options_of
+from wheelleg_exp.rl.symmetry.mirror_loss import lighten
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.user_code import ending_as, in_words
 
@@ -76,13 +77,15 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     try:
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):
             kind = resolve_callable(config["algorithm"]["class_name"])
-            return kind.construct_algorithm(observations, env, config, str(agent["device"]))
+            algorithm = kind.construct_algorithm(observations, env, config, str(agent["device"]))
     except Exception as error:  # its classes may be a user's own
         raise ConfigError(
             f"rsl_rl refuses it: {in_words(error).splitlines()[0]}",
             key="agent",
             expected="rsl_rl's own configuration",
         ) from error
+    lighten(algorithm)
+    return algorithm
 
 
 def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Half | None:

@@ -7,6 +7,7 @@
 | `rules` | how each kind of observation turns in a mirror |
 | `turning`, `sensed` | what each rule makes of a term, of rays and IMUs |
 | `mirror` | the images of whole observations and actions |
+| `mirror_loss` | the mirror loss, at less cost |
 """
 
 from wheelleg_exp.rl.symmetry.mirror import Mirror, left_right
