@@ -16,6 +16,7 @@ from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.symmetry import left_right
 from wheelleg_exp.rl.symmetry.joints import partners, signs
+from wheelleg_exp.rl.symmetry.mirror_loss import lighten
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 MIRRORED = "agent=ppo_symmetry"
@@ -327,3 +328,16 @@ def test_the_mirror_loss_is_that_of_rsl_rl(make_trainer, monkeypatch, is_learned
     assert bool(ours[1]) is (is_learned_from == "true")
     torch.testing.assert_close(ours[1], theirs[1])
     assert (ours[2], theirs[2]) == (size, 2 * size)
+
+
+def test_what_is_a_users_own_keeps_its_own_mirror_loss(make_trainer):
+    algorithm = make_trainer("agent=ppo_mirror_loss").algorithm
+    theirs = type("Theirs", (type(algorithm),), {}), type("Theirs", (type(algorithm.symmetry),), {})
+    for thing, kind in zip((algorithm, algorithm.symmetry), theirs, strict=True):
+        vars(algorithm.symmetry).pop("compute_loss", None)
+        own, thing.__class__ = type(thing), kind
+        lighten(algorithm)
+        assert "compute_loss" not in vars(algorithm.symmetry)
+        thing.__class__ = own
+    lighten(algorithm)
+    assert "compute_loss" in vars(algorithm.symmetry)

@@ -89,7 +89,7 @@ def late_average(case: Case) -> Iterator[Finding]:
         yield Finding(
             _AVERAGE,
             f"{100 * early:.0f} % of what is played is of iterations 1 to {min(reach, iterations)} of {iterations}",
-            f"at most {enough:g}, or more iterations",
+            f"at most {enough}, or more iterations",
             {"early_share": early},
             ({_AVERAGE: enough},),
         )

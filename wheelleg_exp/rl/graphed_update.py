@@ -15,7 +15,7 @@ from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from torch import nn
 
-from wheelleg_exp.rl.symmetry import left_right
+from wheelleg_exp.rl.symmetry.mirror_loss import is_a_loss_alone, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
 _MIRROR_LOSS = "symmetry"  # its name among them, where there is one
@@ -31,15 +31,12 @@ def is_plain(algorithm: Any) -> bool:
     """Return whether it is rsl_rl's PPO, with Adam, no more beside it than a mirror loss, and perceptrons."""
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
-    beside = algorithm.rnd or algorithm.use_mixed_precision or not _only_a_loss(algorithm.symmetry)
+    symmetry = algorithm.symmetry
+    beside = algorithm.rnd or algorithm.use_mixed_precision or not (symmetry is None or is_a_loss_alone(symmetry))
     networks = (algorithm.actor, algorithm.critic)
     others = any(type(network).forward is not MLPModel.forward for network in networks)
     compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
     return not (beside or others or compiled)
-
-
-def _only_a_loss(symmetry: Any) -> bool:
-    return symmetry is None or (symmetry.data_augmentation_func is left_right and not symmetry.use_data_augmentation)
 
 
 class GraphedUpdate:
@@ -160,8 +157,7 @@ class GraphedUpdate:
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         actor = algorithm.actor
         # Not the actor itself, which draws as well: nobody uses it, and torch waits for the GPU to look at deviations.
-        answers = actor.mlp(actor.get_latent(observations))
-        actor.distribution.update(answers)
+        actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         log_prob = actor.get_output_log_prob(actions)
         values = algorithm.critic(observations)
         entropy = actor.output_entropy.mean()
@@ -177,7 +173,7 @@ class GraphedUpdate:
         loss = surrogate + algorithm.value_loss_coef * value - algorithm.entropy_coef * entropy
         found: list[torch.Tensor] = []
         if algorithm.symmetry:
-            found = [self._mirror_loss(observations, answers)]
+            found = [mirror_loss(algorithm.symmetry, actor, observations)]
             loss = loss + self._mirror_weight * found[0]
         algorithm.optimizer.zero_grad()
         loss.backward()
@@ -187,13 +183,6 @@ class GraphedUpdate:
             nn.utils.clip_grad_norm_(network.parameters(), algorithm.max_grad_norm)
         algorithm.optimizer.step()
         self._sums += torch.stack([one.detach() for one in (value, surrogate, entropy, *found)])
-
-    def _mirror_loss(self, observations: Any, answers: torch.Tensor) -> torch.Tensor:
-        """Return how far the actor's means for images are from the images of its means, squared."""
-        actor, mirror = self._algorithm.actor, self._algorithm.symmetry.env.mirror
-        means = actor.distribution.deterministic_output(answers)
-        images = actor.mlp(actor.get_latent(mirror.observations(observations)))
-        return nn.functional.mse_loss(actor.distribution.deterministic_output(images), mirror.actions(means).detach())
 
     def _adapt(self, divergence: torch.Tensor) -> None:
         """Take a slower or faster learning rate when the policy has changed by more or less than is desired."""
