@@ -184,6 +184,10 @@ def test_a_gate_that_is_not_passed_at_the_maximum_stops_the_pipeline(tmp_path):
     assert "phase 'first': the gate is not passed after 2 iterations: stand/survival is 0.2" in index.data["why"]
     with pytest.raises(ConfigError, match="would not"):
         resumed(index, [])
+    record = index.path.read_bytes()
+    with pytest.raises(ConfigError, match=r"is 1, and phase 'first' has done 2 iterations.*expected at least 2"):
+        resumed(index, [], "pipeline.phases.first.max_iterations=1")
+    assert index.path.read_bytes() == record
     again, status = resumed(index, [1.0, 1.0], "pipeline.phases.first.max_iterations=3")
     assert status == "finished"
     assert again.phases[0]["trained"] == 3

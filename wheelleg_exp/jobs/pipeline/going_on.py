@@ -90,6 +90,12 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
         raise ConfigError(
             f"phase '{name}' has begun", key=change.key, expected=f"{' or '.join(_LATER)} of it, or a new pipeline"
         )
+    if change.keys[3] == "max_iterations" and isinstance(change.b, int) and change.b < phase["trained"]:
+        raise ConfigError(
+            f"is {change.b}, and phase '{name}' has done {phase['trained']} iterations",
+            key=change.key,
+            expected=f"at least {phase['trained']}",
+        )
 
 
 def _again(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
