@@ -55,9 +55,9 @@ def typecheck(session: nox.Session) -> None:
 
 @nox.session
 def gpu(session: nox.Session) -> None:
-    """Run the tests of the engine on mujoco-warp on a GPU; say what is lacking where there is none."""
+    """Run on a GPU the tests of the engine on mujoco-warp and of PPO's CUDA graphs; say what is lacking."""
     _require_gpu(session)
-    _python(session, "pytest", "-p", "no:xdist", "tests/sim/warp", *session.posargs)
+    _python(session, "pytest", "-p", "no:xdist", "tests/sim/warp", "tests/rl/test_graphed_update.py", *session.posargs)
 
 
 def _require_gpu(session: nox.Session) -> None:

@@ -48,7 +48,8 @@ def test_every_stock_term_has_a_target_that_says_what_it_is():
 def test_the_dataclass_of_a_section_is_there_and_describes_the_stock_section(path):
     options = schema.options_of(path)
     assert options is not None
-    node = compose(primary="evaluate" if path == "protocol" else "train").config
+    words = ["pipeline=stand_to_terrain"] if path == "pipeline" else []
+    node = compose(words, primary={"protocol": "evaluate", "pipeline": "pipeline"}.get(path, "train")).config
     for key in path.split("."):
         node = node[key]
     assert set(node) <= set(keys_of(options))

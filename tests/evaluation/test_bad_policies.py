@@ -11,7 +11,7 @@ from evaluation.conftest import balancer, noise, protocol, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.evaluation import Evaluation, evaluate
 from wheelleg_exp.jobs.pipeline.gate import judge
-from wheelleg_exp.jobs.pipeline.settings import Gate
+from wheelleg_exp.jobs.pipeline.options import Gate
 
 PHASES = compose(["pipeline=stand_to_terrain"], primary="pipeline").config["pipeline"]["phases"]
 SMALL = {

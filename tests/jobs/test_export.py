@@ -130,6 +130,10 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     said = alone(bundle, "simulate.py", "--seconds", "0.2", "--command", "0", "0", "0")
     assert said.returncode == 0, said.stdout + said.stderr
     assert "simulated 0.20 s at 60 Hz" in said.stdout
+    assert "note:" not in said.stdout
+    said = alone(bundle, "simulate.py", "--seconds", "0.2", "--command", "2", "0", "0.1")
+    assert said.stdout.count("note:") == 2, "of a robot that learns to stand"
+    assert "note: base_velocity is outside of its range: lin_vel_x 2, trained 0 to 0" in said.stdout
     said = alone(bundle, "simulate.py", "--seconds", "3")  # three iterations do not make it stand
     assert (said.returncode, "it fell after" in said.stdout) == (1, True)
     said = alone(bundle, "simulate.py", "--command", "1", "2")

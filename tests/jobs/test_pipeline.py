@@ -17,7 +17,8 @@ from wheelleg_exp.jobs.pipeline import job as steps
 from wheelleg_exp.jobs.pipeline import pipeline as runner
 from wheelleg_exp.jobs.pipeline.gate import judge
 from wheelleg_exp.jobs.pipeline.going_on import go_on
-from wheelleg_exp.jobs.pipeline.settings import Gate, compose_phases, read
+from wheelleg_exp.jobs.pipeline.options import Gate
+from wheelleg_exp.jobs.pipeline.settings import compose_phases, read
 from wheelleg_exp.jobs.resume import differences as circumstances
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.rl import checkpoint
@@ -366,13 +367,34 @@ def test_a_pipeline_is_checked_as_training_it_would(declared_two):
     said = wheelleg("check", *declared_two, "env.num_envs=0", "--json")
     assert said.status == 2
     mistakes = json.loads(said.out)["mistakes"]
-    assert [mistake["message"].partition(":")[0] for mistake in mistakes] == ["phase 'first'", "phase 'second'"]
-    assert {mistake["key"] for mistake in mistakes} == {"env.num_envs"}
-    said = wheelleg("check", *declared_two, "pipeline.phases.first.gate.protocol=wlk")
-    assert "pipeline.phases.first.gate.protocol" in said.err
+    assert [(mistake["key"], "phase" in mistake["message"]) for mistake in mistakes] == [("env.num_envs", False)]
     said = wheelleg("check", *declared_two, "pipeline.phases.first.gate.protocol=walk")
     assert said.status == 2
     assert "protocol 'walk' has no such metric" in said.err
+
+
+def test_what_a_phase_names_and_is_not_there_is_told_by_its_own_key(declared_two):
+    file = Path(declared_two[-1]) / "pipeline" / "two.yaml"
+    lines = file.read_text().splitlines()
+    second = [number for number, line in enumerate(lines) if "task: stand" in line][1]
+    lines[second] = lines[second].replace("stand", "stnd")
+    file.write_text("\n".join(lines) + "\n")
+    said = wheelleg("check", *declared_two)
+    assert said.status == 2
+    assert "pipeline.phases.second.task: phase 'second': " in said.err
+    assert f"two.yaml:{second + 1})" in said.err
+    assert "did you mean 'stand'?" in said.err
+    said = wheelleg(
+        "check", *declared_two, "pipeline.phases.second.task=stand", "pipeline.phases.first.gate.protocol=wlk"
+    )
+    assert said.err.startswith("wheelleg: error: pipeline.phases.first.gate.protocol: phase 'first': ")
+    assert "(override pipeline.phases.first.gate.protocol=wlk)" in said.err
+
+
+def test_a_key_of_a_user_s_own_pipeline_is_explained(declared_two):
+    said = wheelleg("explain", "pipeline.phases.second.gate.every", *declared_two)
+    assert said.status == 0
+    assert "null evaluates behind the last one alone" in " ".join(said.out.split())
 
 
 def test_pipelines_are_explained_and_composed_without_naming_their_primary_config(declared_two):

@@ -177,6 +177,14 @@ def test_overrides_change_the_play_alone(run):
     assert (run.params / "env.yaml").read_bytes() == before
 
 
+def test_a_term_that_is_null_is_played_without_as_in_training(run):
+    def rewards(override):
+        return Recording(played(run, "env.num_envs=2", "env.episode_length_s=0.1", override).recording).names("rewards")
+
+    assert rewards("env.rewards.alive=null") == rewards("~env.rewards.alive")
+    assert [name for name in rewards("seed=0") if name not in rewards("~env.rewards.alive")] == ["alive"]
+
+
 def test_a_run_that_is_removed_while_it_is_played_fails_the_play(run, monkeypatch):
     roll = play_job._roll
     monkeypatch.setattr(play_job, "_roll", lambda *rest: (roll(*rest), shutil.rmtree(run.path)))

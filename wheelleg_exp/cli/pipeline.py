@@ -60,11 +60,11 @@ def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[
 
     pipeline = declared([word for word in words if names_pipeline(word)], config_dirs)
     overrides = [word for word in words if not names_pipeline(word)]
-    phases = compose_phases(pipeline.phases, overrides, config_dirs)
-
-    from wheelleg_exp.jobs.pipeline.metric_names import require_metrics
-
     with nullcontext() if pipeline.composed is None else pipeline.composed.placing():
+        phases = compose_phases(pipeline.phases, overrides, config_dirs)
+
+        from wheelleg_exp.jobs.pipeline.metric_names import require_metrics
+
         require_metrics(pipeline.phases, phases, config_dirs)
     return pipeline, phases
 

@@ -19,6 +19,7 @@ OPTIONS: dict[str, str] = {
     "env.sim": "wheelleg_exp.sim.options.SimOptions",
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",
     "env.robot": "wheelleg_exp.sim.options.RobotOptions",
+    "pipeline": "wheelleg_exp.jobs.pipeline.options.Pipeline",
     "recording": "wheelleg_exp.recording.options.RecordingOptions",
     "protocol": "wheelleg_exp.evaluation.options.Protocol",
     "run": "wheelleg_exp.run.options.RunOptions",

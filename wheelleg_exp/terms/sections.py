@@ -121,10 +121,18 @@ def _broken_rules(path: str, node: Mapping[str, Any], options: type) -> list[Con
 
 
 def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
-    nested = dataclass_in(annotation)
+    nested, named = dataclass_in(annotation), _dataclass_of_values(annotation)
     if nested is not None and isinstance(value, Mapping):
         return section_errors(key, value, nested)
+    if named is not None and isinstance(value, Mapping):
+        return [e for name, node in value.items() for e in _value_errors(below(key, str(name)), node, named)]
     return value_errors(key, value, annotation)
+
+
+def _dataclass_of_values(annotation: Any) -> Any | None:
+    """Return what the values of a mapping may be, when that is a dataclass; its names are free."""
+    values = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is dict else ()
+    return next((value for value in values if dataclass_in(value) is not None), None)
 
 
 def dataclass_in(annotation: Any) -> type | None:
@@ -144,8 +152,18 @@ def read_section(options: type[_Options], node: Any, path: str) -> _Options:
     for error in section_errors(path, node, options):
         raise error
     keys = keys_of(options)
-    nested = {name: dataclass_in(keys[name].annotation) for name, value in node.items() if isinstance(value, Mapping)}
-    return options(**{n: read_section(k, v, below(path, n)) if (k := nested.get(n)) else v for n, v in node.items()})
+    return options(**{n: _read_value(v, below(path, str(n)), keys[n].annotation) for n, v in node.items()})
+
+
+def _read_value(value: Any, path: str, annotation: Any) -> Any:
+    nested, named = dataclass_in(annotation), _dataclass_of_values(annotation)
+    if not isinstance(value, Mapping):
+        return value
+    if nested is not None:
+        return read_section(nested, value, path)
+    if named is not None:
+        return {name: _read_value(node, below(path, str(name)), named) for name, node in value.items()}
+    return value
 
 
 def read_value(options: type, node: Any, path: str, name: str) -> Any:

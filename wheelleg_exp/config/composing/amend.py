@@ -15,12 +15,13 @@ from wheelleg_exp.config.composing.hydra_keys import unread
 from wheelleg_exp.config.problems import join, parts
 from wheelleg_exp.config.tree import dotted, node_paths, split_path
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.terms.binding import drop_removed
 
 
 def amend(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    Groups cannot be chosen here, because nothing is composed.
+    Groups cannot be chosen here, because nothing is composed. A term that is null is removed, as by composing.
 
     Raises:
         ConfigError: an override cannot be read, names a key that is not there, or is of Hydra's own settings.
@@ -28,6 +29,8 @@ def amend(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     amended = copy.deepcopy(dict(tree))
     for text in overrides:
         _apply(amended, _parse(text), text)
+    if overrides:
+        drop_removed(amended)
     return amended
 
 

@@ -2,6 +2,7 @@
 
 | module | offers |
 |---|---|
+| ``options`` | what a config may say of a pipeline, its phases and their gates |
 | ``settings`` | the declared pipeline: its phases, composed and held against each other |
 | ``gate`` | whether an evaluation passes a gate |
 | ``metric_names`` | whether the gates ask for metrics that there are |

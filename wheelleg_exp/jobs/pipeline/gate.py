@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.jobs.pipeline.settings import Gate
+from wheelleg_exp.jobs.pipeline.options import Gate
 
 
 @dataclass(frozen=True)

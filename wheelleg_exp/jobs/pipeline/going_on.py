@@ -11,7 +11,8 @@ from wheelleg_exp.config.checking.collect import compose_valid
 from wheelleg_exp.config.composing.amend import amend, placing
 from wheelleg_exp.config.composing.primaries import names_pipeline
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, Phase, read, words_of
+from wheelleg_exp.jobs.pipeline.options import Phase
+from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, read, words_of
 from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.pipeline_index import PipelineIndex
 from wheelleg_exp.run.process import is_alive

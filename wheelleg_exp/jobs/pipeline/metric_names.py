@@ -15,7 +15,8 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.evaluation.options import Protocol
 from wheelleg_exp.evaluation.protocol import evaluate
-from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Gate, Phase, in_phase
+from wheelleg_exp.jobs.pipeline.options import Gate, Phase
+from wheelleg_exp.jobs.pipeline.settings import PRIMARY, in_phase
 from wheelleg_exp.terms.sections import read_section
 
 _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")

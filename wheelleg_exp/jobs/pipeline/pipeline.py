@@ -15,7 +15,8 @@ from wheelleg_exp.jobs.display import Display
 from wheelleg_exp.jobs.pipeline.child import StepProcess
 from wheelleg_exp.jobs.pipeline.gate import judge, streak
 from wheelleg_exp.jobs.pipeline.job import Step
-from wheelleg_exp.jobs.pipeline.settings import Declared, Gate, Phase, digest, words_of
+from wheelleg_exp.jobs.pipeline.options import Gate, Phase
+from wheelleg_exp.jobs.pipeline.settings import Declared, digest, words_of
 from wheelleg_exp.jobs.processes import Event
 from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.rl.trainer import Iteration

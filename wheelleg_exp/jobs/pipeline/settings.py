@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,65 +13,14 @@ from wheelleg_exp.config.checking.collect import compose_valid
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.primaries import PIPELINE as PRIMARY
 from wheelleg_exp.config.composing.sweep import digest_of
-from wheelleg_exp.config.problems import parts, raise_all
-from wheelleg_exp.constraints import Count
+from wheelleg_exp.config.problems import override_of, parts, raise_all
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.pipeline.options import Gate, Phase, Pipeline
 from wheelleg_exp.jobs.train.initial import PARTS
 from wheelleg_exp.jobs.train.policy_fit import fit
-from wheelleg_exp.terms.sections import Section, read_section
+from wheelleg_exp.terms.sections import read_section
 
 _GATED = ("init_from", "agent.max_iterations", "task")  # what a pipeline sets itself
-
-
-@dataclass(frozen=True)
-class Gate:
-    """``pipeline.phases.<phase>.gate``: what a policy must be able to do before the next phase.
-
-    Attributes:
-        protocol: the protocol of `wheelleg evaluate` whose scenarios are driven; training never sees them.
-        at_least: the least value of each metric, by ``group/metric``.
-        at_most: the greatest value of each metric.
-        overrides: changes to the protocol, such as ``protocol.stand.episodes=16``.
-        every: iterations between two evaluations while it trains; null evaluates behind the last one alone.
-        passes: how many evaluations must pass in a row for it to go on before the last iteration.
-    """
-
-    protocol: str
-    at_least: dict[str, float] = field(default_factory=dict)
-    at_most: dict[str, float] = field(default_factory=dict)
-    overrides: list[str] = field(default_factory=list)
-    every: Count | None = None
-    passes: Count = 1
-
-
-@dataclass(frozen=True)
-class Phase:
-    """``pipeline.phases.<phase>``: one training.
-
-    Attributes:
-        task: the task.
-        max_iterations: most iterations, in total.
-        overrides: further overrides of ``wheelleg train``.
-        gate: what it must pass; null lets the next phase begin in any case.
-    """
-
-    task: str
-    max_iterations: Count
-    overrides: list[str] = field(default_factory=list)
-    gate: Gate | None = None
-
-
-@dataclass(frozen=True)
-class Pipeline:
-    """``pipeline``: phases by name, in order.
-
-    Attributes:
-        name: the pipeline's name.
-        phases: the phases, each begun with the policy of the one before.
-    """
-
-    name: str
-    phases: Section
 
 
 @dataclass(frozen=True)
@@ -106,14 +56,14 @@ def read(tree: Mapping[str, Any]) -> Declared:
         ConfigError: a setting of it is wrong.
     """
     named = read_section(Pipeline, tree, PRIMARY).phases
-    nodes = {str(name): node for name, node in named.items() if node is not None}
-    phases = {name: read_section(Phase, node, f"{PRIMARY}.phases.{name}") for name, node in nodes.items()}
+    phases = {str(name): phase for name, phase in named.items() if phase is not None}
     if not phases:
         raise ConfigError("has no phase", key=f"{PRIMARY}.phases", expected="at least one")
     for name, phase in phases.items():
         if phase.gate is not None and not (phase.gate.at_least or phase.gate.at_most):
             key = f"{PRIMARY}.phases.{name}.gate"
             raise ConfigError("asks for nothing", key=key, expected="at_least or at_most, or no gate")
+    nodes = {str(name): node for name, node in tree["phases"].items() if node is not None}
     return Declared({**tree, "phases": nodes}, phases)
 
 
@@ -134,7 +84,7 @@ def compose_phases(
     """Compose and check every phase, and hold each against the one whose policy it begins with.
 
     Raises:
-        ConfigError: the mistakes of all phases, each with its phase.
+        ConfigError: the mistakes of all phases, each with its phase; one that all of them have is told once.
     """
     for text in overrides:
         key = text.lstrip("+~").partition("=")[0]
@@ -146,29 +96,47 @@ def compose_phases(
                 expected=f"settings of {PRIMARY}.phases.<phase>",
             )
     found: dict[str, Composed] = {}
-    mistakes: list[ConfigError] = []
+    wrong: dict[str, list[ConfigError]] = {}
     for name, phase in phases.items():
         try:
             found[name] = compose_valid(words_of(name, phase, overrides), config_dirs=config_dirs)
             if phase.gate is not None:
-                _require_protocol(name, phase.gate, config_dirs)
+                _require_protocol(phase.gate, config_dirs)
         except ConfigError as error:
-            mistakes += [in_phase(part, name) for part in parts(error)]
-    if not mistakes:
-        mistakes = list(_misfits(found))
+            wrong[name] = [_declared(part, name, phase) for part in parts(error)]
+    mistakes = list(_told(wrong, len(phases)) if wrong else _misfits(found))
     if mistakes:
         raise_all(mistakes)
     return found
 
 
-def _require_protocol(phase: str, gate: Gate, config_dirs: Sequence[Path]) -> None:
-    try:
-        compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
-    except ConfigError as error:
-        for part in parts(error):
-            if part.key == "protocol":  # that there is none of this name
-                part.key = f"{PRIMARY}.phases.{phase}.gate.protocol"
-        raise
+def _require_protocol(gate: Gate, config_dirs: Sequence[Path]) -> None:
+    compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
+
+
+def _declared(error: ConfigError, name: str, phase: Phase) -> ConfigError:
+    """Return a mistake of what a phase names by the key that names it."""
+    named = {f"task={phase.task}": "task"}
+    if phase.gate is not None:
+        named[f"protocol={phase.gate.protocol}"] = "gate.protocol"
+    key = named.get(override_of(error) or "")
+    if key is not None:
+        error.key, error.where = f"{PRIMARY}.phases.{name}.{key}", None
+    return error
+
+
+def _told(wrong: Mapping[str, Sequence[ConfigError]], phases: int) -> Iterator[ConfigError]:
+    """Yield each mistake with its phase; what all phases have, as of an override for all, is told once."""
+    times = Counter(text for errors in wrong.values() for text in {str(error) for error in errors})
+    shared: set[str] = set()
+    for name, errors in wrong.items():
+        for error in errors:
+            text = str(error)
+            if phases == 1 or times[text] < phases:
+                yield in_phase(error, name)
+            elif text not in shared:
+                shared.add(text)
+                yield error
 
 
 def digest(composed: Composed) -> str:

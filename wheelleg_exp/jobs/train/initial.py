@@ -20,7 +20,7 @@ from wheelleg_exp.jobs.train.policy_fit import fit
 from wheelleg_exp.paths import INITIAL
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.initial import Initial
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.directory import CHECKPOINT, RunDirectory, checkpoint_iteration
 from wheelleg_exp.run.inventory import MANIFEST_NAME
 from wheelleg_exp.run.params import load_params, present_form
 
@@ -138,6 +138,8 @@ def _what(config: Mapping[str, Any]) -> str:
 def _find(named: str, root: str) -> _Source:
     path = Path(named)
     if not path.is_file():
+        if CHECKPOINT.fullmatch(path.name) and (path.parent / MANIFEST_NAME).is_file():
+            RunDirectory.open(path.parent, root).checkpoint(checkpoint_iteration(path))  # tells the nearest there is
         run = RunDirectory.open(named, root)
         return _recorded(_Source(run.latest_checkpoint(), run))
     folder = path.resolve().parent

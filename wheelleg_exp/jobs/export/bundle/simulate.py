@@ -138,6 +138,15 @@ class Robot:
         return -float(projected_gravity(self.data.qpos[3:7])[2])
 
 
+def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
+    """Return which parts of a command lie outside of what the policy was trained for, in words."""
+    if len(ranges) != len(command) or any(len(pair) != 2 for pair in ranges.values()):
+        return []
+    parts = zip(ranges.items(), command, strict=True)
+    missed = ((axis, value, *pair) for (axis, pair), value in parts if not pair[0] <= value <= pair[1])
+    return [f"{axis} {value:g}, trained {low:g} to {high:g}" for axis, value, low, high in missed]
+
+
 def main() -> int:
     """Let the robot act for a while, and print how it stood."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -154,6 +163,9 @@ def main() -> int:
     if args.command is not None and list(widths.values()) != [len(args.command)]:
         parser.error(f"--command takes one command, and this policy has {widths}")
     commands = {name: np.zeros(width) if args.command is None else args.command for name, width in widths.items()}
+    for name, command in commands.items():
+        for words in outside(spec["commands"][name], command):
+            print(f"note: {name} is outside of its range: {words}")
     view: Any = nullcontext()
     if args.view:
         import mujoco.viewer
