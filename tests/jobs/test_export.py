@@ -138,6 +138,8 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     assert (said.returncode, "it fell after" in said.stdout) == (1, True)
     said = alone(bundle, "simulate.py", "--command", "1", "2")
     assert (said.returncode, "{'base_velocity': 3}" in said.stderr) == (2, True)
+    said = alone(bundle, "simulate.py", "--command", "nan", "0", "0")
+    assert (said.returncode, "finite numbers" in said.stderr) == (2, True)
     for seconds in ("nan", "inf", "-1", "0"):
         said = alone(bundle, "simulate.py", "--seconds", seconds)
         assert (said.returncode, "a number of at least 0.01667" in said.stderr) == (2, True)

@@ -99,10 +99,11 @@ def test_a_checkpoint_can_be_named_itself(trained: Trained, tmp_path):
 
 def test_a_checkpoint_that_is_not_there_is_told_with_the_nearest_that_is(trained: Trained):
     last = trained.run.latest_checkpoint().name
-    said = wheelleg("check", *WORDS, f"init_from={trained.run.path / 'model_400.pt'}")
+    absent = trained.run.path / "model_400.pt"
+    said = wheelleg("check", *WORDS, f"init_from={absent}")
     assert said.status == 2
-    assert "init_from: " in said.err
-    assert f"has no checkpoint of iteration 400; expected one of 0, 1, 2; did you mean '{last}'?" in said.err
+    assert f"has no checkpoint of iteration 400 (override init_from={absent}); expected one of 0, 1, 2" in said.err
+    assert f"did you mean '{last}'?" in said.err
 
 
 def test_the_manifest_says_whose_networks_they_were(begun: RunDirectory, trained: Trained):

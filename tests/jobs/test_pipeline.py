@@ -206,6 +206,21 @@ def test_stopped_in_a_phase_it_goes_on_to_the_same_bytes(whole: PipelineIndex, t
     assert [phase["gates"] for phase in again.phases] == [phase["gates"] for phase in whole.phases]
 
 
+def test_what_a_stopped_step_has_done_counts(whole: PipelineIndex, tmp_path):
+    """Three iterations to one gate, stopped after two: fewer are refused, and gates in between begin behind them."""
+    index = begin(tmp_path)
+    assert run(index, [1.0], stop_after=4) == "interrupted"
+    before = index.path.read_bytes()
+    with pytest.raises(ConfigError, match=r"is 1, and phase 'second' has done 2 iterations.*expected at least 2"):
+        go_on(PipelineIndex.load(index.folder), ["pipeline.phases.second.max_iterations=1"], [])
+    assert index.path.read_bytes() == before
+    Here.judged = []
+    again, status = resumed(index, [0.0, 1.0], "+pipeline.phases.second.gate.every=1")
+    assert status == "finished"
+    assert Here.judged == ["model_1.pt", "model_2.pt"]
+    assert sums(again) == sums(whole)
+
+
 def test_killed_before_it_could_record_what_was_done_it_does_nothing_twice(whole: PipelineIndex, tmp_path):
     """A kill between the end of a phase's training and the record of it."""
     index = begin(tmp_path, every=1, passes=2)
@@ -265,6 +280,59 @@ def test_mistakes_of_all_phases_are_told_at_once():
     assert "phase 'second'" in str(told.value)
     with pytest.raises(ConfigError, match="say this themselves"):
         compose_phases(phases, ["task=walk"])
+
+
+def test_a_mistake_of_an_override_for_all_phases_is_told_once():
+    """One has a reward more than the others, so that their mistakes tell other nearest names."""
+    phases = read(tree()).phases
+    phases["first"].overrides.append("+reward@env.rewards=[upward]")
+    with pytest.raises(ConfigError) as told:
+        compose_phases(phases, ["env.rewards.alve.weight=1"])
+    assert str(told.value).startswith("env.rewards.alve.weight: there is no such key (override env.")
+    for phase in phases.values():
+        phase.overrides.append("env.num_envs=0")
+    with pytest.raises(ConfigError) as told:
+        compose_phases(phases, [])
+    assert str(told.value).count("env.num_envs: ") == 2, "each phase's own"
+
+
+def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
+    for key, word in (
+        ("overrides", "task=walk"),
+        ("overrides", "agent.max_iterations=9"),
+        ("overrides", "init_from=latest"),
+        ("gate.overrides", "protocol=walk"),
+    ):
+        said = wheelleg("check", *declared_two, f"++pipeline.phases.second.{key}=['{word}']")
+        assert said.status == 2
+        assert f"pipeline.phases.second.{key}: phase 'second': '{word}': the phase says this itself" in said.err
+    said = wheelleg("check", *declared_two, "pipeline.phases.first.overrides=['init_from=nothing']")
+    assert (said.status, "pipeline.phases.first.overrides: phase 'first': init_from: " in said.err) == (2, True)
+    said = wheelleg("check", *declared_two, "++pipeline.phases.second.gate.overrides=['seed=abc']")
+    assert (said.status, "pipeline.phases.second.gate.overrides: phase 'second': seed: " in said.err) == (2, True)
+
+
+def test_mistakes_of_a_pipeline_s_file_are_told_at_once_with_their_lines(declared_two):
+    file = Path(declared_two[-1]) / "pipeline" / "two.yaml"
+    text = file.read_text().replace("max_iterations: 2", "max_iterations: many")
+    file.write_text(text.replace("overrides: []", "overides: []"))
+    said = wheelleg("check", *declared_two)
+    assert said.status == 2
+    assert "2 mistakes" in said.err
+    assert "pipeline.phases.first.max_iterations" in said.err
+    assert "did you mean 'overrides'?" in said.err
+    assert said.err.count("two.yaml:") == 2
+
+
+def test_a_mistake_in_a_phase_s_own_override_is_told_with_its_file_and_line(declared_two):
+    file = Path(declared_two[-1]) / "pipeline" / "two.yaml"
+    file.write_text(file.read_text().replace("env.rewards.alive.weight=1", "env.rewards.alive.weigth=1"))
+    line = 1 + next(n for n, text in enumerate(file.read_text().splitlines()) if "weigth" in text)
+    said = wheelleg("check", *declared_two)
+    assert said.status == 2
+    assert "pipeline.phases.second.overrides: phase 'second': env.rewards.alive.weigth: " in said.err
+    assert f"two.yaml:{line - 1})" in said.err, "where the list begins"
+    assert "did you mean 'env.rewards.alive.weight'?" in said.err
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), 0.4])
@@ -395,6 +463,8 @@ def test_a_key_of_a_user_s_own_pipeline_is_explained(declared_two):
     said = wheelleg("explain", "pipeline.phases.second.gate.every", *declared_two)
     assert said.status == 0
     assert "null evaluates behind the last one alone" in " ".join(said.out.split())
+    said = wheelleg("explain", "pipeline.phases.secnd.gate.every", *declared_two)
+    assert (said.status, "did you mean 'pipeline.phases.second" in said.err) == (2, True)
 
 
 def test_pipelines_are_explained_and_composed_without_naming_their_primary_config(declared_two):

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import json_plain, read_json, write_json
-from wheelleg_exp.run.directory import PIPELINES, create_exclusively
+from wheelleg_exp.run.directory import PIPELINES, RunDirectory, checkpoint_iteration, create_exclusively
 from wheelleg_exp.run.pipeline_runs import PIPELINE_NAME
 from wheelleg_exp.run.process import this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
@@ -128,6 +128,14 @@ class PipelineIndex:
     def run_of(self, phase: Mapping[str, Any]) -> Path | None:
         """Return the run directory of a phase, absolute; None as long as it has none."""
         return None if phase["run"] is None else Path(os.path.normpath(self.folder / phase["run"]))
+
+    def done(self, phase: Mapping[str, Any]) -> int:
+        """Return how many iterations a phase has done, those of a step that was stopped among them."""
+        run, last = self.run_of(phase), 0
+        if run is not None:
+            with suppress(RunDirectoryError):
+                last = checkpoint_iteration(RunDirectory(run).latest_checkpoint()) + 1
+        return max(int(phase["trained"]), last)
 
     def relative(self, path: Path) -> str:
         """Return a path as the record names it."""

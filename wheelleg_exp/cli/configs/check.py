@@ -57,7 +57,7 @@ def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
 
     notes: list[str] = []
     try:
-        with initial_file(composed.config, notes.append):
+        with composed.placing(), initial_file(composed.config, notes.append):
             for line in notes if not quiet else ():
                 print(line)
             return []

@@ -208,6 +208,8 @@ def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
     has_place = isinstance(known.at(tree, keys[:-1]), Mapping) or bool(known.slots(tree, keys[:-1]))
     if slot is None or not has_place or known.section_of(keys) is not None or _is_slip(tree, keys):
         return None
+    if any(not known.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
+        return None  # below a name that may be any, and that nobody has given
     notes = meanings(tree, keys, slot, ())
     default = None if slot.default is known.REQUIRED else slot.default
     return Explanation(

@@ -91,11 +91,12 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
         raise ConfigError(
             f"phase '{name}' has begun", key=change.key, expected=f"{' or '.join(_LATER)} of it, or a new pipeline"
         )
-    if change.keys[3] == "max_iterations" and isinstance(change.b, int) and change.b < phase["trained"]:
+    done = index.done(phase)
+    if change.keys[3] == "max_iterations" and isinstance(change.b, int) and change.b < done:
         raise ConfigError(
-            f"is {change.b}, and phase '{name}' has done {phase['trained']} iterations",
+            f"is {change.b}, and phase '{name}' has done {done} iterations",
             key=change.key,
-            expected=f"at least {phase['trained']}",
+            expected=f"at least {done}",
         )
 
 

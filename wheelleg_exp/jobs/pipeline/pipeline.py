@@ -117,8 +117,12 @@ class PipelineRunner:
     def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
         """Return up to which iteration is trained before the next evaluation."""
         every = phase.gate.every if phase.gate is not None else None
+        if not every:
+            return phase.max_iterations
         judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
-        return min(phase.max_iterations, judged + every) if every else phase.max_iterations
+        # It may have done more than that since: `every` can change while a phase is under way.
+        steps = max(1, -(-(self._index.done(entry) - judged) // every))
+        return min(phase.max_iterations, judged + every * steps)
 
     # --- training ---
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,11 +13,13 @@ from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.primaries import PIPELINE as PRIMARY
 from wheelleg_exp.config.composing.sweep import digest_of
 from wheelleg_exp.config.problems import override_of, parts, raise_all
+from wheelleg_exp.constraints import Seed
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.pipeline.options import Gate, Phase, Pipeline
-from wheelleg_exp.jobs.train.initial import PARTS
+from wheelleg_exp.jobs.train.initial import PARTS, initial_file
 from wheelleg_exp.jobs.train.policy_fit import fit
-from wheelleg_exp.terms.sections import read_section
+from wheelleg_exp.terms.sections import read_section, section_errors
+from wheelleg_exp.terms.values import require_fit
 
 _GATED = ("init_from", "agent.max_iterations", "task")  # what a pipeline sets itself
 
@@ -55,6 +56,8 @@ def read(tree: Mapping[str, Any]) -> Declared:
     Raises:
         ConfigError: a setting of it is wrong.
     """
+    if errors := section_errors(PRIMARY, tree, Pipeline):
+        raise_all(errors)
     named = read_section(Pipeline, tree, PRIMARY).phases
     phases = {str(name): phase for name, phase in named.items() if phase is not None}
     if not phases:
@@ -86,56 +89,100 @@ def compose_phases(
     Raises:
         ConfigError: the mistakes of all phases, each with its phase; one that all of them have is told once.
     """
-    for text in overrides:
-        key = text.lstrip("+~").partition("=")[0]
-        if key in _GATED:
-            raise ConfigError(
-                "a pipeline's phases say this themselves",
-                key=key,
-                where=f"override {text}",
-                expected=f"settings of {PRIMARY}.phases.<phase>",
-            )
+    mistakes = [_said_already(text, f"override {text}") for text in overrides if _key(text) in _GATED]
+    for number, (name, phase) in enumerate(phases.items()):
+        allowed = ("init_from",) if number == 0 else ()  # where the whole road begins
+        mistakes += [in_phase(error, name) for error in _own_mistakes(name, phase, allowed)]
+    if mistakes:
+        raise_all(mistakes)
     found: dict[str, Composed] = {}
     wrong: dict[str, list[ConfigError]] = {}
     for name, phase in phases.items():
+        errors = []
         try:
             found[name] = compose_valid(words_of(name, phase, overrides), config_dirs=config_dirs)
-            if phase.gate is not None:
-                _require_protocol(phase.gate, config_dirs)
+            with found[name].placing(), initial_file(found[name].config, lambda _: None):
+                pass  # what the first phase may begin with is there, and fits
         except ConfigError as error:
-            wrong[name] = [_declared(part, name, phase) for part in parts(error)]
-    mistakes = list(_told(wrong, len(phases)) if wrong else _misfits(found))
+            errors += [_by_own_key(part, name, phase, overrides) for part in parts(error)]
+        try:
+            _require_protocol(phase.gate, config_dirs)
+        except ConfigError as error:
+            errors += [_of_gate(part, name, phase) for part in parts(error)]
+        if errors:
+            wrong[name] = errors
+    mistakes = list(_told(wrong, len(phases), overrides) if wrong else _misfits(found))
     if mistakes:
         raise_all(mistakes)
     return found
 
 
-def _require_protocol(gate: Gate, config_dirs: Sequence[Path]) -> None:
-    compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
+def _key(text: str) -> str:
+    return text.lstrip("+~").partition("=")[0]
 
 
-def _declared(error: ConfigError, name: str, phase: Phase) -> ConfigError:
-    """Return a mistake of what a phase names by the key that names it."""
-    named = {f"task={phase.task}": "task"}
-    if phase.gate is not None:
-        named[f"protocol={phase.gate.protocol}"] = "gate.protocol"
-    key = named.get(override_of(error) or "")
-    if key is not None:
-        error.key, error.where = f"{PRIMARY}.phases.{name}.{key}", None
+def _said_already(text: str, where: str | None, key: str | None = None) -> ConfigError:
+    message = "a pipeline's phases say this themselves" if key is None else f"'{text}': the phase says this itself"
+    return ConfigError(message, key=key or _key(text), where=where, expected=f"settings of {PRIMARY}.phases.<phase>")
+
+
+def _own_mistakes(name: str, phase: Phase, allowed: Sequence[str]) -> Iterator[ConfigError]:
+    """Yield the overrides of a phase and of its gate that would replace what the phase itself says."""
+    key = f"{PRIMARY}.phases.{name}"
+    for text in phase.overrides:
+        if _key(text) in _GATED and _key(text) not in allowed:
+            yield _said_already(text, None, f"{key}.overrides")
+    for text in phase.gate.overrides if phase.gate is not None else ():
+        if _key(text) == "protocol":
+            yield _said_already(text, None, f"{key}.gate.overrides")
+
+
+def _require_protocol(gate: Gate | None, config_dirs: Sequence[Path]) -> None:
+    if gate is not None:
+        words = [f"protocol={gate.protocol}", *gate.overrides]
+        composed = compose(words, primary="evaluate", config_dirs=config_dirs)
+        with composed.placing():
+            require_fit("seed", composed.config["seed"], Seed)
+
+
+def _by_own_key(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
+    """Return a mistake of what a phase says by the phase's own key, whose file and line are known."""
+    blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
+    if blamed == f"task={phase.task}":
+        return _placed(error, f"{key}.task")
+    if blamed == f"run.name={name}":
+        return _placed(error, key)
+    if blamed in phase.overrides and blamed not in overrides:
+        return _placed(error, f"{key}.overrides", f"{error.key}: {error.message}, in '{blamed}'")
     return error
 
 
-def _told(wrong: Mapping[str, Sequence[ConfigError]], phases: int) -> Iterator[ConfigError]:
-    """Yield each mistake with its phase; what all phases have, as of an override for all, is told once."""
-    times = Counter(text for errors in wrong.values() for text in {str(error) for error in errors})
-    shared: set[str] = set()
+def _of_gate(error: ConfigError, name: str, phase: Phase) -> ConfigError:
+    key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
+    if phase.gate is not None and blamed == f"protocol={phase.gate.protocol}":
+        return _placed(error, f"{key}.protocol")
+    return _placed(error, f"{key}.overrides", f"{error.key}: {error.message}, in '{blamed}'" if blamed else None)
+
+
+def _placed(error: ConfigError, key: str, message: str | None = None) -> ConfigError:
+    return ConfigError(message or error.message, key=key, expected=error.expected, nearest=error.nearest)
+
+
+def _told(wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]) -> Iterator[ConfigError]:
+    """Yield each mistake with its phase; one of an override for all phases that all of them have is told once."""
+    of_all = [
+        {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
+        for errors in wrong.values()
+    ]
+    shared = set.intersection(*of_all) if len(wrong) == phases else set()
+    told = set()
     for name, errors in wrong.items():
         for error in errors:
-            text = str(error)
-            if phases == 1 or times[text] < phases:
+            mistake = (error.key, override_of(error))
+            if mistake not in shared:
                 yield in_phase(error, name)
-            elif text not in shared:
-                shared.add(text)
+            elif mistake not in told:
+                told.add(mistake)
                 yield error
 
 

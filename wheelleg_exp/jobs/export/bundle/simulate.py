@@ -162,6 +162,8 @@ def main() -> int:
     widths = {name: spec["readings"][f"commands.{name}"]["width"] for name in spec["commands"]}
     if args.command is not None and list(widths.values()) != [len(args.command)]:
         parser.error(f"--command takes one command, and this policy has {widths}")
+    if args.command is not None and not np.isfinite(args.command).all():
+        parser.error("--command takes finite numbers")
     commands = {name: np.zeros(width) if args.command is None else args.command for name, width in widths.items()}
     for name, command in commands.items():
         for words in outside(spec["commands"][name], command):
