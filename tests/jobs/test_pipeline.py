@@ -305,7 +305,8 @@ def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
     ):
         said = wheelleg("check", *declared_two, f"++pipeline.phases.second.{key}=['{word}']")
         assert said.status == 2
-        assert f"pipeline.phases.second.{key}: phase 'second': '{word}': the phase says this itself" in said.err
+        whose = "gate" if key.startswith("gate") else "phase"
+        assert f"pipeline.phases.second.{key}: '{word}': the {whose} says this itself" in said.err
     said = wheelleg("check", *declared_two, "pipeline.phases.first.overrides=['init_from=nothing']")
     assert (said.status, "pipeline.phases.first.overrides: phase 'first': init_from: " in said.err) == (2, True)
     said = wheelleg("check", *declared_two, "++pipeline.phases.second.gate.overrides=['seed=abc']")
@@ -378,6 +379,10 @@ def test_a_changed_gate_is_held_against_what_is_measured_before_the_record_chang
     with pytest.raises(ConfigError, match="no such metric") as told:
         go_on(index, ["pipeline.phases.second.gate.at_least={stand/drft:0.5}"], [])
     assert told.value.nearest == "stand/drift"
+    for word, why in (("protocol=walk", "the gate says this itself"), ("seed=abc", "in 'seed=abc'")):
+        with pytest.raises(ConfigError, match=why) as told:
+            go_on(index, [f"++pipeline.phases.second.gate.overrides=['{word}']"], [])
+        assert told.value.key == "pipeline.phases.second.gate.overrides"
     assert index.path.read_bytes() == before
 
 

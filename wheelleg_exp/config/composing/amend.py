@@ -29,7 +29,7 @@ def amend(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     amended = copy.deepcopy(dict(tree))
     for text in overrides:
         _apply(amended, _parse(text), text)
-    if overrides:
+    if overrides:  # what nobody changes stays as it was recorded
         drop_removed(amended)
     return amended
 

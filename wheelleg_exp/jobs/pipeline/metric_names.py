@@ -9,14 +9,14 @@ from typing import Any
 import torch
 
 from wheelleg_exp.build import prepare_asset
-from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.config.problems import raise_all
+from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.config.problems import parts, raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.evaluation.options import Protocol
 from wheelleg_exp.evaluation.protocol import evaluate
 from wheelleg_exp.jobs.pipeline.options import Gate, Phase
-from wheelleg_exp.jobs.pipeline.settings import PRIMARY, in_phase
+from wheelleg_exp.jobs.pipeline.settings import PRIMARY, compose_gate, in_phase, of_gate
 from wheelleg_exp.terms.sections import read_section
 
 _TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
@@ -43,7 +43,7 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
                     f"{PRIMARY}.phases.{name}.gate", phase.gate, _names(phase.gate, composed[name], folders)
                 )
             except ConfigError as error:
-                mistakes.append(in_phase(error, name))
+                mistakes += [in_phase(of_gate(part, name, phase.gate), name) for part in parts(error)]
     if mistakes:
         raise_all(mistakes)
 
@@ -61,8 +61,7 @@ def _unknown(key: str, gate: Gate, names: Sequence[str]) -> Iterator[ConfigError
 
 
 def _names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:
-    words = [f"protocol={gate.protocol}", *gate.overrides]
-    whole = compose(words, primary="evaluate", config_dirs=folders)
+    whole = compose_gate(gate, folders)
     protocol: dict[str, Any] = whole.config["protocol"]
     with whole.placing():
         read_section(Protocol, protocol, "protocol")  # as it will be; what follows only makes it short

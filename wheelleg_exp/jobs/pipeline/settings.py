@@ -62,10 +62,11 @@ def read(tree: Mapping[str, Any]) -> Declared:
     phases = {str(name): phase for name, phase in named.items() if phase is not None}
     if not phases:
         raise ConfigError("has no phase", key=f"{PRIMARY}.phases", expected="at least one")
-    for name, phase in phases.items():
-        if phase.gate is not None and not (phase.gate.at_least or phase.gate.at_most):
-            key = f"{PRIMARY}.phases.{name}.gate"
-            raise ConfigError("asks for nothing", key=key, expected="at_least or at_most, or no gate")
+    mistakes = [
+        error for name, phase in phases.items() for error in _own_mistakes(name, phase, name == next(iter(phases)))
+    ]
+    if mistakes:
+        raise_all(mistakes)
     nodes = {str(name): node for name, node in tree["phases"].items() if node is not None}
     return Declared({**tree, "phases": nodes}, phases)
 
@@ -89,12 +90,14 @@ def compose_phases(
     Raises:
         ConfigError: the mistakes of all phases, each with its phase; one that all of them have is told once.
     """
-    mistakes = [_said_already(text, f"override {text}") for text in overrides if _key(text) in _GATED]
-    for number, (name, phase) in enumerate(phases.items()):
-        allowed = ("init_from",) if number == 0 else ()  # where the whole road begins
-        mistakes += [in_phase(error, name) for error in _own_mistakes(name, phase, allowed)]
-    if mistakes:
-        raise_all(mistakes)
+    for text in overrides:
+        if _key(text) in _GATED:
+            raise ConfigError(
+                "a pipeline's phases say this themselves",
+                key=_key(text),
+                where=f"override {text}",
+                expected=f"settings of {PRIMARY}.phases.<phase>",
+            )
     found: dict[str, Composed] = {}
     wrong: dict[str, list[ConfigError]] = {}
     for name, phase in phases.items():
@@ -105,10 +108,11 @@ def compose_phases(
                 pass  # what the first phase may begin with is there, and fits
         except ConfigError as error:
             errors += [_by_own_key(part, name, phase, overrides) for part in parts(error)]
-        try:
-            _require_protocol(phase.gate, config_dirs)
-        except ConfigError as error:
-            errors += [_of_gate(part, name, phase) for part in parts(error)]
+        if phase.gate is not None:
+            try:
+                compose_gate(phase.gate, config_dirs)
+            except ConfigError as error:
+                errors += [of_gate(part, name, phase.gate) for part in parts(error)]
         if errors:
             wrong[name] = errors
     mistakes = list(_told(wrong, len(phases), overrides) if wrong else _misfits(found))
@@ -121,28 +125,29 @@ def _key(text: str) -> str:
     return text.lstrip("+~").partition("=")[0]
 
 
-def _said_already(text: str, where: str | None, key: str | None = None) -> ConfigError:
-    message = "a pipeline's phases say this themselves" if key is None else f"'{text}': the phase says this itself"
-    return ConfigError(message, key=key or _key(text), where=where, expected=f"settings of {PRIMARY}.phases.<phase>")
-
-
-def _own_mistakes(name: str, phase: Phase, allowed: Sequence[str]) -> Iterator[ConfigError]:
-    """Yield the overrides of a phase and of its gate that would replace what the phase itself says."""
-    key = f"{PRIMARY}.phases.{name}"
+def _own_mistakes(name: str, phase: Phase, is_first: bool) -> Iterator[ConfigError]:
+    """Yield what is wrong with a phase by itself; no override of it or of its gate replaces what it says."""
+    key, gate = f"{PRIMARY}.phases.{name}", phase.gate
+    if gate is not None and not (gate.at_least or gate.at_most):
+        yield ConfigError("asks for nothing", key=f"{key}.gate", expected="at_least or at_most, or no gate")
     for text in phase.overrides:
-        if _key(text) in _GATED and _key(text) not in allowed:
-            yield _said_already(text, None, f"{key}.overrides")
-    for text in phase.gate.overrides if phase.gate is not None else ():
+        if _key(text) in _GATED and not (is_first and _key(text) == "init_from"):  # where the whole road begins
+            yield ConfigError(f"'{text}': the phase says this itself", key=f"{key}.overrides")
+    for text in gate.overrides if gate is not None else ():
         if _key(text) == "protocol":
-            yield _said_already(text, None, f"{key}.gate.overrides")
+            yield ConfigError(f"'{text}': the gate says this itself", key=f"{key}.gate.overrides")
 
 
-def _require_protocol(gate: Gate | None, config_dirs: Sequence[Path]) -> None:
-    if gate is not None:
-        words = [f"protocol={gate.protocol}", *gate.overrides]
-        composed = compose(words, primary="evaluate", config_dirs=config_dirs)
-        with composed.placing():
-            require_fit("seed", composed.config["seed"], Seed)
+def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
+    """Compose a gate's protocol and its seed.
+
+    Raises:
+        ConfigError: there is no such protocol, or an override of it is wrong.
+    """
+    composed = compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
+    with composed.placing():
+        require_fit("seed", composed.config["seed"], Seed)
+    return composed
 
 
 def _by_own_key(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
@@ -157,11 +162,14 @@ def _by_own_key(error: ConfigError, name: str, phase: Phase, overrides: Sequence
     return error
 
 
-def _of_gate(error: ConfigError, name: str, phase: Phase) -> ConfigError:
+def of_gate(error: ConfigError, name: str, gate: Gate) -> ConfigError:
+    """Return a mistake of what a phase's gate says by the gate's own key, whose file and line are known."""
     key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
-    if phase.gate is not None and blamed == f"protocol={phase.gate.protocol}":
+    if blamed == f"protocol={gate.protocol}":
         return _placed(error, f"{key}.protocol")
-    return _placed(error, f"{key}.overrides", f"{error.key}: {error.message}, in '{blamed}'" if blamed else None)
+    if blamed in gate.overrides:
+        return _placed(error, f"{key}.overrides", f"{error.key}: {error.message}, in '{blamed}'")
+    return error
 
 
 def _placed(error: ConfigError, key: str, message: str | None = None) -> ConfigError:
