@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from patience import wait_until
 
@@ -174,7 +176,7 @@ def test_a_gamepad_drives(driving: Driving):
 def test_a_port_that_is_taken_is_told():
     with DrivePage(0, ["own"], []) as page:
         second = DrivePage(int(page.url.rsplit(":", 1)[1].strip("/")), ["own"], [])
-        with pytest.raises(WheellegError, match=r"--port: port .* is in use by python"):
+        with pytest.raises(WheellegError, match=rf"--port: port .* is in use by {re.escape(psutil.Process().name())}"):
             second.__enter__()
 
 
