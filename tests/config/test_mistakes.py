@@ -57,6 +57,10 @@ OVERRIDES = {
             "did you mean 'env.rewards.height.weight'",
         ],
     ),
+    "misspelled leaf of a short path": (
+        ["agent.deice=cpu"],
+        ["agent.deice: there is no such key", "did you mean 'agent.device'"],
+    ),
     "leaf without its prefix": (
         ["rewards.height.weight=-30"],
         ["rewards.height.weight:", "override rewards", "did you mean 'env.rewards.height.weight'"],

@@ -273,7 +273,7 @@ def test_phases_that_do_not_fit_are_told_before_the_first_begins():
     phases = read(tree()).phases
     more = "+observation@env.observations.policy.terms=[base_height]"
     phases["second"].overrides.append(more)
-    with pytest.raises(ConfigError, match="phase 'second': is new: phase 'first' does not have it"):
+    with pytest.raises(ConfigError, match=r"phase 'second': env\..*: is new: phase 'first' does not have it"):
         compose_phases(phases, WORDS)
 
 
@@ -308,6 +308,7 @@ def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
         ("overrides", "task=walk"),
         ("overrides", "agent.max_iterations=9"),
         ("overrides", "init_from=latest"),
+        ("overrides", "run.name=other"),
         ("gate.overrides", "protocol=walk"),
     ):
         said = wheelleg("check", *declared_two, f"++pipeline.phases.second.{key}=['{word}']")
@@ -316,8 +317,11 @@ def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
         assert f"pipeline.phases.second.{key}: '{word}': the {whose} says this itself" in said.err
     said = wheelleg("check", *declared_two, "pipeline.phases.first.overrides=['init_from=nothing']")
     assert (said.status, "pipeline.phases.first.overrides: phase 'first': init_from: " in said.err) == (2, True)
-    said = wheelleg("check", *declared_two, "++pipeline.phases.second.gate.overrides=['seed=abc']")
-    assert (said.status, "pipeline.phases.second.gate.overrides: phase 'second': seed: " in said.err) == (2, True)
+    for word in ("seed=abc", "protocol.seed=abc"):
+        said = wheelleg("check", *declared_two, f"++pipeline.phases.second.gate.overrides=['{word}']")
+        assert (said.status, "pipeline.phases.second.gate.overrides: phase 'second': seed: " in said.err) == (2, True)
+    with pytest.raises(ConfigError, match=r"'a\.b' names no phase"):
+        read({**tree(), "phases": {"a.b": tree()["phases"]["first"]}})
 
 
 def test_mistakes_of_a_pipeline_s_file_are_told_at_once_with_their_lines(declared_two):
@@ -374,7 +378,7 @@ def test_gates_that_ask_for_what_is_not_measured_are_told_before_the_first_phase
     said = wheelleg(
         "train", *words, "--config-dir", tmp_path, "+pipeline.phases.first.gate.overrides=['protocol.stand=null']"
     )
-    assert (said.status, "phase 'first': there is no test in it" in said.err) == (2, True)
+    assert (said.status, "gate.overrides: phase 'first': protocol: there is no test in it" in said.err) == (2, True)
     assert not (tmp_path / "pipelines").exists()
 
 

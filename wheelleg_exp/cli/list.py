@@ -162,7 +162,7 @@ def _pipelines(args: argparse.Namespace) -> Table:
         try:
             phases = ", ".join(declared([f"{PRIMARY}={entry.name}"], args.config_dirs).phases)
         except WheellegError as error:  # told in full when it is used
-            phases = f"wrong: {error.message}"
+            phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])
     for index in pipelines_below(runs_folder(args.root)):
         phases = ", ".join(f"{phase['name']} {phase['status']}" for phase in index.phases)

@@ -193,7 +193,7 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return _unknown_part(shown, override, strange.group(1))
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where_of(override))
-    top = nearest_name(key, [*shown, *groups])
+    top = None if split_path(key)[0] in shown else nearest_name(key, [*shown, *groups])
     return AbsentKey(
         "there is no such key",
         key=key,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,10 +19,12 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.pipeline.options import Gate, Phase, Pipeline
 from wheelleg_exp.jobs.train.initial import PARTS, initial_file
 from wheelleg_exp.jobs.train.policy_fit import fit
+from wheelleg_exp.terms.keys import split_path
 from wheelleg_exp.terms.sections import read_section, section_errors
 from wheelleg_exp.terms.values import require_fit
 
-_GATED = ("init_from", "agent.max_iterations", "task")  # what a pipeline sets itself
+_GATED = ("init_from", "agent.max_iterations", "task", "run.name")  # what a pipeline sets itself
+_NAME = re.compile(r"[\w-]+")  # of a phase: it stands in keys and names a folder
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def words_of(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
         phase: the phase.
         overrides: those of the command line, for all phases.
     """
-    return [f"task={phase.task}", f"run.name={name}", *phase.overrides, *overrides]
+    return [f"task={phase.task}", *phase.overrides, *overrides, f"run.name={name}"]
 
 
 def compose_phases(
@@ -128,6 +131,8 @@ def _key(text: str) -> str:
 def _own_mistakes(name: str, phase: Phase, is_first: bool) -> Iterator[ConfigError]:
     """Yield what is wrong with a phase by itself; no override of it or of its gate replaces what it says."""
     key, gate = f"{PRIMARY}.phases.{name}", phase.gate
+    if not _NAME.fullmatch(name):
+        yield ConfigError(f"'{name}' names no phase", key=f"{PRIMARY}.phases", expected="letters, digits, - and _")
     if gate is not None and not (gate.at_least or gate.at_most):
         yield ConfigError("asks for nothing", key=f"{key}.gate", expected="at_least or at_most, or no gate")
     for text in phase.overrides:
@@ -169,11 +174,17 @@ def of_gate(error: ConfigError, name: str, gate: Gate) -> ConfigError:
         return _placed(error, f"{key}.protocol")
     if blamed in gate.overrides:
         return _placed(error, f"{key}.overrides", f"{error.key}: {error.message}, in '{blamed}'")
+    if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):  # of a value that several of them make
+        return _placed(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", _whole(error))
     return error
 
 
 def _placed(error: ConfigError, key: str, message: str | None = None) -> ConfigError:
     return ConfigError(message or error.message, key=key, expected=error.expected, nearest=error.nearest)
+
+
+def _whole(error: ConfigError) -> str:
+    return f"{error.key}: {error.message}"
 
 
 def _told(wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]) -> Iterator[ConfigError]:
@@ -206,7 +217,8 @@ def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
         roles = [part for part in PARTS[now.get("init_from_what") or "networks"] if part != "optimizer"]
         found = fit((was["env"], was["agent"]), (now["env"], now["agent"]), roles, f"phase '{before}'")
         for error in [*found.mistakes, *found.suspects]:
-            yield in_phase(error, name)
+            expected = f"what phase '{before}' has, whose policy it begins with"
+            yield in_phase(ConfigError(_whole(error), key=f"{PRIMARY}.phases.{name}", expected=expected), name)
 
 
 def in_phase(error: ConfigError, name: str) -> ConfigError:
