@@ -100,18 +100,18 @@ def test_without_a_play_the_training_speaks_and_the_command_is_told(page, root):
 
 def test_a_failed_run_tells_why(page, root):
     run = make_run(root, status="failed", error=RuntimeError("physics gone to NaN"))
-    assert "Training failed after iteration 3 of 120: physics gone to NaN." in page(run).text
+    assert "Training failed after iteration 3 of 110: physics gone to NaN." in page(run).text
 
 
 def test_an_interrupted_run_can_be_resumed(page, root):
     found = page(make_run(root, status="interrupted", error=KeyboardInterrupt()))
-    assert "Training was interrupted after iteration 3 of 120; it can be resumed." in found.text
-    assert "Iterations 3 of 120 planned" in found.text
+    assert "Training was interrupted after iteration 3 of 110; it can be resumed." in found.text
+    assert "Iterations 3 of 110 planned" in found.text
 
 
 def test_a_running_run_says_how_far_it_is(page, root):
     found = page(make_run(root, status="running"))
-    assert "Training is under way: iteration 3 of 120 is done." in found.text
+    assert "Training is under way: iteration 3 of 110 is done." in found.text
     assert "still goes on" in found.section("trust")
 
 
@@ -121,7 +121,7 @@ def test_a_run_whose_process_is_gone_has_crashed(page, root):
     change_manifest(run, process=process)
     found = page(run)
     assert found.text.startswith("crashed")
-    assert "The process of this training is gone; iteration 3 of 120 was written. It can be resumed." in found.text
+    assert "The process of this training is gone; iteration 3 of 110 was written. It can be resumed." in found.text
 
 
 def test_a_run_that_ended_before_its_first_iteration_has_a_page(page, root):
