@@ -66,7 +66,9 @@ def read(tree: Mapping[str, Any]) -> Declared:
     if not phases:
         raise ConfigError("has no phase", key=f"{PRIMARY}.phases", expected="at least one")
     mistakes = [
-        error for name, phase in phases.items() for error in _own_mistakes(name, phase, name == next(iter(phases)))
+        error
+        for number, (name, phase) in enumerate(phases.items())
+        for error in _own_mistakes(name, phase, is_first=number == 0)
     ]
     if mistakes:
         raise_all(mistakes)
@@ -128,7 +130,7 @@ def _key(text: str) -> str:
     return text.lstrip("+~").partition("=")[0]
 
 
-def _own_mistakes(name: str, phase: Phase, is_first: bool) -> Iterator[ConfigError]:
+def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[ConfigError]:
     """Yield what is wrong with a phase by itself; no override of it or of its gate replaces what it says."""
     key, gate = f"{PRIMARY}.phases.{name}", phase.gate
     if not _NAME.fullmatch(name):
@@ -163,7 +165,7 @@ def _by_own_key(error: ConfigError, name: str, phase: Phase, overrides: Sequence
     if blamed == f"run.name={name}":
         return _placed(error, key)
     if blamed in phase.overrides and blamed not in overrides:
-        return _placed(error, f"{key}.overrides", f"{error.key}: {error.message}, in '{blamed}'")
+        return _placed(error, f"{key}.overrides", f"{_whole(error)}, in '{blamed}'")
     return error
 
 
@@ -173,7 +175,7 @@ def of_gate(error: ConfigError, name: str, gate: Gate) -> ConfigError:
     if blamed == f"protocol={gate.protocol}":
         return _placed(error, f"{key}.protocol")
     if blamed in gate.overrides:
-        return _placed(error, f"{key}.overrides", f"{error.key}: {error.message}, in '{blamed}'")
+        return _placed(error, f"{key}.overrides", f"{_whole(error)}, in '{blamed}'")
     if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):  # of a value that several of them make
         return _placed(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", _whole(error))
     return error
@@ -184,6 +186,7 @@ def _placed(error: ConfigError, key: str, message: str | None = None) -> ConfigE
 
 
 def _whole(error: ConfigError) -> str:
+    """Return a message that keeps the key which another one takes the place of."""
     return f"{error.key}: {error.message}"
 
 
