@@ -54,6 +54,7 @@ ISAAC_LAB_KEYS = {
             "track_lin_vel_xy",
             "track_ang_vel_z",
             "flat_orientation",
+            "flat_orientation_close",
             "base_height_close",
             "action_rate",
             "wheel_torques",

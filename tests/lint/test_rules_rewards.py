@@ -133,6 +133,13 @@ def test_a_kernel_of_the_height_costs_what_it_loses_at_the_tolerance():
     assert item.best == 1.0
 
 
+def test_a_kernel_of_the_tilt_costs_what_it_loses_at_the_tolerance():
+    looked_at = case(rewards={"x": term("rewards.flat_orientation_exp", weight=3.0, std=math.sin(0.1) / 2)})
+    (item,) = contributions(looked_at)  # 0.1 rad, whose sine is twice the deviation
+    assert item.per_episode(looked_at) == pytest.approx(3.0 * math.exp(-4.0) * 10.0)
+    assert item.best == 1.0
+
+
 @pytest.mark.parametrize("target", VALUES)
 def test_what_a_reward_adds_in_an_episode_at_its_tolerance(target):
     settings, value = VALUES[target]

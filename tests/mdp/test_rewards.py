@@ -64,6 +64,7 @@ def test_roll_and_pitch_rate():
 def test_tilt_and_pitch_alone():
     env = fake_env(data_projected_gravity_b=T([[0.6, 0.0, -0.8], [0.3, 0.4, -0.86]]))
     close(rewards.flat_orientation_l2(env), [0.36, 0.25])
+    close(rewards.flat_orientation_exp(env, std=0.5), [math.exp(-1.44), math.exp(-1.0)])
     close(rewards.pitch_orientation_l2(env), [0.36, 0.09])
     close(rewards.upward(env), [1.8**2, 1.86**2])
 

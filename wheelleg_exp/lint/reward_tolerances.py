@@ -18,7 +18,6 @@ TRACKING = {
     "rewards.track_ang_vel_z_exp": "ang",
     "rewards.track_ang_vel_z_world_exp": "ang",
 }
-CLOSE_HEIGHT = "rewards.base_height_exp"
 HEIGHTS = ("rewards.base_height_l2", "rewards.base_height_over_ground_l2")
 FAILURES = ("rewards.is_terminated", "rewards.is_terminated_term")
 CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.no_desired_contact")
@@ -47,7 +46,7 @@ class Contribution:
     @property
     def best(self) -> float:
         """The term's value, before weight, for a perfect robot."""
-        return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, CLOSE_HEIGHT) else 0.0)
+        return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
         """Return what one control step adds: weight times value times the control step."""
@@ -76,8 +75,8 @@ def _contribution(case: Case, term: TermView) -> Contribution:
         return Contribution(term, weight, "one failure", 1.0, 1.0, once=True)
     if term.kind in TRACKING:
         return _tracking(case, term, weight)
-    if term.kind == CLOSE_HEIGHT:
-        return _close_height(case, term, weight)
+    if term.kind in _KERNELS:
+        return _kernel(case, term, weight)
     known = _SQUARES.get(term.kind)
     if known is None:
         return Contribution(term, weight, "", None)
@@ -93,8 +92,8 @@ def _tracking(case: Case, term: TermView, weight: float) -> Contribution:
     return Contribution(term, weight, text, value, 1.0 - value)
 
 
-def _close_height(case: Case, term: TermView, weight: float) -> Contribution:
-    text, square = _height(case, term)
+def _kernel(case: Case, term: TermView, weight: float) -> Contribution:
+    text, square = _KERNELS[term.kind](case, term)
     value = math.exp(-square / float(term.node["std"]) ** 2)
     return Contribution(term, weight, text, value, 1.0 - value)
 
@@ -176,6 +175,12 @@ def _travel(case: Case, term: TermView) -> tuple[str, float]:
 def _one(_case: Case, _term: TermView) -> tuple[str, float]:
     return "one body", 1.0
 
+
+# exp(-square / std²) of a square.
+_KERNELS: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
+    "rewards.base_height_exp": _height,
+    "rewards.flat_orientation_exp": _tilt,
+}
 
 _SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     **dict.fromkeys(HEIGHTS, _height),

@@ -27,6 +27,19 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
     return env.scene[asset_cfg.name].data.projected_gravity_b[:, :2].square().sum(dim=1)
 
 
+def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity, whose square is sin^2 of the tilt. Not in Isaac Lab.
+
+    Unlike a square it still tells one degree from two, and one who falls pays no more than this reward.
+
+    Args:
+        env: the environment.
+        std: sine of the tilt that leaves 1/e of the reward.
+        asset_cfg: the robot.
+    """
+    return torch.exp(-env.scene[asset_cfg.name].data.projected_gravity_b[:, :2].square().sum(dim=1) / std**2)
+
+
 def pitch_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """g_x^2 of the projected gravity: sin^2 of the pitch. Not in Isaac Lab."""
     return env.scene[asset_cfg.name].data.projected_gravity_b[:, 0].square()
