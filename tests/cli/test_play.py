@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from jobs.small import cache_of, copied, trained_once, wheelleg
 
 pytestmark = pytest.mark.train
@@ -80,6 +81,28 @@ def test_a_checkpoint_is_chosen_by_iteration_name_or_path(run, words):
 def test_a_checkpoint_that_is_not_there_is_told(run):
     told(wheelleg("play", "latest", "--checkpoint", "7"), "iteration 7", "0, 1, 2", "model_2.pt")
     told(wheelleg("play", "latest", "--checkpoint", "nowhere.pt"), "nowhere.pt")
+
+
+QUICKLY = {
+    "play": QUICK,
+    "evaluate": ["protocol.stand.episodes=1", "protocol.stand.horizon_s=1.5", "protocol.stand.survival_s=[1.5]"],
+    "export": [],
+}
+
+
+@pytest.mark.parametrize("command", QUICKLY)
+def test_a_checkpoint_that_somebody_has_changed_is_used_with_a_warning(run, command):
+    before = wheelleg(command, "latest", *QUICKLY[command])
+    assert (before.status, "warning" in before.err) == (0, False), before.err
+    state = torch.load(run.checkpoint(2), weights_only=True)
+    state["actor_state_dict"]["mlp.0.bias"] += 0.1
+    torch.save(state, run.checkpoint(2))
+    after = wheelleg(command, "latest", *QUICKLY[command])
+    assert after.status == 0, after.err
+    (line,) = [line for line in after.err.splitlines() if line.startswith("warning: ")]
+    assert "model_2.pt is not what its run recorded" in line
+    other = wheelleg(command, "latest", "--checkpoint", "1", *QUICKLY[command])
+    assert (other.status, "warning" in other.err) == (0, False), other.err
 
 
 @pytest.mark.parametrize("file", ["manifest.json", "exported/policy.pt", "exported/policy.onnx", "recording.rrd"])

@@ -108,7 +108,7 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
     Raises:
         WheellegError: there is no such run or checkpoint, or a run is named twice.
     """
-    from wheelleg_exp.cli.play import chosen_checkpoint
+    from wheelleg_exp.cli.checkpoint import chosen_checkpoint
     from wheelleg_exp.run.directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
@@ -116,7 +116,7 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
         if directory in runs[:index]:
             message = f"run '{directory.id}' is named twice, and would count as two trainings"
             raise WheellegError(message, key="RUN", expected="each run once")
-    return [(run, run.latest_checkpoint() if asked is None else chosen_checkpoint(run, asked)) for run in runs]
+    return [(run, chosen_checkpoint(run, asked)) for run in runs]
 
 
 def evaluated(

@@ -22,11 +22,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write a deployer's bundle and say how near its runner is to the simulation."""
-    from wheelleg_exp.cli.play import chosen_checkpoint
+    from wheelleg_exp.cli.checkpoint import chosen_checkpoint
     from wheelleg_exp.run.directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
-    checkpoint = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
+    checkpoint = chosen_checkpoint(directory, args.checkpoint)
 
     from wheelleg_exp.cli.printing.figures import shown
     from wheelleg_exp.jobs.export.export import export

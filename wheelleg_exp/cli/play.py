@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_json, add_root, print_json
 from wheelleg_exp.cli.driving import add_driving, is_driven, run_drive
 from wheelleg_exp.errors import EXIT_OK
-
-if TYPE_CHECKING:
-    from wheelleg_exp.run.directory import RunDirectory
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,10 +23,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play a policy for one episode, print the figures and record it."""
+    from wheelleg_exp.cli.checkpoint import chosen_checkpoint
     from wheelleg_exp.run.directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
-    checkpoint = None if args.checkpoint is None else chosen_checkpoint(directory, args.checkpoint)
+    checkpoint = chosen_checkpoint(directory, args.checkpoint)
     if is_driven(args):
         return run_drive(args, directory, checkpoint)
 
@@ -51,11 +47,3 @@ def run(args: argparse.Namespace) -> int:
         print_recording(played.recording)
     played.failures.require_few("in this play")
     return EXIT_OK
-
-
-def chosen_checkpoint(directory: RunDirectory, text: str) -> Path:
-    """Return the checkpoint that an iteration or a path names."""
-    if text.isdigit():
-        return directory.checkpoint(int(text))
-    inside = directory.path / text
-    return inside if inside.is_file() else Path(text)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import for_people, json_plain, read_json, write_text
+from wheelleg_exp.files import for_people, json_plain, read_json, sha256, write_text
 from wheelleg_exp.run import environment
 from wheelleg_exp.run.inventory import (
     MANIFEST_NAME,
@@ -293,6 +293,11 @@ class Manifest:
             if parse_utc(entry["when"]) > ended:
                 records.update(entry["files"])
         return records
+
+    def vouches_for(self, path: Path) -> bool:
+        """Whether a file that lies in the run itself is what its newest record says; one without a record is."""
+        record = self.recorded_files().get(path.name)
+        return record is None or record["sha256"] == sha256(path)
 
     def compare_files(self) -> FileFindings:
         """Hold the files on the disk against their newest records."""

@@ -149,12 +149,10 @@ def _find(named: str, root: str) -> _Source:
 
 def _recorded(source: _Source) -> _Source:
     """Refuse a checkpoint that is not what its run has recorded."""
-    if source.run is not None:
-        entry = source.run.manifest().recorded_files().get(source.path.name)
-        if entry is not None and entry["sha256"] != sha256(source.path):
-            raise RunDirectoryError(
-                "is not what its run recorded", key=str(source.path), expected="a checkpoint nobody has changed"
-            )
+    if source.run is not None and not source.run.manifest().vouches_for(source.path):
+        raise RunDirectoryError(
+            "is not what its run recorded", key=str(source.path), expected="a checkpoint nobody has changed"
+        )
     return source
 
 
