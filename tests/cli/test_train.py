@@ -34,7 +34,7 @@ def test_the_last_lines_say_what_was_made_and_what_comes_next(trained):
 
 def test_progress_and_tables_go_to_standard_error(trained):
     assert "run directory: " in trained.said.err
-    for word in ("Robot", "Observations 'policy': (135,)", "Rewards: 16", "alive"):
+    for word in ("Robot", "Observations 'policy': (135,)", "Rewards: 17", "alive"):
         assert word in trained.said.err
         assert word not in trained.said.out
 

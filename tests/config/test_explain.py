@@ -266,6 +266,11 @@ def test_the_command_prints_json(documented, capsys):
     ("words", "first"),
     [
         (["env.rewards.alive", "~env.rewards.alive"], "env.rewards.alive: removed by override ~env.rewards.alive"),
+        (
+            ["~env.rewards.alive", "env.rewards.alive", "seed=3"],
+            "env.rewards.alive: removed by override ~env.rewards.alive",
+        ),
+        (["seed=3", "seed"], "seed = 3"),
         (["robot"], "robot: a group"),
         (["env.rewards.smooth"], "env.rewards.smooth: a term that is not selected"),
         (["env.actions.effort.gain"], "env.actions.effort.gain: not set; default 1.0"),

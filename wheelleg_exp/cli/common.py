@@ -88,6 +88,11 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
     add_config_dir(parser)
 
 
+def is_override(word: str) -> bool:
+    """Return whether a word changes a config: it holds ``=`` or takes something away; others are names."""
+    return "=" in word or word.startswith("~")
+
+
 def add_primary(parser: argparse.ArgumentParser) -> None:
     """Add ``--primary``."""
     parser.add_argument(

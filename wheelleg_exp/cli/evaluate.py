@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, print_json
+from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, is_override, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.printing.evaluation import print_evaluation
     from wheelleg_exp.cli.printing.figures import shown
 
-    names = [args.run, *(word for word in args.overrides if is_run(word))]
-    overrides = [word for word in args.overrides if not is_run(word)]
+    names = [args.run, *(word for word in args.overrides if not is_override(word))]
+    overrides = [word for word in args.overrides if is_override(word)]
     others = [name for name in args.against if name != REFERENCE]
     if REFERENCE in args.against and others:
         raise WheellegError("a comparison is with runs or with the reference", key="--against", expected="one of them")
@@ -95,11 +95,6 @@ def _compare(
         print_differences(found)
     print(f"\ncomparison: {shown(found.folder)}")
     return EXIT_OK
-
-
-def is_run(word: str) -> bool:
-    """Return whether a word names a run: overrides hold ``=`` or take something away."""
-    return "=" not in word and not word.startswith("~")
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:

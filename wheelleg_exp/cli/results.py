@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from wheelleg_exp.cli.common import add_config_dir, add_root
+from wheelleg_exp.cli.common import add_config_dir, add_root, is_override
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
 
 FOLDER = Path("docs/results")
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(args: argparse.Namespace) -> int:
-    from wheelleg_exp.cli.evaluate import evaluated, found, is_run, reference_of
+    from wheelleg_exp.cli.evaluate import evaluated, found, reference_of
     from wheelleg_exp.cli.printing.display import ConsoleDisplay
     from wheelleg_exp.cli.printing.figures import shown, tool
     from wheelleg_exp.jobs.results.record import (
@@ -56,8 +56,8 @@ def _write(args: argparse.Namespace) -> int:
         write_results,
     )
 
-    names = [word for word in args.runs if is_run(word)]
-    words = [word for word in args.runs if not is_run(word)]
+    names = [word for word in args.runs if not is_override(word)]
+    words = [word for word in args.runs if is_override(word)]
     if not names:
         raise WheellegError("names no run", key="RUN", expected="the runs that the table is of")
     manifests_of_earlier(args.name, args.into)  # what is no result is not written over

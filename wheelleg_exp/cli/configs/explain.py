@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, add_primary, primary_of, print_json, source_document
+from wheelleg_exp.cli.common import (
+    add_json,
+    add_overrides,
+    add_primary,
+    is_override,
+    primary_of,
+    print_json,
+    source_document,
+)
 from wheelleg_exp.cli.printing.tables import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.mounts import Mount
@@ -31,14 +39,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Explain the key."""
-    composed = compose(args.overrides, primary=primary_of(args, args.key), config_dirs=args.config_dirs)
-    explained = explain_key(composed, args.key)
+    key, overrides = _asked([args.key, *args.overrides])
+    composed = compose(overrides, primary=primary_of(args, key), config_dirs=args.config_dirs)
+    explained = explain_key(composed, key)
     if args.json:
         print_json(document(explained))
     else:
         for line in text(explained):
             print(_fitting(line))
     return EXIT_OK
+
+
+def _asked(words: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the key and the overrides, wherever among them the key stands."""
+    keys = [index for index, word in enumerate(words) if not is_override(word)]
+    place = keys[0] if len(keys) == 1 else 0
+    return words[place], [*words[:place], *words[place + 1 :]]
 
 
 def _fitting(line: str) -> str:
