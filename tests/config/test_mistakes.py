@@ -122,6 +122,14 @@ OVERRIDES = {
         ["~seed=4"],
         ["seed:", "override ~seed=4", "expected ~seed without a value"],
     ),
+    "deleted twice": (
+        ["task=walk", "~env.rewards.alive"],
+        ["env.rewards.alive: is null already", "override ~env.rewards.alive", "'wheelleg explain env.rewards.alive'"],
+    ),
+    "a setting of a term that is removed": (
+        ["task=walk", "env.rewards.alive.weight=2"],
+        ["env.rewards.alive.weight: there is no such key", "it is null: 'wheelleg explain env.rewards.alive'"],
+    ),
     "settings of a deselected term": (
         ["reward@env.rewards=[alive]"],
         ["env.rewards.height:", "configs/task/stand.yaml:23", "_target_"],

@@ -365,3 +365,19 @@ def test_the_verdict_says_where_equal_bits_are_promised():
 def test_every_page_of_the_docs_says_what_its_record_says(path):
     record = read_record(path)
     require_own_page(record, read_manifests(record, FOLDER), FOLDER)
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
+def test_a_verdict_that_other_seeds_may_not_show_is_marked_in_the_page(path):
+    record = read_record(path)
+    manifests = read_manifests(record, FOLDER)
+    rows = [line.strip("| ").split(" | ") for line in page(record, manifests).splitlines() if line.startswith("| ")]
+    marked = sorted(row[0] for row in rows if row[-1].endswith(" ¹"))
+    zero = sorted(
+        name.partition("/")[2]
+        for name, found in record["differences"].items()
+        if found["outcome"] and found["interval"]["low"] < 0 < found["interval"]["high"]
+    )
+    assert marked == zero
+    assert zero
+    assert "¹" not in page({**record, "runs": record["runs"][:1]}, manifests[:1])  # of one training nobody claims it

@@ -140,6 +140,11 @@ def test_a_kernel_of_the_tilt_costs_what_it_loses_at_the_tolerance():
     assert item.best == 1.0
 
 
+def test_a_kernel_may_be_as_narrow_as_numbers_go():
+    looked_at = case(rewards={"x": term("rewards.base_height_exp", weight=3.0, target_height=0.4, std=1e-200)})
+    assert contributions(looked_at)[0].value == 0.0
+
+
 @pytest.mark.parametrize("target", VALUES)
 def test_what_a_reward_adds_in_an_episode_at_its_tolerance(target):
     settings, value = VALUES[target]

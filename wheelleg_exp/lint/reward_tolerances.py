@@ -88,14 +88,20 @@ def _tracking(case: Case, term: TermView, weight: float) -> Contribution:
     error, text = tracking_tolerance(case, term)
     if error == 0.0:
         return Contribution(term, weight, "no error: nothing is commanded", 1.0)
-    value = math.exp(-((error / float(term.node["std"])) ** 2))
+    value = _bell(error, term)
     return Contribution(term, weight, text, value, 1.0 - value)
 
 
 def _kernel(case: Case, term: TermView, weight: float) -> Contribution:
     text, square = _KERNELS[term.kind](case, term)
-    value = math.exp(-square / float(term.node["std"]) ** 2)
+    value = _bell(math.sqrt(square), term)
     return Contribution(term, weight, text, value, 1.0 - value)
+
+
+def _bell(error: float, term: TermView) -> float:
+    """Return exp(-(error / std)^2); 0 where the square is too large for a number."""
+    ratio = error / float(term.node["std"])
+    return math.exp(-ratio * ratio)
 
 
 def tracking_tolerance(case: Case, term: TermView) -> tuple[float, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Sequence
 from graphlib import CycleError, TopologicalSorter
@@ -29,7 +30,7 @@ from wheelleg_exp.config.checking.diagnose_groups import (
 from wheelleg_exp.config.composing.headers import missing_headers
 from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, Repository
 from wheelleg_exp.config.problems import AbsentKey, join
-from wheelleg_exp.config.tree import Keys, defaults_items, dotted, node_paths, scalar_line, show_file, split_path
+from wheelleg_exp.config.tree import Keys, at, defaults_items, dotted, node_paths, scalar_line, show_file, split_path
 from wheelleg_exp.errors import ConfigError, nearest_name
 
 _FORMS = "key=value, +key=value, ++key=value or ~key"
@@ -143,10 +144,11 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
+        before = copy.deepcopy(cfg)  # one that fails may leave an empty mapping where null was
         try:
             ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
         except COMPOSING_ERRORS as problem:
-            problems.append(_override_problem(problem, override, cfg, loader.groups()))
+            problems.append(_override_problem(problem, override, before, loader.groups()))
     return join(problems) if problems else ConfigError(flat(error), key=primary)
 
 
@@ -186,6 +188,9 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
             where=where_of(override),
             expected=f"{plain} without the plus sign",
         )
+    if existing and override.is_delete() and at(shown, split_path(key)) is None:
+        expected = f"nothing to remove: 'wheelleg explain {key}' names who set it so"
+        return ConfigError("is null already", key=key, where=where_of(override), expected=expected)
     if existing and override.is_delete():
         return ConfigError(flat(problem), key=key, where=where_of(override), expected=f"~{key} without a value")
     strange = re.search(r"Key '(.+?)' is not in struct", str(problem.__cause__ or problem))
@@ -236,6 +241,8 @@ def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> s
         walked.append(part)
         node = node[part]
     place = dotted(walked)
+    if node is None:
+        return f"'{place}' to be a mapping; it is null: 'wheelleg explain {place}' names who set it so"
     if not isinstance(node, dict):
         return f"'{place}' to be a mapping; it is a single value"
     names = ", ".join(str(name) for name in node)

@@ -8,6 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
+_MARK = "¹"
+_OF_THESE = (
+    f"{_MARK} Of these runs: the 95 % interval of the difference over runs and episodes holds 0, so other seeds may not"
+    " show it."
+)
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
 
@@ -20,7 +25,9 @@ def page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> s
     """
     parts = [f"# {record['name']}\n", *_about(record, manifests)]
     for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
-        parts += [f"## {group}\n", *_table(record, list(names)), ""]
+        table = list(_table(record, list(names)))
+        marked = any(line.endswith(f"{_MARK} |") for line in table)
+        parts += [f"## {group}\n", *table, *(["", _OF_THESE] if marked else []), ""]
     parts += ["## How it was made\n", *_made(record, manifests)]
     return "\n".join(parts) + "\n"
 
@@ -71,8 +78,16 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
         if reference:
             cells.append(_number(reference["metrics"].get(name, {}).get("value"), factor))
         if against:
-            cells.append(against.get(name, {}).get("outcome", ""))
+            cells.append(_outcome(against.get(name, {}), count))
         yield f"| {name.partition('/')[2]} | {unit} | " + " | ".join(cells) + " |"
+
+
+def _outcome(difference: Mapping[str, Any], count: int) -> str:
+    """Return the verdict; marked where the runs alone bear it out, and their seeds do not."""
+    outcome = str(difference.get("outcome", ""))
+    low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
+    alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
+    return f"{outcome} {_MARK}" if alone else outcome
 
 
 def _made(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:

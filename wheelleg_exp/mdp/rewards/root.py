@@ -28,9 +28,10 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 
 
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity, whose square is sin^2 of the tilt. Not in Isaac Lab.
+    """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    Unlike a square it still tells one degree from two, and one who falls pays no more than this reward.
+    Unlike a square it still tells one degree from two, and costs a robot that falls no more than its weight. As with
+    the square, one that hangs upside down counts as upright.
 
     Args:
         env: the environment.
