@@ -1,10 +1,11 @@
-"""What the commands share: the parser, the options of those that compose, JSON."""
+"""What the commands share: the parser, the options of those that compose, the choice of a checkpoint, JSON."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import re
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.composing.provenance import Source
     from wheelleg_exp.jobs.stop import StopRequest
     from wheelleg_exp.rl.ranks import Ranks
+    from wheelleg_exp.run.directory import RunDirectory
 
     First = Callable[[argparse.Namespace, StopRequest, Ranks], int]
     Other = Callable[[argparse.Namespace, StopRequest, Ranks], None]
@@ -138,6 +140,31 @@ def print_json(document: Any) -> None:
     if printable(text) != text:  # what would be shown by its code is so in the way of JSON
         text = json.dumps(json_plain(document), indent=2, allow_nan=False) + "\n"
     print(text, end="")
+
+
+def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
+    """Return the checkpoint that an iteration or a path names, or the last one; warn of one that was changed.
+
+    Raises:
+        RunDirectoryError: the run has no checkpoint, or none of that iteration, or its manifest is damaged.
+    """
+    from wheelleg_exp.cli.printing.tables import hanging
+
+    checkpoint = _checkpoint_named(directory, asked)
+    own = checkpoint.is_file() and checkpoint.resolve().parent == directory.path.resolve()
+    if own and not directory.manifest().vouches_for(checkpoint):
+        text = f"{checkpoint.name} is not what its run recorded; 'wheelleg verify RUN' tells what was changed"
+        print(hanging(printable(f"warning: {text}"), 4), file=sys.stderr)
+    return checkpoint
+
+
+def _checkpoint_named(directory: RunDirectory, asked: str | None) -> Path:
+    if asked is None:
+        return directory.latest_checkpoint()
+    if asked.isdigit():
+        return directory.checkpoint(int(asked))
+    inside = directory.path / asked
+    return inside if inside.is_file() else Path(asked)
 
 
 def source_document(source: Source) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, is_override, print_json
+from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, chosen_checkpoint, is_override, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 
 if TYPE_CHECKING:
@@ -103,7 +103,6 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
     Raises:
         WheellegError: there is no such run or checkpoint, or a run is named twice.
     """
-    from wheelleg_exp.cli.checkpoint import chosen_checkpoint
     from wheelleg_exp.run.directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]

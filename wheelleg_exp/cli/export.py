@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wheelleg_exp.cli.common import add_json, add_root, print_json
+from wheelleg_exp.cli.common import add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.errors import EXIT_OK
 
 
@@ -22,7 +22,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write a deployer's bundle and say how near its runner is to the simulation."""
-    from wheelleg_exp.cli.checkpoint import chosen_checkpoint
     from wheelleg_exp.run.directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from wheelleg_exp.cli.common import add_json, add_root, print_json
+from wheelleg_exp.cli.common import add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.cli.driving import add_driving, is_driven, run_drive
 from wheelleg_exp.errors import EXIT_OK
 
@@ -23,7 +23,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play a policy for one episode, print the figures and record it."""
-    from wheelleg_exp.cli.checkpoint import chosen_checkpoint
     from wheelleg_exp.run.directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
