@@ -124,11 +124,15 @@ OVERRIDES = {
     ),
     "deleted twice": (
         ["task=walk", "~env.rewards.alive"],
-        ["env.rewards.alive: is null already", "override ~env.rewards.alive", "'wheelleg explain env.rewards.alive'"],
+        [
+            "env.rewards.alive: is null already",
+            "override ~env.rewards.alive",
+            "'wheelleg explain task=... env.rewards.alive'",
+        ],
     ),
     "a setting of a term that is removed": (
         ["task=walk", "env.rewards.alive.weight=2"],
-        ["env.rewards.alive.weight: there is no such key", "it is null: 'wheelleg explain env.rewards.alive'"],
+        ["env.rewards.alive.weight: there is no such key", "it is null: 'wheelleg explain task=... env.rewards.alive'"],
     ),
     "settings of a deselected term": (
         ["reward@env.rewards=[alive]"],

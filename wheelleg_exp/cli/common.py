@@ -90,11 +90,6 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
     add_config_dir(parser)
 
 
-def is_override(word: str) -> bool:
-    """Return whether a word changes a config: it holds ``=`` or takes something away; others are names."""
-    return "=" in word or word.startswith("~")
-
-
 def add_primary(parser: argparse.ArgumentParser) -> None:
     """Add ``--primary``."""
     parser.add_argument(
@@ -148,12 +143,13 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
     Raises:
         RunDirectoryError: the run has no checkpoint, or none of that iteration, or its manifest is damaged.
     """
+    from wheelleg_exp.cli.printing.figures import shown
     from wheelleg_exp.cli.printing.tables import hanging
 
     checkpoint = _checkpoint_named(directory, asked)
     own = checkpoint.is_file() and checkpoint.resolve().parent == directory.path.resolve()
     if own and not directory.manifest().vouches_for(checkpoint):
-        text = f"{checkpoint.name} is not what its run recorded; 'wheelleg verify RUN' tells what was changed"
+        text = f"{checkpoint.name} is not what its run recorded; 'wheelleg verify {shown(directory.path)}' tells more"
         print(hanging(printable(f"warning: {text}"), 4), file=sys.stderr)
     return checkpoint
 

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, chosen_checkpoint, is_override, print_json
+from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
+from wheelleg_exp.terms.keys import is_override
 
 if TYPE_CHECKING:
     from wheelleg_exp.cli.printing.display import ConsoleDisplay

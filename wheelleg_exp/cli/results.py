@@ -8,8 +8,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from wheelleg_exp.cli.common import add_config_dir, add_root, is_override
+from wheelleg_exp.cli.common import add_config_dir, add_root
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
+from wheelleg_exp.terms.keys import is_override
 
 FOLDER = Path("docs/results")
 

@@ -26,6 +26,7 @@ from wheelleg_exp.run.params import PARTS, load_params
 from wheelleg_exp.run.recorded import CONFIG, ROBOT, recorded_config, recorded_overrides
 from wheelleg_exp.run.source.snapshot import RECORD_NAME, entries, snapshot_source
 from wheelleg_exp.run.source_changes import states
+from wheelleg_exp.terms.keys import is_override
 
 # What decides the numbers of a run; where the run goes, and which findings are silenced, does not.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
@@ -60,7 +61,7 @@ def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Com
     first, rest = (words[0], words[1:]) if words else ("", [])
     if words and (Path(first) / MANIFEST_NAME).is_file():
         return _run(RunDirectory.open(first, root), rest), None
-    if words and "=" not in first and not first.startswith(("~", "+")):
+    if words and not is_override(first):
         tasks = [entry.name for entry in catalog.tasks(config_dirs)]
         if first not in tasks:
             return _run(_open(first, root, tasks), rest), None

@@ -10,6 +10,11 @@ Keys = tuple[str, ...]
 _PART = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
 
 
+def is_override(word: str) -> bool:
+    """Return whether a word of a command line changes a config; others are names."""
+    return "=" in word or word.startswith(("~", "+"))
+
+
 def dotted(keys: Iterable[str]) -> str:
     """Return the path as text; a key that holds dots or brackets itself stands in brackets."""
     text = ""

@@ -189,7 +189,7 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
             expected=f"{plain} without the plus sign",
         )
     if existing and override.is_delete() and at(shown, split_path(key)) is None:
-        expected = f"nothing to remove: 'wheelleg explain {key}' names who set it so"
+        expected = f"nothing to remove: 'wheelleg explain task=... {key}' names who set it so"
         return ConfigError("is null already", key=key, where=where_of(override), expected=expected)
     if existing and override.is_delete():
         return ConfigError(flat(problem), key=key, where=where_of(override), expected=f"~{key} without a value")
@@ -242,7 +242,7 @@ def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> s
         node = node[part]
     place = dotted(walked)
     if node is None:
-        return f"'{place}' to be a mapping; it is null: 'wheelleg explain {place}' names who set it so"
+        return f"'{place}' to be a mapping; it is null: 'wheelleg explain task=... {place}' names who set it so"
     if not isinstance(node, dict):
         return f"'{place}' to be a mapping; it is a single value"
     names = ", ".join(str(name) for name in node)

@@ -10,8 +10,8 @@ from typing import Any
 
 _MARK = "¹"
 _OF_THESE = (
-    f"{_MARK} Of these runs: the 95 % interval of the difference over runs and episodes holds 0, so other seeds may not"
-    " show it."
+    f"{_MARK} marks verdicts of these runs that other seeds may not show: the 95 % interval of the difference, over"
+    " runs and episodes, holds 0."
 )
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
@@ -25,9 +25,7 @@ def page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> s
     """
     parts = [f"# {record['name']}\n", *_about(record, manifests)]
     for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
-        table = list(_table(record, list(names)))
-        marked = any(line.endswith(f"{_MARK} |") for line in table)
-        parts += [f"## {group}\n", *table, *(["", _OF_THESE] if marked else []), ""]
+        parts += [f"## {group}\n", *_table(record, list(names)), ""]
     parts += ["## How it was made\n", *_made(record, manifests)]
     return "\n".join(parts) + "\n"
 
@@ -49,6 +47,9 @@ def _about(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) ->
         yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:
         yield f"{record['verdict']}\n"
+    count, differences = len(record["runs"]), record["differences"] or {}
+    if any(_outcome(difference, count).endswith(_MARK) for difference in differences.values()):
+        yield f"{_OF_THESE}\n"
 
 
 def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:

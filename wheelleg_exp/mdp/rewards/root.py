@@ -38,7 +38,7 @@ def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _R
         std: sine of the tilt that leaves 1/e of the reward.
         asset_cfg: the robot.
     """
-    return torch.exp(-env.scene[asset_cfg.name].data.projected_gravity_b[:, :2].square().sum(dim=1) / std**2)
+    return torch.exp(-flat_orientation_l2(env, asset_cfg) / std**2)
 
 
 def pitch_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
