@@ -169,10 +169,9 @@ def _opened(path: str, flags: int) -> int:
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
     """Return the content of a file of at most ``largest`` bytes (raises as ``open_file``)."""
     with open_file(path) as file:
-        data = file.read(largest + 1)
-    if len(data) > largest:
-        raise RunDirectoryError(f"has more than {largest >> 20} MiB", key=str(path), expected="a file of that size")
-    return data
+        if os.fstat(file.fileno()).st_size > largest:  # asked first: to read at most so much takes so much memory
+            raise RunDirectoryError(f"has more than {largest >> 20} MiB", key=str(path), expected="a file of that size")
+        return file.read()
 
 
 def read_lines(path: Path) -> Iterator[bytes]:

@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import resource
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -165,3 +166,18 @@ def test_sha256_is_that_of_the_content(tmp_path):
     assert files.sha256(tmp_path / "x") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     (tmp_path / "big").write_bytes(bytes(3_000_000))
     assert files.sha256(tmp_path / "big") == hashlib.sha256(bytes(3_000_000)).hexdigest()
+
+
+def test_a_small_file_takes_no_memory_for_a_large_one_and_one_too_large_is_refused_unread(tmp_path):
+    path = tmp_path / "x"
+    path.write_bytes(b"abc")
+    tracemalloc.start()
+    assert files.read_bytes(path, 3) == b"abc"
+    assert files.read_text(path) == "abc"
+    os.truncate(path, (64 << 20) + 1)  # a hole: nothing is on the disk
+    with pytest.raises(RunDirectoryError, match="has more than 64 MiB") as caught:
+        files.read_bytes(path, 64 << 20)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1 << 20
+    assert caught.value.key == str(path)
