@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from patience import wait_until
+from patience import PATIENCE_S, wait_until
 
 from browser.chrome import Chrome
 from wheelleg_exp.errors import WheellegError
@@ -191,7 +191,7 @@ def test_pages_of_others_are_refused():
         address, version = page.url.replace("http", "ws"), _version()
         with connect(address, origin="http://elsewhere.org", subprotocols=[version]) as stranger:
             with suppress(WebSocketException):
-                while stranger.recv(timeout=10):
+                while stranger.recv(timeout=PATIENCE_S):
                     pass
             assert stranger.close_code == 1008
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from patience import PATIENCE_S
 
 KNOWN = "assert 'Wheelleg-Velocity-v0' in gymnasium.registry"
 
@@ -19,4 +20,4 @@ KNOWN = "assert 'Wheelleg-Velocity-v0' in gymnasium.registry"
     ],
 )
 def test_the_environments_are_registered(code):
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)

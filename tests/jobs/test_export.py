@@ -14,6 +14,7 @@ import onnxruntime
 import pytest
 import torch
 import yaml
+from patience import PATIENCE_S
 
 from jobs.small import ITERATIONS, TINY, Trained, trained_once, wheelleg
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -67,7 +68,7 @@ def runner(monkeypatch):
 def alone(folder: Path, script: str, *words: str) -> subprocess.CompletedProcess:
     """Run a file of a bundle in a process that cannot import what trained it."""
     command = [sys.executable, "-c", ALONE, folder, folder / script, *words]
-    return subprocess.run(command, cwd="/", env={}, capture_output=True, text=True, timeout=100)
+    return subprocess.run(command, cwd="/", env={}, capture_output=True, text=True, timeout=PATIENCE_S)
 
 
 def spec_of(folder: Path) -> dict:
@@ -373,8 +374,8 @@ def hold_c_header(folder: Path, place: Path) -> None:
     rows = np.concatenate([recorded["reset"][:, None], *(recorded[name] for name in names)], axis=1, dtype=np.float32)
     (place / "main.c").write_text(MAIN)
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", f"-I{folder}"]
-    subprocess.run([compiler, *flags, place / "main.c", "-o", place / "main", "-lm"], check=True, timeout=100)
-    said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=100)
+    subprocess.run([compiler, *flags, place / "main.c", "-o", place / "main", "-lm"], check=True, timeout=PATIENCE_S)
+    said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
     wanted = np.concatenate(
         [recorded["observations"], recorded["actions"], recorded["targets"].reshape(len(rows), -1)], axis=1
     )

@@ -8,7 +8,6 @@ import signal
 import socket
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
@@ -56,8 +55,8 @@ def end_viewer(tmp_path: Path) -> None:
             os.kill(int(pid.read_text()), signal.SIGKILL)
 
 
-def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None = None) -> tuple[float, str]:
-    """Record some steps, with a viewer if a command is given; return the run's own seconds and the digest."""
+def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None = None) -> str:
+    """Record some steps, with a viewer if a command is given; return the digest."""
     env.common_step_counter = 0
     env.reset(seed=0)
     env.event_manager.fired.clear()
@@ -68,7 +67,6 @@ def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None 
     live = None if command is None else LiveView(recorder, command)
     if wait_for is not None:
         assert wait_until(wait_for.exists)
-    start = time.process_time()
     with torch.inference_mode():
         for _ in range(STEPS):
             env.step(torch.zeros(2, 6))
@@ -76,25 +74,25 @@ def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None 
     if live is not None:
         live.close()
     env.observers = []
-    return time.process_time() - start, recording_digest(path)
+    return recording_digest(path)
 
 
 @pytest.fixture(scope="module")
-def alone(env, tmp_path_factory) -> tuple[float, str]:
+def alone(env, tmp_path_factory) -> str:
     return rolled(env, tmp_path_factory.mktemp("alone") / "r.rrd", None)
 
 
 @pytest.mark.parametrize("manner", ["hang", "die"])
 def test_a_viewer_that_hangs_or_dies_does_not_matter(env, alone, tmp_path, manner):
     path = tmp_path / "r.rrd"
-    _, digest = rolled(env, path, viewer(tmp_path, manner), wait_for=tmp_path / "pid")
-    assert digest == alone[1]
+    digest = rolled(env, path, viewer(tmp_path, manner), wait_for=tmp_path / "pid")
+    assert digest == alone
     assert len(Recording(path).table("base/height")) == STEPS
     end_viewer(tmp_path)
 
 
 def test_a_viewer_that_is_not_there_does_not_matter(env, alone, tmp_path):
-    assert rolled(env, tmp_path / "r.rrd", [str(tmp_path / "none")])[1] == alone[1]
+    assert rolled(env, tmp_path / "r.rrd", [str(tmp_path / "none")]) == alone
 
 
 def test_a_viewer_is_opened_for_this_machine_alone_and_sends_nothing():

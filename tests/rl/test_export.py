@@ -16,6 +16,7 @@ import onnxruntime
 import pytest
 import rsl_rl
 import torch
+from patience import PATIENCE_S
 from tensordict import TensorDict
 
 from wheelleg_exp.rl import export
@@ -132,7 +133,7 @@ def exported_elsewhere(folder: Path, hash_seed: int, *hidden: list[int]) -> RunD
     run.exported.mkdir(parents=True)
     files = [run.exported / name for name in ("policy.pt", "policy.onnx")]
     command = [sys.executable, "-W", "ignore", "-c", _EXPORT, json.dumps(hidden), *files]
-    subprocess.run(command, env={**os.environ, "PYTHONHASHSEED": str(hash_seed)}, check=True, timeout=300)
+    subprocess.run(command, env={**os.environ, "PYTHONHASHSEED": str(hash_seed)}, check=True, timeout=PATIENCE_S)
     return run
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from wheelleg_exp import memory
@@ -25,10 +23,8 @@ TOO_MUCH = {
 @pytest.mark.parametrize("override", TOO_MUCH)
 def test_what_cannot_fit_names_its_key_and_both_sizes(override, make_trainer):
     key, told = TOO_MUCH[override]
-    before = time.monotonic()
     with pytest.raises(ConfigError) as caught:
         make_trainer(override)
-    assert time.monotonic() - before < 120.0
     assert caught.value.key == key
     assert told in caught.value.message
     assert caught.value.message.endswith(" of memory at least")

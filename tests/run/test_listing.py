@@ -4,14 +4,15 @@ import json
 import shutil
 import subprocess
 import sys
-import time
+import tracemalloc
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from effort import bytecodes
 from patience import wait_until
 
 from wheelleg_exp.run.directory import NEEDED
-from wheelleg_exp.run.listing import list_runs, list_sweeps
+from wheelleg_exp.run.listing import list_runs, list_sweeps, summarize
 from wheelleg_exp.run.process import is_alive, this_process
 from wheelleg_exp.run.sweep_index import SweepIndex
 
@@ -184,14 +185,26 @@ def test_a_folder_that_was_left_before_its_manifest_is_damaged(make_run, tmp_pat
     assert "has no manifest.json" in found.problem
 
 
-def test_five_hundred_runs_are_listed_in_a_moment(make_run, tmp_path):
-    first = written(make_run(), 1000, checkpoints=(0, 5, 9))
+def test_listing_costs_by_the_number_of_runs_and_not_by_their_length(make_run, tmp_path):
+    def effort() -> int:
+        return bytecodes(lambda: list_runs(tmp_path / "runs"))
+
+    first = written(make_run(), 10, checkpoints=(0, 5, 9))
     first.manifest().finish("finished", {"iterations": 10})
-    for number in range(499):
+    effort()  # what is imported or compiled once
+    one = effort()
+    for number in range(49):
         shutil.copytree(first.path, first.path.parent / f"2026-01-01_00-00-00_{number}")
-    start = time.process_time()
-    assert len(list_runs(tmp_path / "runs")) == 500
-    assert time.process_time() - start < 1.0
+    assert len(list_runs(tmp_path / "runs")) == 50
+    assert effort() < 51 * one
+
+    written(first, 30_000)  # some 4 MB of lines
+    tracemalloc.start()
+    summarize(first.path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1e6
+    assert bytecodes(lambda: summarize(first.path)) < 1.1 * one
 
 
 def test_sweeps_are_listed_with_their_jobs(tmp_path, dead_pid):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from dataclasses import replace
@@ -10,6 +9,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from effort import bytecodes
 
 from wheelleg_exp.asset.description import (
     Actuator,
@@ -241,14 +241,11 @@ def test_a_longer_chain_is_refused_in_words(count):
 
 
 def test_time_grows_with_the_number_of_bodies_and_not_with_its_square():
-    def seconds(count: int) -> float:
+    def effort(count: int) -> int:
         wide = robot(body("b0"), *(body(f"b{i}", "b0", dofs=(hinge(f"j{i}"),)) for i in range(1, count)))
-        start = time.process_time()
-        text_of(wide)
-        return time.process_time() - start
+        return bytecodes(lambda: text_of(wide))
 
-    few = min(seconds(250) for _ in range(3))
-    assert seconds(8000) < 200 * few  # 32 times the bodies; a square would be 1024 times
+    assert effort(1600) < 17 * effort(100)  # 16 times the bodies; a square would be 256 times
 
 
 def test_the_same_description_is_the_same_bytes():
