@@ -31,6 +31,15 @@ def test_a_port_in_use_is_told_with_who_has_it_and_another_to_take(busy):
     assert "Errno" not in said
 
 
+def test_who_has_a_port_is_found_among_files_that_are_closed_meanwhile():
+    spare = os.open(os.devnull, os.O_RDONLY)
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        os.close(spare)  # to look takes this number for a moment, before that of the socket
+        assert holder(listening.getsockname()[1]).endswith(f", process {os.getpid()}")
+
+
 def test_nobody_has_a_port_that_is_free(busy):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))

@@ -53,8 +53,14 @@ def holder(port: int) -> str:
     sockets = {f"socket:[{inode}]" for inode in _listening(port)}
     for folder in _PROC.glob("[0-9]*/fd") if sockets else ():
         with suppress(OSError):  # of another user, or gone by now
-            if any(str(entry.readlink()) in sockets for entry in folder.iterdir()):
+            if any(_points_to(entry) in sockets for entry in folder.iterdir()):
                 return f"{(folder.parent / 'comm').read_text().strip()}, process {folder.parent.name}"
+    return ""
+
+
+def _points_to(entry: Path) -> str:
+    with suppress(OSError):  # closed by now, as what listed the folder is
+        return str(entry.readlink())
     return ""
 
 
