@@ -152,15 +152,7 @@ def test_a_stop_ends_every_job_and_starts_no_other(stop):
 
 
 def test_a_second_stop_interrupts_the_jobs_at_once(stop, monkeypatch):
-    runner = stand_in(["deaf", "finish"], stop)
-    heard = runner._hear
-
-    def hear(job, event):
-        heard(job, event)
-        if not stop.requested:
-            _interrupt_twice(job)
-
-    monkeypatch.setattr(runner, "_hear", hear)
+    runner = stand_in(["deaf", "finish"], stop, seen=Seen(on_iteration=_interrupt_twice))
     monkeypatch.setattr(runner_module, "_PATIENCE_S", PATIENCE_S)
     assert runner.run() == "interrupted"
     assert _statuses() == ["interrupted", "waiting"]
