@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+import threading
 from collections.abc import Callable
 from itertools import count
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 
@@ -35,9 +36,15 @@ def _traced(work: Callable[[], Any], counter: count[int]) -> None:
 
 
 def _monitored(work: Callable[[], Any], counter: count[int]) -> None:
+    here = threading.get_ident()
+
+    def seen(code: CodeType, offset: int) -> None:
+        if threading.get_ident() == here:  # the events are those of all threads
+            next(counter)
+
     tool, events = sys.monitoring.PROFILER_ID, sys.monitoring.events
     sys.monitoring.use_tool_id(tool, "effort")
-    sys.monitoring.register_callback(tool, events.INSTRUCTION, lambda code, offset: next(counter))
+    sys.monitoring.register_callback(tool, events.INSTRUCTION, seen)
     sys.monitoring.set_events(tool, events.INSTRUCTION)
     try:
         work()

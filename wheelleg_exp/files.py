@@ -169,9 +169,13 @@ def _opened(path: str, flags: int) -> int:
 def read_bytes(path: Path, largest: int = _LARGEST) -> bytes:
     """Return the content of a file of at most ``largest`` bytes (raises as ``open_file``)."""
     with open_file(path) as file:
-        if os.fstat(file.fileno()).st_size > largest:  # asked first: to read at most so much takes so much memory
-            raise RunDirectoryError(f"has more than {largest >> 20} MiB", key=str(path), expected="a file of that size")
-        return file.read()
+        size = os.fstat(file.fileno()).st_size  # asked first: to read at most so much takes so much memory
+        data = b"" if size > largest else file.read(size + 1)
+        if len(data) > size:  # it grows, or belongs to a system that tells no sizes
+            data += file.read(largest + 1 - len(data))
+    if max(size, len(data)) > largest:
+        raise RunDirectoryError(f"has more than {largest >> 20} MiB", key=str(path), expected="a file of that size")
+    return data
 
 
 def read_lines(path: Path) -> Iterator[bytes]:

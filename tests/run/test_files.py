@@ -181,3 +181,10 @@ def test_a_small_file_takes_no_memory_for_a_large_one_and_one_too_large_is_refus
     tracemalloc.stop()
     assert most < 1 << 20
     assert caught.value.key == str(path)
+
+
+def test_a_file_that_tells_no_size_is_read_whole_and_not_beyond_the_largest():
+    system = Path("/proc/self/status")  # its size is 0
+    assert b"Threads" in files.read_bytes(system)
+    with pytest.raises(RunDirectoryError, match="has more than"):
+        files.read_bytes(system, 10)
