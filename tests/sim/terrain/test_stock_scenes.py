@@ -44,6 +44,14 @@ def test_the_hardest_row_of_rough_ground_is_what_a_wheel_can_just_roll_over():
     assert np.arctan(rise) == pytest.approx(0.26 * ground.relief.difficulties[9, columns["slope"][0]], abs=3e-3)
 
 
+def test_rough_tiles_are_as_rough_as_they_declare():
+    ground = made("rough")
+    rough = np.flatnonzero(ground.relief.kinds[9] == list(ground.layout.sub_terrains).index("rough"))
+    for col in rough:
+        inner = ground.relief.tiles[9 * 10 + col].heights[3:-3, 3:-3]
+        assert inner.std() == pytest.approx(0.004 * ground.relief.difficulties[9, col] / np.sqrt(3), rel=0.05)
+
+
 def test_stairs_have_four_steps_of_the_rows_difficulty():
     ground = made("stairs")
     heights, hard = tiles(ground), ground.relief.difficulties

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.terrain.tiles import grid
+from sim.terrain.tiles import grid, placed
 from wheelleg_exp.sim.terrain import (
     Box,
     DiscreteObstacles,
@@ -17,6 +17,7 @@ from wheelleg_exp.sim.terrain import (
     RandomGrid,
     RandomUniform,
     SteppingStones,
+    SubTerrain,
     UniformNoise,
     Waves,
 )
@@ -83,7 +84,72 @@ def test_noise_by_difficulty_is_uniform_and_grows():
         assert np.abs(found).max() <= a
 
 
-def test_between_drawn_points_noise_is_straight():
+A, RIMS = 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)  # height, m; rim of the tile, in cells
+PARTS = {  # each kind, and the standard deviation of its heights where a formula gives it, m
+    "uniform": (lambda **o: UniformNoise(amplitude_range=[A, A], **o), A / np.sqrt(3)),
+    "uniform, every second": (
+        lambda **o: UniformNoise(amplitude_range=[A, A], downsampled_scale=0.2, **o),
+        A / np.sqrt(3) * 0.75,  # along x and along y, half of the points have the mean of two draws: (1 + 1/2) / 2
+    ),
+    "steps": (lambda **o: RandomUniform(noise_range=[-A, A], noise_step=A, **o), A * np.sqrt(2 / 3)),
+    "grid": (
+        lambda **o: RandomGrid(grid_width=0.3, grid_height_range=[A, A], platform_width=0.0, **o),
+        A / np.sqrt(3),
+    ),
+    "slope": (lambda **o: PyramidSlope(slope_range=[0.1, 0.1], platform_width=0.5, **o), None),
+    "waves": (lambda **o: Waves(amplitude_range=[A, A], num_waves=2, **o), A / 2),
+    "stairs": (lambda **o: PyramidStairs(step_height_range=[A, A], step_width=0.5, platform_width=1.0, **o), None),
+    "obstacles": (
+        lambda **o: DiscreteObstacles(
+            obstacle_width_range=[1.0, 2.0], obstacle_height_range=[A, A], num_obstacles=40, platform_width=0.0, **o
+        ),
+        None,
+    ),
+    "stones": (
+        lambda **o: SteppingStones(
+            stone_height_max=A,
+            stone_width_range=[0.5, 0.5],
+            stone_distance_range=[0.0, 0.0],
+            platform_width=0.0,
+            holes_depth=-1.0,
+            **o,
+        ),
+        A / np.sqrt(3),
+    ),
+    "gap": (lambda **o: Gap(gap_width_range=[0.5, 0.5], gap_depth=A, platform_width=2.0, **o), None),
+    "rails": (
+        lambda **o: Rails(rail_height_range=[A, A], rail_thickness_range=[0.5, 0.5], platform_width=2.0, **o),
+        None,
+    ),
+    "box": (lambda **o: Box(box_height_range=[A, A], platform_width=2.0, **o), None),
+}
+
+
+def inner_heights(part: SubTerrain, scale: float, rim: float, seed: int) -> np.ndarray:
+    """Return the heights inside the rim of one tile of 12 m, as the generator lays it."""
+    part.horizontal_scale, part.border_width = scale, rim
+    ground = placed({"part": part}, size=[12.0, 12.0], num_rows=1, num_cols=1, difficulty_range=[1.0, 1.0], seed=seed)
+    heights = ground.relief.tiles[0].heights.astype(float)
+    n = len(heights)
+    x = (np.arange(n) + 0.5) * 12 / n - 6 if part.boxes else np.linspace(-6, 6, n)
+    inside = np.abs(x) <= 6 - rim + 1e-9
+    return heights[np.ix_(inside, inside)]
+
+
+@pytest.mark.parametrize("boxes", [False, True])
+@pytest.mark.parametrize("name", PARTS)
+def test_the_width_of_the_rim_changes_no_moment(name: str, boxes: bool):
+    make, deviation = PARTS[name]
+    for rim in RIMS:
+        found, fine = (
+            [inner_heights(make(proportion=1, boxes=boxes), cell, rim * 0.1, seed) for seed in range(3)]
+            for cell in (0.1, 0.1 if deviation else 0.02)  # without a formula: the same shape on a finer grid
+        )
+        assert np.std(found) == pytest.approx(deviation or np.std(fine), rel=0.06)
+        assert np.mean(found) == pytest.approx(0.0 if deviation else np.mean(fine), abs=0.1 * A)
+
+
+def test_between_drawn_points_noise_is_linear():
     noise = UniformNoise(proportion=1, amplitude_range=[0.1, 0.1], downsampled_scale=0.4, platform_width=0.2)
     found = noise.heights(0.0, CORNERS, rng())
     outside = np.diff(found[:, 0], n=2)

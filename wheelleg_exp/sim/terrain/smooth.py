@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from wheelleg_exp.constraints import Count, Interval, NonNegative, NonNegativeInterval, Positive
-from wheelleg_exp.sim.terrain.sub_terrain import Array, Grid, SubTerrain, at
+from wheelleg_exp.sim.terrain.sub_terrain import EDGE, Array, Grid, SubTerrain, at
 
 
 @dataclass(kw_only=True)
 class RandomUniform(SubTerrain):
-    """Heights drawn from equal steps within a range, straight between the points; difficulty changes nothing.
+    """Heights drawn from equal steps within a range, linear between the points; difficulty changes nothing.
 
     Args:
         noise_range: lowest and highest, m.
         noise_step: between two heights, m.
-        downsampled_scale: between the drawn points, m; null is the edge of a cell.
+        downsampled_scale: distance between the drawn points, m; null is the edge of a cell.
     """
 
     noise_range: Interval
@@ -39,11 +39,11 @@ class RandomUniform(SubTerrain):
 
 @dataclass(kw_only=True)
 class UniformNoise(SubTerrain):
-    """Heights drawn from U(-a, a), straight between the points; the amplitude a grows with the difficulty.
+    """Heights drawn from U(-a, a), linear between the points; the amplitude a grows with the difficulty.
 
     Args:
         amplitude_range: a of the easiest and of the hardest, m.
-        downsampled_scale: between the drawn points, m; null is the edge of a cell.
+        downsampled_scale: distance between the drawn points, m; null is the edge of a cell.
         platform_width: edge of the level square in the middle, m.
     """
 
@@ -102,20 +102,27 @@ class Waves(SubTerrain):
 
 
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
-    """Return heights that are drawn at points and straight between them, first along x, then along y."""
-    own = (grid.x[1, 0] - grid.x[0, 0], grid.y[0, 1] - grid.y[0, 0])
-    counts = [max(1, round(2 * half / (spacing or step))) for half, step in zip(grid.half, own, strict=True)]
-    drawn = draw((counts[0] + 1, counts[1] + 1))
-    (i, u), (j, v) = (
-        _place(axis.ravel(), half, count) for axis, half, count in zip((grid.x, grid.y), grid.half, counts, strict=True)
-    )
+    """Return heights that are drawn on a lattice and linear between its points, first along x, then along y.
+
+    The lattice starts at the tile's first own point inside the rim. If it started at the edge of the rim, then with a
+    rim of half a cell every height would be the mean of four draws, which has half of their standard deviation.
+    """
+    i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
+    j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
+    drawn = draw((nx + 1, ny + 1))
     low = (1 - u)[:, None] * drawn[i][:, j] + u[:, None] * drawn[i + 1][:, j]
     high = (1 - u)[:, None] * drawn[i][:, j + 1] + u[:, None] * drawn[i + 1][:, j + 1]
     return (1 - v) * low + v * high
 
 
-def _place(axis: Array, half: float, count: int) -> tuple[np.ndarray, Array]:
-    """Return between which drawn points a coordinate lies, and how far it is from the first to the second."""
-    at_ = np.clip((axis + half) / (2 * half) * count, 0, count)
-    first = np.minimum(at_.astype(int), count - 1)
-    return first, at_ - first
+def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
+    """Return each point's lattice interval, its share of the way through that interval, and the number of intervals."""
+    inside = axis[np.abs(axis) <= half + EDGE]
+    own = axis[1] - axis[0] if len(axis) > 1 else 2 * half
+    first, length = (inside[0], inside[-1] - inside[0]) if len(inside) else (axis[0], 0.0)
+    count = max(1, int(np.ceil(length / (spacing or own) - 1e-9)))
+    place = np.clip((axis - first) / (spacing or own), 0, count)
+    # A point that lies on the lattice gets exactly the height drawn there, whatever rounding says.
+    place = np.where(np.abs(place - np.rint(place)) < 1e-9, np.rint(place), place)
+    interval = np.minimum(place.astype(int), count - 1)
+    return interval, place - interval, count

@@ -14,7 +14,7 @@ from wheelleg_exp.sim.terrain.flat_patches import FlatPatches
 from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
-_EDGE = 1e-9  # m: what lies on an edge lies inside, whatever rounding says
+EDGE = 1e-9  # m: a point on an edge counts as inside, also after rounding
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Grid:
     @property
     def to_edge(self) -> Array:
         """How far a point lies inside the nearest edge, m, (nx, ny)."""
-        return np.minimum(self.half[0] - np.abs(self.x), self.half[1] - np.abs(self.y)) + _EDGE
+        return np.minimum(self.half[0] - np.abs(self.x), self.half[1] - np.abs(self.y)) + EDGE
 
     @property
     def from_centre(self) -> Array:
         """The larger of the distances along x and y from the centre, m, (nx, ny)."""
-        return np.maximum(np.abs(self.x), np.abs(self.y)) - _EDGE
+        return np.maximum(np.abs(self.x), np.abs(self.y)) - EDGE
 
     def is_within(self, width: float) -> npt.NDArray[np.bool_]:
         """Return which points lie on a square of that width in the middle, (nx, ny)."""
