@@ -43,10 +43,10 @@ def drives(x: float, **leg: Any) -> RobotFacts:
     return replace(found, joints={**found.joints, "hip": replace(hip, drive=replace(hip.drive, **leg))})
 
 
-def weak(x: float) -> RobotFacts:
-    """The robot with a motor on its wheels that hardly moves it."""
+def weak(x: float, **drive: float) -> RobotFacts:
+    """The robot with a motor on its wheels that is too weak or too slow."""
     found = robot(x)
-    wheel = replace(found.joints["left"], drive=replace(WHEEL.drive, effort=0.01 * x))
+    wheel = replace(found.joints["left"], drive=replace(found.joints["left"].drive, **drive))
     return replace(found, joints={**found.joints, "left": wheel, "right": wheel})
 
 
@@ -173,7 +173,7 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
     ],
     "target_height": [lambda x: case(robot(x), **reward("base_height_l2", weight=-1.0, target_height=x))],
     "tracking_std": [lambda x: case(**track(x, 2.0 * x)), lambda x: case(**track(0.0, 2.0 + x))],
-    "weak_wheels": [lambda x: case(weak(x))],
+    "weak_wheels": [lambda x: case(weak(x, effort=0.01 * x)), lambda x: case(weak(x, velocity=0.5 * x**2))],
     "wrench_size": [
         lambda x: case(robot(x), **event("set_permanent_body_wrench", **{**STILL, "force_range": [-9 * x, 9 * x]})),
         lambda x: case(robot(x), **event("set_permanent_body_wrench", **{**STILL, "torque_range": [0.0, 9 * x]})),
@@ -187,7 +187,7 @@ WITHOUT = {
     # What they tell of is a file's, or a pose's.
     "assumed_masses", "balance_pose", "contact_at_start", "joint_limits", "link_masses", "lopsided_pose",
     "lost_in_conversion", "mirror_images", "missing_files", "no_colliders", "overlapping_bodies", "placeholder_limits",
-    "reset_into_ground", "rolling_direction", "wheel_senses", "wheels_that_do_not_roll",
+    "reset_into_ground", "robot_size", "rolling_direction", "wheel_senses", "wheels_that_do_not_roll",
 }  # fmt: skip
 
 

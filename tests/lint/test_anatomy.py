@@ -186,19 +186,42 @@ def test_what_spins_on_the_trunk_or_an_arm_is_no_wheel():
     assert found.others == ("spin", "elbow", "wrist")
 
 
-def test_a_caster_is_steered_and_may_be_passive():
-    fork = '<geom type="box" size="0.01 0.01 0.05" pos="0 0.05 0.1"/>'
-    caster = f"""<body name="fork" pos="0.3 0 -0.65"><joint name="swivel" axis="0 0 1"/>{fork}
-      <body name="roller" pos="-0.03 0 0"><joint name="roll" axis="0 1 0"/>
+def swivel(name: str, x: float, y: float, trail: float, above: str = "") -> str:
+    """Return a wheel of 0.05 m radius below a vertical joint without limits, ``trail`` m behind it."""
+    return f"""<body name="{name}_fork" pos="{x} {y} -0.65"><joint name="{name}_swivel" axis="0 0 1"/>
+      <geom type="box" size="0.01 0.01 0.05" pos="0 0.05 0.1"/>{above}
+      <body name="{name}_roller" pos="{-trail} 0 0"><joint name="{name}_roll" axis="0 1 0"/>
       <geom type="cylinder" size="0.05 0.01" euler="90 0 0"/></body></body>"""
-    drive = '<actuator><motor joint="l_axle"/><motor joint="r_axle"/></actuator>'
-    found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + caster, drive))
-    kinds = {wheel.joint: (wheel.side, wheel.driven, wheel.steered) for wheel in found.wheels}
-    assert kinds == {
-        "l_axle": ("left", True, False),
-        "r_axle": ("right", True, False),
-        "roll": ("middle", False, True),
-    }
+
+
+WHEELS_DRIVE = '<actuator><motor joint="l_axle"/><motor joint="r_axle"/></actuator>'
+
+
+@pytest.mark.parametrize(
+    ("trail", "drives", "caster"),
+    [
+        (0.03, WHEELS_DRIVE, True),
+        (0.03, "", True),  # nothing is known of drives
+        (0.0, WHEELS_DRIVE, False),  # it cannot follow
+        (0.03, WHEELS_DRIVE.replace("<motor", '<motor joint="f_swivel"/><motor', 1), False),
+    ],
+)
+def test_a_caster_trails_a_passive_vertical_joint(trail, drives, caster):
+    found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + swivel("f", 0.3, 0.0, trail), drives))
+    wheel = next(wheel for wheel in found.wheels if wheel.joint == "f_roll")
+    assert (wheel.side, wheel.steered, wheel.caster) == ("middle", True, caster)
+    assert found.forward == (1, 0, 0)
+    assert not any(other.steered or other.caster for other in found.wheels if other is not wheel)
+
+
+@pytest.mark.parametrize(("trail", "driven"), [(0.0, True), (0.0, False), (0.03, True), (0.03, False)])
+def test_wheels_that_are_all_steered_roll_one_way(trail, driven):
+    """Swerve drives: the axles are parallel, so the robot rolls along them whatever may steer them."""
+    drives = '<actuator><motor joint="l_swivel"/><motor joint="r_swivel"/></actuator>' if driven else ""
+    found = look(mjcf(swivel("l", 0.0, 0.2, trail) + swivel("r", 0.0, -0.2, trail), drives))
+    assert found.forward == pytest.approx((1, 0, 0))
+    assert (found.support_width, [wheel.side for wheel in found.wheels]) == (pytest.approx(0.4), ["left", "right"])
+    assert [(wheel.steered, wheel.caster) for wheel in found.wheels] == [(True, False)] * 2
 
 
 def test_a_mirror_image_is_measured():

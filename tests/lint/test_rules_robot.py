@@ -94,6 +94,21 @@ def test_wheels_that_roll_along_y(tmp_path):
     assert "roll along (0, 1) of the base 'trunk'" in only("rolling_direction", patient(tmp_path, text))
 
 
+def test_steered_wheels_that_do_not_roll_one_way(tmp_path):
+    text = HEALTHY
+    for side, angle in (("l", 0.0), ("r", 1.5)):
+        wheel = f'<body name="{side}_wheel" pos="0 0 -0.3">'
+        pitch = f"{math.cos(0.2)} 0 {math.sin(0.2)} 0"  # the shank is pitched by hip and knee, -0.4 rad
+        fork = f'<body name="{side}_fork" pos="0 0 -0.3" quat="{pitch}"><joint name="{side}_steer" axis="0 0 1"/>'
+        fork += '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-5 1e-5 1e-5"/>'
+        text = text.replace(wheel, f'{fork}<body name="{side}_wheel" euler="0 0 {angle}">')
+    text = text.replace("</body>\n        </body>\n      </body>", "</body></body>\n        </body>\n      </body>")
+    text = text.replace(f"{HIP} {KNEE} 0 {HIP} {KNEE} 0", f"{HIP} {KNEE} 0 0 {HIP} {KNEE} 0 0")
+    said = only("rolling_direction", patient(tmp_path, text))
+    assert "the wheels of 'l_axle', 'r_axle' are steered" in said
+    assert "cross" not in said
+
+
 def test_wheels_that_toe_in(tmp_path):
     c, s = math.cos(0.1), math.sin(0.1)
     text = seeded(('name="l_axle" axis="0 1 0"', f'name="l_axle" axis="{s} {c} 0"'))
@@ -179,6 +194,18 @@ def test_a_wheel_that_cannot_catch_the_robot(tmp_path):
     assert found("weak_wheels", patient(tmp_path)) == []
 
 
+def test_wheels_slower_than_the_fall_that_they_have_to_catch(tmp_path):
+    """Lean d grows by d'' = p² d - p² · (rim's way): a rim at v catches 0.1 rad only if v exceeds 0.1 p h."""
+    case = patient(tmp_path)
+    needed = 0.1 * case.facts.balance.pole * case.facts.balance.height / case.facts.wheel_radius
+    for speed, count in ((0.99 * needed, 1), (1.01 * needed, 0)):
+        wheels = {
+            n: replace(case.facts.joints[n], drive=Drive("wheels", 0.0, 0.5, 5.0, speed)) for n in case.facts.wheels
+        }
+        slow = replace(case, facts=replace(case.facts, joints={**case.facts.joints, **wheels}))
+        assert len(found("weak_wheels", slow)) == count
+
+
 def test_a_raised_stiffness(tmp_path):
     drive = '<position joint="r_knee" kp="200"'
     said = only("gains_against_time_step", patient(tmp_path, seeded((drive, drive.replace("200", "2e6")))))
@@ -237,11 +264,15 @@ def test_a_joint_without_limits_and_one_without_motion(tmp_path):
         (TRUNK, TRUNK.replace("0.02 0.06 0.07", "2 6 7"), "as if its mass were 1.32e+03 mm from its centre"),
         (TRUNK, TRUNK.replace("0.02 0.06 0.07", "2e-7 6e-7 7e-7"), "less than a link that reaches 229 mm can have"),
         (TRUNK, TRUNK.replace('pos="0 0 0"', 'pos="0 0 0.5"'), "lies 450 mm outside its shapes"),
-        ('mass="4"', 'mass="4000"', "kg/m³"),
     ],
 )
 def test_masses_that_no_link_has(old, new, said, tmp_path):
     assert any(said in finding.message for finding in found("link_masses", patient(tmp_path, seeded((old, new)))))
+
+
+def test_a_robot_whose_mass_does_not_fit_its_size(tmp_path):
+    (finding,) = found("robot_size", patient(tmp_path, seeded(('mass="4"', 'mass="4000"'))))
+    assert "kg/m³" in finding.message
 
 
 def test_moments_of_inertia_that_no_body_has(tmp_path):
@@ -337,7 +368,7 @@ def test_what_the_file_does_not_give(tmp_path):
     for rule in ("missing_files", "assumed_masses", "lost_in_conversion"):
         assert found(rule, whole) == []
     (finding,) = found("missing_files", read_urdf(tmp_path, shape='<mesh filename="gone.stl"/>'))
-    assert "1 file that the robot names is not there, so that 1 collider is lost: gone.stl" in finding.message
+    assert finding.message == "colliders are missing: gone.stl (the file is not there)"
     (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial=""))
     assert finding.figures["assumed_kg"] == pytest.approx(0.3**3 * 1000)  # of water
     assert "of 28 kg are assumed (96 %)" in finding.message

@@ -24,6 +24,7 @@ OF_ROBOT = (
     "missing_files",
     "lost_in_conversion",
     "assumed_masses",
+    "robot_size",
     "link_masses",
     "wheels_that_do_not_roll",
     "rolling_direction",

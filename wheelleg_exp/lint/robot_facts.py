@@ -234,7 +234,7 @@ def _drives(robot: Robot) -> dict[str, Drive]:
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
         for index, name in enumerate(actuator.joint_names):
-            kp, kd, effort, velocity = (float(values[index]) for values in gains)
+            kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)  # float32
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
     return drives
 

@@ -102,10 +102,11 @@ def effort_against_traction(case: Case) -> Iterator[Finding]:
 
 @rule
 def weak_wheels(case: Case) -> Iterator[Finding]:
-    """Wheel drives too weak to catch a robot that balances on one axle.
+    """Wheel drives too weak or too slow to catch a robot that balances on one axle.
 
     A robot that leans by an angle is caught by wheels that accelerate it with g times that angle: wheels that push
-    with less than a tenth of the weight cannot get under a lean of 0.1 rad. Source: the inverted pendulum on wheels.
+    with less than a tenth of the weight cannot get under a lean of 0.1 rad. Nor can wheels whose rim is slower than
+    0.1 rad times the height of the mass times the rate of the fall. Source: the inverted pendulum on wheels.
     """
     facts = case.facts
     if facts.balance is None:
@@ -123,6 +124,19 @@ def weak_wheels(case: Case) -> Iterator[Finding]:
                 f"a lean of {_PUSH:g} rad",
                 f"at least {least:g} N·m",
                 {"effort": weak, "needed": needed},
+                ({key: least},),
+            )
+        speeds = [j.drive.velocity for name, j in joints.items() if name in facts.wheels and j.drive is not None]
+        slow, fast = min(speeds, default=math.inf), _PUSH * facts.balance.height * facts.balance.pole
+        if slow * facts.wheel_radius < fast:
+            key, least = f"env.robot.actuators.{group}.velocity_limit", at_least(fast / facts.wheel_radius)
+            yield Finding(
+                key,
+                f"{slow:g} rad/s on wheels of {1e3 * facts.wheel_radius:.3g} mm is "
+                f"{slow * facts.wheel_radius:.2g} m/s: "
+                f"a lean of {_PUSH:g} rad grows faster than the wheels can follow",
+                f"at least {least:g} rad/s",
+                {"velocity": slow, "needed": fast / facts.wheel_radius},
                 ({key: least},),
             )
 

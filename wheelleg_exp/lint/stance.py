@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -26,6 +26,7 @@ _STANDS = (0.8, 0.55)  # of the largest height: where stretched and crouched leg
 _CLEARANCE = 0.5  # of a wheel's radius: how far all but the wheels keep off the ground
 _REACH = math.pi  # rad that an unlimited joint is searched over, to both sides
 _BALANCED = 5e-3  # of the robot's size: mass this near to the axle is balanced
+_TOUCHES = 2e-3  # of the robot's size above the lowest wheel: a wheel this low touches the ground
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
@@ -38,8 +39,10 @@ class Stance:
         height: of the hips over the wheels' centres, m.
         offset: of the centre of mass before the middle of the wheels' contacts, m; negative behind.
         lean: pitch of the base that would bring the rest of ``offset`` over the contacts, rad; positive forwards down.
+            0 for a robot on several axles.
         tallest: the largest such height that was found, m.
         balanced: whether ``offset`` is next to nothing.
+        grounded: whether every wheel of the problem touches level ground.
     """
 
     positions: dict[str, float]
@@ -48,13 +51,15 @@ class Stance:
     lean: float
     tallest: float
     balanced: bool
+    grounded: bool
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     """Find the standing pose next to a given one.
 
     The base keeps its orientation and all joints but the legs' their positions. A nonlinear least-squares problem is
-    solved from several starts by ``mujoco.minimize``.
+    solved from several starts by ``mujoco.minimize``. First all wheels are put on the ground. If they cannot all reach
+    it, only those that stand at the given pose are.
 
     Args:
         model: the compiled robot, perhaps in its scene.
@@ -66,6 +71,12 @@ def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] 
     """
     if anatomy.forward is None:
         return None
+    every = replace(anatomy, wheels=tuple(replace(wheel, stands=True) for wheel in anatomy.wheels))
+    found = _solved(model, every, qpos)
+    return found if found is None or found.grounded else _solved(model, anatomy, qpos)
+
+
+def _solved(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     problem = _Problem(model, anatomy, np.array(qpos, dtype=np.float64))
     if not problem.joints or not problem.hips:
         return None
@@ -105,7 +116,10 @@ class _Problem:
             for body, wheel in zip(self.wheels, anatomy.standing, strict=True)
         ]  # in the wheels' own frames, m
         self.size = max(anatomy.size, 1e-6)
-        self.radius = min((wheel.radius for wheel in anatomy.standing), default=0.0)
+        self.radii = np.array([wheel.radius for wheel in anatomy.standing])
+        self.radius = self.radii.min(initial=math.inf)
+        self.one_axle = bool(np.ptp(self._centres() @ self.forward) < self.radius / 2)
+        self.rolling = [model.joint(wheel.joint).id for wheel in anatomy.standing if not wheel.caster]
         stand = {wheel.joint for wheel in anatomy.standing}
         self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
         self.pairs = self._pairs()
@@ -181,14 +195,14 @@ class _Problem:
         ground = (centres @ self.up).min() - self.radius
         low = -lowest_point(self.model, data, self.raised)  # the world's z is up in a scene
         low = ground + low if math.isfinite(low) else -math.inf
-        axes = np.array([data.xaxis[self.model.joint(wheel.joint).id] for wheel in self.anatomy.standing])
         loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
         apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
         moved = (positions - self.preferred) / self.spread
         errors = [
-            200.0 * self.offset() / self.size,
-            *(100.0 * self._uneven(centres) / self.size),
-            *(10.0 * (axes @ self.up)),
+            (200.0 if self.one_axle else 20.0) * self.offset() / self.size,  # several axles carry a mass between them
+            100.0 * self._askew(centres) / self.size,
+            *(500.0 * self._clearances(centres) / self.size),
+            *(10.0 * (data.xaxis[self.rolling] @ np.array([self.up, self.forward]).T)).ravel(),
             *(1000.0 * loops / self.size),
             10.0 * (self._height() - self.wanted) / self.size,
             20.0 * max(0.0, low + _CLEARANCE * self.radius) / self.size,
@@ -198,13 +212,17 @@ class _Problem:
         ]
         return np.array(errors)
 
-    def _uneven(self, centres: Array) -> Array:
-        """Return how far wheels that face each other are off each other's height and place along the way, m."""
+    def _clearances(self, centres: Array) -> Array:
+        """Return the heights of the wheels' lowest points over their mean, m, (wheels,)."""
+        lows: Array = centres @ self.up - self.radii
+        return lows - lows.mean()
+
+    def _askew(self, centres: Array) -> float:
+        """Return how far the left wheels are before the right ones, m."""
         sides = {side: centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")}
         if any(len(places) == 0 for places in sides.values()):
-            return np.zeros(2)
-        difference = sides["left"].mean(axis=0) - sides["right"].mean(axis=0)
-        return np.array([difference @ self.up, difference @ self.forward])
+            return 0.0
+        return float((sides["left"].mean(axis=0) - sides["right"].mean(axis=0)) @ self.forward)
 
     def cost(self, positions: Array) -> float:
         """Return the sum of squared errors."""
@@ -240,7 +258,8 @@ class _Problem:
             positions=dict(zip(self.joints, map(float, positions), strict=True)),
             height=self._height(),
             offset=offset,
-            lean=-math.atan2(offset, above) if above > 0 else 0.0,
+            lean=-math.atan2(offset, above) if above > 0 and self.one_axle else 0.0,
             tallest=self.tallest,
             balanced=abs(offset) <= _BALANCED * self.size,
+            grounded=bool(np.ptp(self._clearances(self._centres())) <= _TOUCHES * self.size),
         )

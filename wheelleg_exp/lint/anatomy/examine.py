@@ -21,6 +21,7 @@ _ROLLS = 0.5  # cosine between a wheel's rolling and the forward axis, below whi
 _MIDDLE = 0.05  # of the widest track: how far off the middle a wheel still is in it
 _LEVEL_WITH = 0.03  # of the robot's size, above the lowest contact: a wheel this low stands on the ground
 _AHEAD = 0.3  # of a level direction: from here on its sign follows the base's x, else its y
+_TRAILS = 0.1  # of a wheel's radius: a caster's contact is at least this far from its steering axis
 
 
 def anatomy_of(
@@ -36,6 +37,7 @@ def anatomy_of(
         model: the compiled robot, perhaps in its scene.
         qpos: the pose to look at, (nq,); by default the model's own.
         driven: joints that something drives; by default those with actuators in the model, or, where it has none, all.
+            Without either, a caster is recognised by its geometry alone.
 
     Raises:
         ValueError: the model has no bodies.
@@ -46,10 +48,16 @@ def anatomy_of(
     mujoco.mj_kinematics(model, data)
     tree = Tree(model, data, find_base(model))
     moved = driven_joints(model) if driven is None else {model.joint(name).id for name in driven}
+    motors = moved if driven is not None or model.nu else set()
     found, near = find_wheels(tree)
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
-    steered = [_is_steered(tree, wheel.joint) for wheel in found]
-    forward = _forward(tree, [wheel.axis for wheel, turned in zip(found, steered, strict=True) if not turned])
+    steering = [_steering_joint(tree, wheel.joint) for wheel in found]
+    casters = [
+        joint is not None and joint not in motors and _trails(tree, wheel, joint)
+        for wheel, joint in zip(found, steering, strict=True)
+    ]
+    casters = [caster and not all(casters) for caster in casters]
+    forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
     size = _size(tree)
     middle, mirrored, unmatched = _mirrored(tree, found, left, size)
@@ -66,9 +74,10 @@ def anatomy_of(
             side=_side(wheel.centre, found, left),
             driven=wheel.joint in moved,
             stands=stood,
-            steered=turned,
+            steered=joint is not None,
+            caster=caster,
         )
-        for wheel, contact, stood, turned in zip(found, contacts, stands, steered, strict=True)
+        for wheel, contact, stood, joint, caster in zip(found, contacts, stands, steering, casters, strict=True)
     ]
     legs = find_legs(tree, [wheel.joint for wheel in found], moved)
     taken = {name for leg in legs for name in (leg.wheel, *leg.joints, *leg.beside)}
@@ -102,6 +111,7 @@ def _wheel(
     driven: bool,
     stands: bool,
     steered: bool,
+    caster: bool,
 ) -> Wheel:
     rolling = float(np.cross(found.axis, tree.up) @ forward) if forward is not None else 0.0
     body = int(tree.model.jnt_bodyid[found.joint])
@@ -120,6 +130,7 @@ def _wheel(
         driven=driven,
         stands=stands,
         steered=steered,
+        caster=caster,
         why=found.why,
     )
 
@@ -131,15 +142,23 @@ def _down(axis: Array, up: Array) -> Array:
     return unit
 
 
-def _is_steered(tree: Tree, wheel: int) -> bool:
-    """Return whether a wheel hangs on an upright hinge without limits, as casters and swerve drives do."""
-    above = tree.chain(int(tree.model.jnt_bodyid[wheel]))[:-1]
-    upright = [joint for joint in above if abs(float(tree.data.xaxis[joint] @ tree.up)) > 1.0 - LEVEL / 2]
-    return any(tree.is_hinge(joint) and tree.turns(joint) > TURNS for joint in upright)
+def _steering_joint(tree: Tree, wheel: int) -> int | None:
+    """Return the joint right above a wheel's if it is an upright hinge without limits, else None."""
+    for joint in tree.chain(int(tree.model.jnt_bodyid[wheel]))[-2:-1]:
+        upright = abs(float(tree.data.xaxis[joint] @ tree.up)) > 1.0 - LEVEL / 2
+        if upright and tree.is_hinge(joint) and tree.turns(joint) > TURNS:
+            return joint
+    return None
+
+
+def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
+    """Return whether a wheel touches the ground beside its steering axis, along its own rolling direction."""
+    offset = (wheel.centre - tree.data.xanchor[steering]) @ np.cross(wheel.axis, tree.up)
+    return abs(float(offset)) > _TRAILS * wheel.radius
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
-    """Return the level direction across the axles, along the base's x rather than against it; None when they cross."""
+    """Return the level direction across the axles, along the base's x rather than against it; None unless parallel."""
     if not axes:
         return None
     level = [axis - (axis @ tree.up) * tree.up for axis in axes]

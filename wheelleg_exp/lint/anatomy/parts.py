@@ -27,7 +27,9 @@ class Wheel:
         sign: +1 when positive speed rolls the robot forwards, -1 backwards, 0 when it does not roll that way.
         driven: whether something drives it; a caster is not.
         stands: whether it is as low as the lowest, and so carries the robot on level ground.
-        steered: whether the wheel is turned about an upright axis without limits, as that of a caster is.
+        steered: whether the joint right above turns without limits about an upright axis, as that of a swerve drive.
+        caster: whether the wheel is steered, trails its steering axis, and nothing drives that axis. False for all
+            wheels of a robot that has no others.
         why: how it is known, with the figures.
     """
 
@@ -45,6 +47,7 @@ class Wheel:
     driven: bool
     stands: bool
     steered: bool
+    caster: bool
     why: str
 
 
@@ -97,7 +100,8 @@ class Anatomy:
         wheels: in the order of the model.
         legs: one for each wheel.
         others: joints of no leg and no wheel: arms, or the legs of a robot without wheels.
-        forward: the level direction in which the wheels roll; None without wheels or when their axles cross.
+        forward: the level direction in which the wheels roll; None without wheels, or if their axles are not parallel.
+            Casters do not count.
         left: the level direction to the left of ``forward``.
         up: against gravity.
         middle: a point of the plane between left and right, m.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelleg_exp.lint.robot.compiled import CompiledRobot
+from wheelleg_exp.lint.robot.compiled import CompiledRobot, with_written_limits
 from wheelleg_exp.lint.stance import solve_stance
 
 Array = NDArray[np.float64]
@@ -51,5 +51,6 @@ def weight_over_axle(robot: CompiledRobot) -> Weight:
 
 def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
     """Return leg positions that put the weight over the axle while the base stays level; None when there are none."""
-    stance = solve_stance(robot.model, robot.anatomy, robot.data.qpos)
+    model = with_written_limits(robot.model, robot.report)
+    stance = solve_stance(model, robot.anatomy, robot.data.qpos)
     return stance.positions if stance is not None and stance.balanced else None

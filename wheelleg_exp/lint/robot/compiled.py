@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mujoco
@@ -42,8 +44,18 @@ class CompiledRobot:
         return float(self.model.qpos0[self.model.joint(joint).qposadr[0]])
 
 
+def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
+    """Return a copy of a model with the limits that its URDF writes at continuous joints, which never act."""
+    model = copy.copy(model)
+    for item in report.findings if report is not None else ():
+        if item.kind == "limits_ignored":
+            joint = model.joint(item.subject).id
+            model.jnt_limited[joint], model.jnt_range[joint] = True, (item.numbers["lower"], item.numbers["upper"])
+    return model
+
+
 def compiled_robot(
-    model: mujoco.MjModel, robot: Robot, report: Report | None = None
+    model: mujoco.MjModel, robot: Robot, report: Report | None = None, driven: Collection[str] | None = None
 ) -> tuple[CompiledRobot, RobotFacts]:
     """Return a robot of a compiled scene, and its facts.
 
@@ -51,12 +63,14 @@ def compiled_robot(
         model: the compiled scene.
         robot: the robot that the scene was compiled with.
         report: of its conversion.
+        driven: the joints that the robot's file drives, for a robot without actuators; None if the file has no drives.
     """
     data = at_default(model, robot)
-    driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or None
+    driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names] or driven or None
     drawn_pose = model.qpos0.copy()
     drawn_pose[:7] = data.qpos[:7] if robot.floating else drawn_pose[:7]
-    anatomy = anatomy_of(model, data.qpos, driven)
-    drawn = anatomy_of(model, drawn_pose, driven)
+    limited = with_written_limits(model, report)
+    anatomy = anatomy_of(limited, data.qpos, driven)
+    drawn = anatomy_of(limited, drawn_pose, driven)
     found = CompiledRobot(model, data, tuple(robot.body_names), drawn, anatomy, report)
     return found, measure(model, robot, anatomy)

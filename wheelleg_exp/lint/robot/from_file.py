@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,13 +43,14 @@ def case_of_file(source: Path) -> Case:
     with tempfile.TemporaryDirectory(prefix="wheelleg-doctor-") as folder:
         if source.suffix.lower() in _MJCF:
             model = _model(source)
-            return _looked_at(source, env, source, _robot_of_mjcf(source, model), None, _drives_of_mjcf(model))
+            drives = _drives_of_mjcf(model)
+            return _looked_at(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
         positions = {dof.name: default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"}
         described = conversion.description
         robot = provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         drives = {dof.name: _drive(dof) for dof in described.dofs}
-        return _looked_at(source, env, conversion.output, robot, conversion, drives)
+        return _looked_at(source, env, conversion.output, robot, conversion, drives, described.driven)
 
 
 def _looked_at(
@@ -59,6 +60,7 @@ def _looked_at(
     robot: dict[str, Any],
     conversion: Conversion | None,
     drives: Mapping[str, Drive | None],
+    driven: Collection[str],
 ) -> Case:
     config = {"env": {**env, "robot": robot}}
     scene = SceneManager(config["env"], mjcf, 1).scene
@@ -70,7 +72,7 @@ def _looked_at(
     lowest = lowest_point(model, at_default(model, scene.robot), bodies)
     if math.isfinite(lowest) and scene.robot.floating:
         scene.robot.layout.default_root_pos[2] -= lowest
-    found, facts = compiled_robot(model, scene.robot, conversion.report if conversion is not None else None)
+    found, facts = compiled_robot(model, scene.robot, conversion.report if conversion is not None else None, driven)
     wheels = set(facts.wheels)
     joints = {
         name: replace(joint, drive=_grouped(drives.get(name), wheels, name)) for name, joint in facts.joints.items()

@@ -85,13 +85,16 @@ def rolling_direction(case: Case) -> Iterator[Finding]:
         return
     anatomy = robot.anatomy
     if anatomy.forward is None:
+        steered = ", ".join(f"'{wheel.joint}'" for wheel in anatomy.wheels if wheel.steered)
         yield Finding(
             "env.robot.asset",
-            "the axles of the wheels cross: they do not roll along one line",
-            "axes of the wheels' joints that are parallel",
+            f"the wheels of {steered} are steered, and no two axles are parallel here"
+            if steered
+            else "the axles of the wheels cross: they do not roll along one line",
+            "axes, or positions of the joints above, that make the wheels' axles parallel",
         )
         return
-    axles = [np.array(wheel.axis) for wheel in anatomy.wheels if not wheel.steered]
+    axles = [np.array(wheel.axis) for wheel in anatomy.wheels if not wheel.caster]
     toe = max(math.asin(min(1.0, abs(float(axis @ np.array(anatomy.forward))))) for axis in axles)
     if toe > _TOE:
         yield Finding(

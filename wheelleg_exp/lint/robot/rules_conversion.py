@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+import mujoco
+
 from wheelleg_exp.asset.findings import Finding as Record
 from wheelleg_exp.asset.findings import Kind
+from wheelleg_exp.asset.report import Report
 from wheelleg_exp.lint.case import Case
 from wheelleg_exp.lint.findings import Finding, rule
 
@@ -14,8 +17,9 @@ _ASSET = "env.robot.asset"
 _ASSUMED = 0.05  # of the robot's mass that may be assumed without a word
 _WEIGHTY = 0.01  # of the robot's mass: a link whose tensor matters
 _LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
-_NO_FILE = "the file is not there"
+_LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST = 4
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
 def records(case: Case, kind: Kind) -> list[Record]:
@@ -24,28 +28,44 @@ def records(case: Case, kind: Kind) -> list[Record]:
     return [item for item in report.findings if item.kind == kind] if report is not None else []
 
 
+def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
+    """Return which colliders a robot lacks because files are missing or damaged, and whose wheels they may be.
+
+    Args:
+        report: of the conversion.
+        model: the compiled robot.
+
+    Returns:
+        The message, the same for every command; empty if no collider is known to be missing.
+    """
+    files = {match[1]: match[2] for text in report.warnings if (match := _LOST_MESH.search(text))}
+    bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]
+    layers = [item for item in report.findings if item.kind == "layer_not_found" and not item.numbers["looks"]]
+    files |= {item.subject: "the layer is not there" for item in layers if bare}
+    if not files:
+        return ""
+    hinges = [int(model.body(name).jntadr[0]) for name in bare if model.body(name).jntnum[0] == 1]
+    wheels = [repr(model.joint(j).name) for j in hinges if model.jnt_type[j] == _HINGE and not model.jnt_limited[j]]
+    told = [f"{name} ({reason})" for name, reason in files.items()]
+    text = "colliders are missing: " + ", ".join(told[:_MOST]) + (", ..." if len(told) > _MOST else "")
+    return text + (f"; {', '.join(wheels)} turn without limits, as wheels do, and lack a collider" if wheels else "")
+
+
 @rule
 def missing_files(case: Case) -> Iterator[Finding]:
-    """Meshes of colliders, or layers, that the robot's file names and that are not there.
+    """Meshes of colliders, or layers, that the robot's file names and that cannot be read.
 
-    What they would have given is missing in the model. Files that are only looked at are left out. Source: the
-    conversion report.
+    Files are missing, or damaged, or pointers of Git LFS. A wheel without its collider is treated as the joint of a
+    leg. Files of visuals are left out. Source: the conversion report.
     """
-    meshes = [item for item in records(case, "mesh_not_found") if item.numbers["colliders"]]
-    layers = [item for item in records(case, "layer_not_found") if not item.numbers["looks"]]
-    missing = [item.subject for item in (*meshes, *layers)]
-    if not missing:
+    report = case.robot.report if case.robot is not None else None
+    if case.robot is None or report is None:
         return
-    lost = sum(int(item.numbers["colliders"]) for item in meshes)
-    gone = f", so that {lost} {'collider is' if lost == 1 else 'colliders are'} lost" if lost else ""
-    yield Finding(
-        _ASSET,
-        f"{len(missing)} {'file' if len(missing) == 1 else 'files'} that the robot names "
-        f"{'is' if len(missing) == 1 else 'are'} not there{gone}: {', '.join(missing[:2])}"
-        + (", ..." if len(missing) > 2 else ""),
-        "put them where the names lead, or correct the names",
-        {"files": float(len(missing)), "colliders": float(lost)},
-    )
+    message = missing_colliders(report, case.robot.model)
+    layers = [item.subject for item in records(case, "layer_not_found") if not item.numbers["looks"]]
+    if message or layers:
+        message = message or f"layers that the robot names are not there: {', '.join(layers[:_MOST])}"
+        yield Finding(_ASSET, message, "put the files where the names lead (git lfs pull), or correct the names")
 
 
 @rule
@@ -102,7 +122,7 @@ def lost_in_conversion(case: Case) -> Iterator[Finding]:
     Source: the warnings of the conversion report.
     """
     report = case.robot.report if case.robot is not None else None
-    lost = [text for text in report.warnings if _LOST.search(text) and _NO_FILE not in text] if report else []
+    lost = [text for text in report.warnings if _LOST.search(text) and not _LOST_MESH.search(text)] if report else []
     if lost:
         shown = "; ".join(lost[:_MOST]) + (f"; and {len(lost) - _MOST} more" if len(lost) > _MOST else "")
         yield Finding(_ASSET, shown, "correct the file: `wheelleg convert` tells all of it", {"lost": float(len(lost))})

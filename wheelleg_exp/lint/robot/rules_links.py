@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from wheelleg_exp.asset.findings import Kind
+from wheelleg_exp.asset.findings import UNITS, Kind, size_problem
 from wheelleg_exp.lint.anatomy.wheels import TURNS
 from wheelleg_exp.lint.case import Case
 from wheelleg_exp.lint.collider_depth import reach
@@ -17,7 +17,7 @@ from wheelleg_exp.lint.robot.compiled import CompiledRobot
 from wheelleg_exp.lint.robot.rules_conversion import records
 
 _ASSET = "env.robot.asset"
-_DENSITY = (2.0, 5000.0)  # kg/m³ of a cube as long as the robot's longest edge
+_LIGHT = 2.0  # kg/m³ of a cube as long as the robot: lighter ones exist, but not on wheels and legs
 _WIDE = 1.5  # times the link's reach: a radius of gyration that no mass inside it gives
 _NARROW = 0.03  # of the link's reach
 _OUTSIDE = 0.5  # of the link's reach: how far beyond its shapes a centre of mass may lie
@@ -30,10 +30,25 @@ _MOST = 4
 
 
 @rule
+def robot_size(case: Case) -> Iterator[Finding]:
+    """A robot whose size and mass do not fit each other, or that no robot has.
+
+    Wrong units are the usual cause. Source: the density of a cube whose edge is the robot's longest.
+    """
+    problem = _size_problem(case)
+    if case.robot is not None and problem:
+        yield Finding(_ASSET, problem, UNITS, {"mass_kg": case.facts.mass, "size_m": case.robot.anatomy.size})
+
+
+def _size_problem(case: Case) -> str:
+    return "" if case.robot is None else size_problem(case.facts.mass, case.robot.anatomy.size, _LIGHT)
+
+
+@rule
 def link_masses(case: Case) -> Iterator[Finding]:
     """Masses and inertias that no link of its size has.
 
-    The whole robot's mass is held against its size, which finds units gone wrong. A link's radius of gyration
+    A link's radius of gyration
     sqrt(I / m) cannot exceed the reach of its shapes from its centre of mass, and is not a thirtieth of it; that
     centre lies in or near the shapes; no moment of inertia exceeds the sum of the other two. Source: mechanics of
     rigid bodies.
@@ -41,15 +56,8 @@ def link_masses(case: Case) -> Iterator[Finding]:
     robot = case.robot
     if robot is None:
         return
-    size, mass = robot.anatomy.size, case.facts.mass
-    density = mass / size**3 if size > 0 else math.nan
-    if not _DENSITY[0] <= density <= _DENSITY[1]:
-        yield Finding(
-            _ASSET,
-            f"{mass:.4g} kg in {size:.4g} m: a cube of that size would weigh {density:.3g} kg/m³",
-            "look at the units: metres and kilograms, meshes in mm want a scale of 0.001",
-            {"mass_kg": mass, "size_m": size},
-        )
+    mass = case.facts.mass
+    if _size_problem(case):
         return
     told = [finding for name in robot.bodies for finding in _link(robot, name, mass)]
     yield from [*_impossible(case), *told][:_MOST]

@@ -37,7 +37,7 @@ def wheel_senses(case: Case) -> Iterator[Finding]:
     if robot is None:
         return
     anatomy = robot.drawn
-    signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.steered and wheel.sign}
+    signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}
     for pair in anatomy.mirrored:
         if pair.left == pair.right or signs.get(pair.left, 0) * signs.get(pair.right, 0) >= 0:
             continue
