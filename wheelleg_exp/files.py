@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import glob
 import hashlib
 import json
 import math
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator, Mapping
 from io import BufferedReader
@@ -244,6 +247,35 @@ def sha256(path: Path) -> str:
 def temporary_name(path: Path) -> Path:
     """Return a name beside ``path``, taken by nothing, for what is not whole yet; ``temporaries`` finds it."""
     return path.with_name(f".{path.name}.{secrets.token_hex(6)}{TEMPORARY_SUFFIX}")
+
+
+@contextlib.contextmanager
+def temporary_folder(target: Path) -> Iterator[Path]:
+    """Make a folder next to ``target`` for the body to fill and rename; remove it if the body did not.
+
+    A killed process leaves its folder. The next call for the same target removes folders whose lock nobody holds.
+    """
+    for left in target.parent.glob(f".{glob.escape(target.name)}.*{TEMPORARY_SUFFIX}"):
+        with contextlib.suppress(OSError), _flocked(left):
+            shutil.rmtree(left)
+    folder = temporary_name(target)
+    folder.mkdir(parents=True)
+    with contextlib.ExitStack() as stack:
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # some file systems have no locks: nothing is removed there
+            stack.enter_context(_flocked(folder))
+        yield folder
+
+
+@contextlib.contextmanager
+def _flocked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder; OSError when another process holds it or the file system has no locks."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def temporaries(folder: Path, *, deep: bool = False) -> list[Path]:

@@ -20,11 +20,11 @@ from types import ModuleType
 from typing import Any
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.trusted_folders import is_trusted, real, trust
+from wheelleg_exp.trusted_folders import is_trusted, real
 
 ENTRY_POINT_GROUP = "wheelleg_exp.packages"
 FILE = "pyproject.toml"
-RUN_FILE = "manifest.json"  # which a run directory holds, whose code only a replay runs
+_RECORDS = ("manifest.json", "pipeline.json", "sweep.json", "policy.json")  # a folder with one is never a project
 CONFIGS = "configs"
 _ROOT = 0  # the user id of the administrator
 _SOURCES = ("", "src")  # where a project keeps its packages
@@ -111,15 +111,15 @@ def _package(value: Any, file: Path) -> str:
 
 
 def current_project() -> Project | None:
-    """Return the project that the current folder lies in, the nearest one upwards; what lies in a run is none.
+    """Return the nearest project at or above the current folder, but none in a run, pipeline, sweep or bundle.
 
     Raises:
         ConfigError: it belongs to another user, who could have put it above this folder.
     """
     here = Path.cwd()
     above = (here, *here.parents)
-    runs = [number for number, folder in enumerate(above) if (folder / RUN_FILE).is_file()]
-    for folder in above[runs[-1] + 1 if runs else 0 :]:
+    records = [number for number, folder in enumerate(above) if any((folder / name).is_file() for name in _RECORDS)]
+    for folder in above[records[-1] + 1 if records else 0 :]:
         project = read_project(folder)
         if project is not None:
             _require_own(project)
@@ -224,17 +224,16 @@ def join(project: Project) -> None:
 
 
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
-    """Let configs call the packages of the given config folders, or of the recorded ones when none are given.
+    """Allow configs to call the packages of the given config folders, or of the recorded ones if none are given.
 
-    A recorded folder that is not there, or is not the user's own, is left out (see ``left_out``): it may not be needed.
+    This is the one rule for every record: a recorded folder is used only if it exists and is the current project's or
+    trusted. All other recorded folders are ignored (see ``left_out``), because the caller may not need them.
 
     Raises:
         ConfigError: a given folder is not there, or a recorded one lies in another user's project.
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
-    if folders:
-        trust(found)
-    else:
+    if not folders:
         for project in filter(None, (read_project(folder.parent) for folder in found)):
             _require_own(project)
     for folder in found:

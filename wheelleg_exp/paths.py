@@ -6,9 +6,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from wheelleg_exp.errors import AssetError, nearest_name
+from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
 
 # Beside a robot's MJCF, by their names in the config: the networks of its actuators, and the ground's own file.
+CACHE_KEY = "WHEELLEG_CACHE"  # the variable that names the cache
 NETWORKS, GROUND = "networks", "ground"
 # Of other runs: the policy that teaches, and the networks that a training begins with.
 TEACHER, INITIAL = f"{NETWORKS}/teacher.pt", f"{NETWORKS}/init_from.pt"
@@ -34,12 +35,19 @@ def assets_dir() -> Path:
 
 
 def cache_dir() -> Path:
-    """Return the folder for files that can be made again (``WHEELLEG_CACHE``, or the user's cache folder)."""
-    root = os.environ.get("WHEELLEG_CACHE")
+    """Return the folder for files that can be made again (``WHEELLEG_CACHE``, or the user's cache folder).
+
+    Raises:
+        WheellegError: no variable names a folder, and the user has no home folder.
+    """
+    root = os.environ.get(CACHE_KEY)
     if root:
         return Path(root)
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "wheelleg_exp"
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "wheelleg_exp"
+    except RuntimeError:
+        raise WheellegError("the user has no home folder", key=CACHE_KEY, expected="a writable folder") from None
 
 
 def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:

@@ -99,6 +99,30 @@ def test_a_robot_without_colliders_leads_its_report_with_that(tmp_path, capsys):
     assert second == "warning: no shape of the robot collides: it falls through any ground"
 
 
+WHEEL = '<collision><geometry><cylinder radius="{}" length="0.02"/></geometry></collision>'
+
+
+@pytest.mark.parametrize(
+    ("radius", "mass", "said"),
+    [
+        (0.1, 1, ""),
+        (100, 1, "2 kg in 200 m: a cube of that size would weigh 2.5e-07 kg/m³"),
+        (100, 1e6, "the robot is 200 m long"),
+        (1e-4, 1, "2 kg in 0.02 m: a cube of that size would weigh 2.5e+05 kg/m³"),
+        (0.1, 1e5, "2e+05 kg in 0.2 m: a cube of that size would weigh 2.5e+07 kg/m³"),
+    ],
+)
+def test_a_size_that_no_robot_has_is_in_doubt(tmp_path, capsys, radius, mass, said):
+    """The longest edge is the wheel's diameter, or its width of 20 mm."""
+    link = f'<inertial><mass value="{mass}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    wheel = urdf.link("a", WHEEL.format(radius), link) + urdf.link("b", WHEEL.format(radius), link)
+    source = urdf.write(tmp_path, wheel + urdf.joint("j", "a", "b", "continuous"))
+    assert main(["convert", str(source), "-o", str(tmp_path / "out.xml")]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert ("DOUBTFUL: no robot has its size and mass" in told) is bool(said)
+    assert said in told
+
+
 def test_verdicts(tmp_path):
     assert verdict_of([], 0.0, 0).level == "good"
     assert verdict_of([], 0.0, 1).level == "check"

@@ -60,11 +60,13 @@ def test_what_is_left_out_says_why(conversion):
         "physxArticulation:solverPositionIterationCount",
         "physxArticulation:solverVelocityIterationCount",
         "physxJoint:maxJointVelocity",
+        "physxJointAxis:angular:maxJointVelocity",
         "physics:staticFriction",
         "physics:restitution",
     }
     assert all(item.reason for item in left.values())
-    assert left["physxJoint:maxJointVelocity"].values["/wheelleg/joints/l03"] == "45 rad/s"
+    for schema in ("physxJoint", "physxJointAxis:angular"):
+        assert left[f"{schema}:maxJointVelocity"].values["/wheelleg/joints/l03"] == "45 rad/s"
 
 
 @pytest.mark.parametrize(

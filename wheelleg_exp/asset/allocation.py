@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from wheelleg_exp.errors import AssetError
+from wheelleg_exp.memory import require_room, used_memory
 
 MOST = 2**33  # bytes beyond what the process has
 
@@ -24,7 +25,9 @@ def bounded_memory(source: Path) -> Iterator[None]:
 
     Raises:
         AssetError: the memory was not enough.
+        WheellegError: the limits of the process leave too little memory to start.
     """
+    require_room()
     _enter()
     try:
         yield
@@ -37,7 +40,7 @@ def bounded_memory(source: Path) -> Iterator[None]:
 
 def _enter() -> None:
     with _lock:
-        used = _used()
+        used = used_memory("VmData")
         if used is None:
             return
         import resource
@@ -56,12 +59,3 @@ def _leave() -> None:
             limit = _open.pop()
             if not _open:
                 resource.setrlimit(resource.RLIMIT_DATA, limit)
-
-
-def _used() -> int | None:
-    """Return the bytes that RLIMIT_DATA counts for this process, None where the system does not say."""
-    try:
-        text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-        return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("VmData:"))
-    except (OSError, StopIteration):
-        return None

@@ -6,7 +6,6 @@ import functools
 import hashlib
 import json
 import shutil
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,9 +18,9 @@ from wheelleg_exp.asset.description import BaseMode
 from wheelleg_exp.asset.report import Report
 from wheelleg_exp.asset.urdf.robot import source_files
 from wheelleg_exp.asset.usd.stage import open_stage
-from wheelleg_exp.errors import AssetError
-from wheelleg_exp.files import sha256
-from wheelleg_exp.paths import GROUND, NETWORKS
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.files import sha256, temporary_folder
+from wheelleg_exp.paths import CACHE_KEY, GROUND, NETWORKS
 from wheelleg_exp.reading import json_value
 
 MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
@@ -85,7 +84,8 @@ def convert_cached(
     their paths, are laid beside the MJCF.
 
     Raises:
-        AssetError: the source cannot be read or holds no robot, or the cache cannot be written.
+        AssetError: the source cannot be read or holds no robot.
+        WheellegError: the cache cannot be written.
     """
     source, chosen = Path(source), dict(variants or {})
     sources = source_digest(source, chosen, beside)
@@ -140,18 +140,19 @@ def _hashes(entry: Path) -> dict[str, str]:
 def _make(source: Path, base: BaseMode, variants: Mapping[str, str], entry: Path, beside: Mapping[str, Path]) -> Report:
     try:
         entry.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=entry.parent, prefix=".making.") as folder:
-            draft = Path(folder) / "entry"
+        with temporary_folder(entry) as folder:
+            draft = folder / "entry"
             report = convert(source, draft / MODEL, base=base, variants=variants).report
             (draft / REPORT).write_text(report.to_json(), encoding="utf-8")
             for name, path in beside.items():
                 (target := draft / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(path, target)
             (draft / CONTENTS).write_text(json.dumps(_hashes(draft), indent=1), encoding="utf-8")
-            _publish(draft, entry, Path(folder))
+            _publish(draft, entry, folder)
         return report
     except OSError as error:
-        raise AssetError(f"cannot write the cache '{entry.parent}': {error.strerror or error}") from None
+        message = f"cannot write the cache '{entry.parent}': {error.strerror or error}"
+        raise WheellegError(message, key=CACHE_KEY, expected="a writable folder") from None
 
 
 def _publish(draft: Path, entry: Path, scratch: Path) -> None:

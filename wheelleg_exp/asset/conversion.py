@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
+import mujoco
+
 from wheelleg_exp.asset.allocation import bounded_memory
-from wheelleg_exp.asset.description import BaseMode, RobotDescription
+from wheelleg_exp.asset.description import BaseMode, Body, RobotDescription
+from wheelleg_exp.asset.findings import UNITS, size_problem
+from wheelleg_exp.asset.geometry import Frame
 from wheelleg_exp.asset.mjcf.acceleration_drives import with_force_gains
 from wheelleg_exp.asset.mjcf.document import Writer, file_name, obj_text
 from wheelleg_exp.asset.mjcf.refused import without_refused
 from wheelleg_exp.asset.mjcf.verify import ModelRefused, load, told_by_mujoco, verify
-from wheelleg_exp.asset.report import Report
-from wheelleg_exp.asset.sources import require_near
+from wheelleg_exp.asset.report import Assumption, Report
+from wheelleg_exp.asset.shape_findings import measure_sizes
+from wheelleg_exp.asset.sources import POINT_BYTES, require_near
 from wheelleg_exp.asset.urdf.robot import SUFFIXES as URDF
 from wheelleg_exp.asset.urdf.robot import read_urdf
 from wheelleg_exp.asset.usd.robot import read_usd
 from wheelleg_exp.asset.usd.stage import SUFFIXES as USD
 from wheelleg_exp.asset.values import values_of
 from wheelleg_exp.errors import AssetError
+from wheelleg_exp.files import temporary_folder
+from wheelleg_exp.memory import machine_memory, shown_bytes
 
 MESHES = "_meshes"  # what an MJCF's folder of meshes is called, after its own name
 
@@ -56,18 +63,19 @@ def convert(
         robot, report = read(source, base, variants or {})
         _require_apart(source, report, output)
         try:
-            made = _made(robot, report, output)
+            made, model = _made(robot, report, output)
         except ModelRefused:
             robot, report = without_refused(robot, report)
-            made = _made(robot, report, output)
-    warnings = report.warnings + tuple(dict.fromkeys(told))
-    return Conversion(output, made, replace(report, values=values_of(made), warnings=warnings))
+            made, model = _made(robot, report, output)
+        sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(made, model)]
+    warnings = (*report.warnings, *(f"{text}; {UNITS}" for _, text in sizes if text), *dict.fromkeys(told))
+    findings = (*report.findings, *(item for item, text in sizes if text))
+    return Conversion(output, made, replace(report, values=values_of(made), warnings=warnings, findings=findings))
 
 
-def _made(robot: RobotDescription, report: Report, output: Path) -> RobotDescription:
+def _made(robot: RobotDescription, report: Report, output: Path) -> tuple[RobotDescription, mujoco.MjModel]:
     robot = with_force_gains(robot)
-    write(robot, report, output)
-    return robot
+    return robot, write(robot, report, output)
 
 
 def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
@@ -77,13 +85,58 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
         AssetError: there is no such file, or it cannot be read or holds no robot.
     """
     robot, report = read_urdf(source, base) if is_urdf(source, variants) else read_usd(source, base, variants)
+    robot, report = _rooted_at_mass(robot, report)
     for body in robot.bodies:
         require_near((*body.pose.position, *body.inertial.center_of_mass), key=body.path, where=str(source))
         for dof in body.dofs:
             require_near(dof.anchor, key=dof.path, where=str(source))
     for geom in (*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)):
         require_near((*geom.pose.position, *geom.size), key=geom.path, where=str(source))
-    return robot, report
+    return robot, _with_memory_warning(source, robot, report)
+
+
+def _with_memory_warning(source: Path, robot: RobotDescription, report: Report) -> Report:
+    """Return the report, with a warning if the meshes take much memory from here on.
+
+    Raises:
+        AssetError: the machine has less memory than that.
+    """
+    points, there = sum(len(mesh.vertices) + len(mesh.faces) for mesh in robot.meshes), machine_memory()
+    need = points * POINT_BYTES
+    message = f"meshes with {points:,} points and triangles take about {shown_bytes(need)} of memory"
+    if need > there:
+        expected = f"less than the {shown_bytes(there)} of this machine: meshes with fewer triangles"
+        raise AssetError(message, where=str(source), expected=expected)
+    return replace(report, warnings=(*report.warnings, f"{message}: simplify them")) if need > 2**30 else report
+
+
+def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
+    """Make the first link with mass the root, in place of massless links above it such as ROS's base_footprint.
+
+    Heights, velocities and the tilt of a robot are those of its root. Nothing moves: the massless links are welded to
+    the new root where they were.
+    """
+    root = next(robot.children(None), None)
+    if root is None or root.inertial.mass or not root.floating or robot.keyframes or any(root.velocity):
+        return robot, report
+    paths = [[root]]  # from the root through welds; it grows while it is searched
+    for path in paths:
+        if path[-1].inertial.mass:
+            break
+        welded = (body for body in robot.children(path[-1].name) if not (body.dofs or body.floating or body.mocap))
+        paths += [[*path, body] for body in welded]
+    else:
+        return robot, report
+    frame, turned = Frame.of(root.pose), list[Body]()
+    for body, child in pairwise(path):
+        inside = Frame.of(child.pose)
+        turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
+        frame = frame @ inside
+    turned.append(replace(path[-1], parent=None, floating=True, pose=frame.pose()))
+    rule = "the root link has no mass: the first link with mass is the root"
+    report = replace(report, assumptions=(*report.assumptions, Assumption(root.path, rule, path[-1].name)))
+    others = (body for body in robot.bodies if body not in path)
+    return replace(robot, bodies=(*reversed(turned), *others)), report
 
 
 def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
@@ -106,19 +159,21 @@ def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
     return False
 
 
-def write(robot: RobotDescription, report: Report, output: Path) -> None:
-    """Write the MJCF and its meshes, after loading them in MuJoCo and comparing.
+def write(robot: RobotDescription, report: Report, output: Path) -> mujoco.MjModel:
+    """Write the MJCF and its meshes, after loading them in MuJoCo and comparing. Return the loaded model.
 
     Raises:
         AssetError: MuJoCo refuses the model, or the output cannot be written.
     """
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=output.parent, prefix=".converting.") as folder:
-            draft = Path(folder) / output.name
+        with temporary_folder(output) as folder:
+            draft = folder / output.name
             _write_draft(robot, report, draft)
-            verify(load(draft, report.source), robot, report.source)
-            _publish(draft, output, Path(folder) / "old")
+            model = load(draft, report.source)
+            verify(model, robot, report.source)
+            _publish(draft, output, folder / "old")
+            return model
     except OSError as error:
         raise AssetError(f"cannot write '{output}': {error.strerror or error}", key="-o") from None
 

@@ -279,6 +279,11 @@ class RobotDescription:
         return tuple(dof for body in self.bodies for dof in body.dofs)
 
     @property
+    def driven(self) -> tuple[str, ...]:
+        """Names of the degrees of freedom with a drive; none for a URDF, which has no drives."""
+        return tuple(dof.name for dof in self.dofs if dof.drive is not None)
+
+    @property
     def colliders(self) -> tuple[Geom, ...]:
         """All shapes of bodies that collide."""
         return tuple(geom for body in self.bodies for geom in body.geoms if geom.collides)

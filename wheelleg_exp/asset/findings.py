@@ -7,6 +7,7 @@
 | `tiny_inertia` | body | ``mass`` kg, ``largest`` moment kg m² |
 | `impossible_inertia` | body | ``a``, ``b``, ``c`` as written, ``cut_to`` the largest that a body can have, kg m² |
 | `no_colliders` | robot | |
+| `implausible_size` | robot | ``mass`` kg, ``size`` m: longest edge of the box around its colliders and joints |
 | `end_without_collider` | body that nothing hangs on | ``mass`` kg |
 | `mesh_not_found` | file's name | ``colliders``, ``visuals`` that name it |
 | `layer_not_found` | layer's name | ``places`` that name it; ``looks`` 1 when all are for looks |
@@ -17,6 +18,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,6 +30,7 @@ Kind = Literal[
     "tiny_inertia",
     "impossible_inertia",
     "no_colliders",
+    "implausible_size",
     "end_without_collider",
     "mesh_not_found",
     "layer_not_found",
@@ -37,6 +40,9 @@ Kind = Literal[
     "placeholder_velocity",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+UNITS = "check the units: metres and kilograms; meshes in mm need a scale of 0.001"
+SIZES = (0.01, 20.0)  # m, longest edge of a robot
+DENSITIES = (0.01, 5000.0)  # kg/m³ of a cube whose edge is the robot's longest; most real robots have 10 to 100
 PLACEHOLDER = 1e3  # N m, N, rad/s or m/s: from here on a limit is what an exporter writes for "none"
 
 
@@ -53,6 +59,17 @@ class Finding:
 def is_placeholder(value: float) -> bool:
     """Return whether a limit of effort or speed is no limit of any motor: zero, or huge."""
     return value == 0 or abs(value) >= PLACEHOLDER
+
+
+def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:
+    """Return why no robot has this mass (kg) and longest edge (m); an empty text if the pair is plausible.
+
+    ``lightest`` is the smallest density in kg/m³ of a cube with that edge.
+    """
+    density = mass / size**3 if size > 0 else math.nan
+    if not lightest <= density <= DENSITIES[1]:
+        return f"{mass:.4g} kg in {size:.4g} m: a cube of that size would weigh {density:.3g} kg/m³"
+    return "" if SIZES[0] <= size <= SIZES[1] else f"the robot is {size:.4g} m long"
 
 
 @dataclass(frozen=True)
@@ -79,6 +96,7 @@ def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int)
     lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
     doubts = [
         (count["no_colliders"], "it has no colliders"),
+        (count["implausible_size"], "no robot has its size and mass"),
         (assumed_share >= MUCH, f"{assumed_share:.0%} of its mass is assumed"),
         (lost, f"{lost:g} colliders are lost with their meshes"),
         (gone, f"{gone} layers or prims that it names are not there"),

@@ -17,7 +17,10 @@ MOST_PRIMS = 300_000
 MOST_ELEMENTS = 200_000  # of XML
 MOST_BODIES = 5_000
 MOST_SHAPES = 20_000
-MOST_POINTS = 10_000_000  # points and triangles of all meshes as they are drawn, those of instances again; some 5 GB
+POINT_BYTES = (
+    2_100  # peak memory for each point and triangle of a mesh (measured: 1.5 to 2.06 kB, most of it in MuJoCo)
+)
+MOST_POINTS = 3_500_000  # points and triangles of all meshes as they are drawn, those of instances again: 7.4 GB
 
 
 def require_size(

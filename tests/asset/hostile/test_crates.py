@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import random
 import re
 import resource
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,8 @@ from pxr import Usd
 
 from wheelleg_exp.asset import allocation, convert
 from wheelleg_exp.asset.usd import audit
-from wheelleg_exp.errors import AssetError
+from wheelleg_exp.errors import AssetError, WheellegError
+from wheelleg_exp.paths import find_asset
 
 from .. import small_usd
 from ..small_usd import cube_inside, hinge, link
@@ -51,6 +55,35 @@ def test_a_bound_on_memory_ends_with_the_conversion(scratch: Scratch) -> None:
     before = resource.getrlimit(resource.RLIMIT_DATA)
     scratch.convert(lambda folder: small_usd.write(folder, link("a")))
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+@pytest.mark.parametrize("command", ["convert", "check"])
+@pytest.mark.parametrize("megabytes", [300, 800, 1200])
+def test_too_little_memory_is_an_error_and_no_crash(tmp_path: Path, command: str, megabytes: int) -> None:
+    words = {"convert": ["convert", str(find_asset("wheelleg/wheelleg.usda")), "-o", str(tmp_path / "out.xml")]}
+    code = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    said = subprocess.run(
+        [sys.executable, "-c", code, *words.get(command, ["check", "task=stand"])],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20)),
+        env=os.environ | {"WHEELLEG_CACHE": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert said.returncode == 2
+    assert re.match(r"wheelleg: error: ulimit -v: the limit leaves .* of memory to this process; expected", said.stderr)
+
+
+def test_a_conversion_starts_only_with_enough_memory() -> None:
+    """In a process that has imported everything already."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    used = next(int(line.split()[1]) for line in Path("/proc/self/status").read_text().splitlines() if "VmData" in line)
+    resource.setrlimit(resource.RLIMIT_DATA, ((used << 10) + 2**26, hard))
+    try:
+        with pytest.raises(WheellegError, match="ulimit -d: the limit leaves"), allocation.bounded_memory(Path("bot")):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 def test_bounds_on_memory_may_overlap(tmp_path: Path) -> None:

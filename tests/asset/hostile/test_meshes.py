@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
+from wheelleg_exp.asset import allocation, conversion, sources
 from wheelleg_exp.asset.urdf import collada, meshes
 
 from .. import small_urdf
@@ -178,6 +179,26 @@ def test_a_mesh_of_more_points_than_a_robot_has_is_left_out(scratch: Scratch, fe
     many = POINTS * 300 + "f 1 2 3\nf 1 2 4\n"
     said = scratch.convert(lambda folder: robot(folder, "m.obj", many))
     assert "it has more than 1,000 points and triangles" in " ".join(said.out.split())
+
+
+def test_the_largest_meshes_fit_the_memory_that_a_conversion_may_take() -> None:
+    assert sources.MOST_POINTS * sources.POINT_BYTES <= allocation.MOST
+
+
+def test_meshes_that_take_much_memory_are_reported_and_too_large_ones_refused(
+    scratch: Scratch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six points and triangles, once as a visual and once as a collider."""
+    monkeypatch.setattr(conversion, "POINT_BYTES", 10**9)
+    monkeypatch.setattr(conversion, "machine_memory", lambda: 13 * 10**9)
+    mesh = f"{POINTS}f 1 2 3\nf 1 2 4"
+    said = scratch.convert(lambda folder: robot(folder, "m.obj", mesh))
+    assert "warning: meshes with 12 points and triangles take about 12 GB of memory" in " ".join(said.out.split())
+    monkeypatch.setattr(conversion, "machine_memory", lambda: 11 * 10**9)
+    said = scratch.convert(lambda folder: robot(folder, "m.obj", mesh))
+    assert said.status == 2
+    assert "take about 12 GB of memory" in said.err
+    assert "expected less than the 11 GB of this machine" in said.err
 
 
 def test_a_long_name_of_a_mesh_gives_a_file_that_every_disk_can_hold(scratch: Scratch) -> None:

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.asset import cache, convert, convert_cached
-from wheelleg_exp.errors import AssetError
+from wheelleg_exp.cli.main import main
+from wheelleg_exp.errors import AssetError, WheellegError
+from wheelleg_exp.paths import cache_dir
 
 from .. import small_urdf
 from ..small_usd import link as body
@@ -204,11 +206,31 @@ def test_an_entry_that_is_none_is_made_again(tmp_path: Path, kind: str) -> None:
     assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["canary"]
 
 
+@pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME", "WHEELLEG_CACHE"])
+def test_an_unwritable_home_is_no_error_of_the_robots_file(monkeypatch, capsys, variable: str) -> None:
+    for name in ("WHEELLEG_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(variable, "/dev/null")
+    assert main(["check", "task=stand"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("wheelleg: error: WHEELLEG_CACHE: cannot write the cache '/dev/null/")
+    assert "env.robot" not in told
+
+
+def test_a_user_without_a_home_is_told_which_folder_is_missing(monkeypatch) -> None:
+    for name in ("WHEELLEG_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for a number that is no user's
+    with pytest.raises(WheellegError, match="WHEELLEG_CACHE: the user has no home folder"):
+        cache_dir()
+
+
 @pytest.mark.parametrize("place", ["file", "file/below", "loop", "/dev/null", "a" * 300])
 def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path, place: str) -> None:
     source = robot(tmp_path)
     (tmp_path / "file").write_text(CANARY)
     (tmp_path / "loop").symlink_to("loop")
-    with pytest.raises(AssetError, match="cannot write the cache"):
+    with pytest.raises(WheellegError, match="cannot write the cache") as told:
         convert_cached(source, cache_dir=tmp_path / place)
+    assert told.value.key == "WHEELLEG_CACHE"
     assert (tmp_path / "file").read_text() == CANARY

@@ -265,6 +265,12 @@ def test_nodes_of_a_collada_file_that_refer_to_each_other_end(tmp_path):
         "package://another_name/meshes/part.obj",
         "{folder}/my_robot/meshes/part.obj",
         "file://{folder}/my_robot/meshes/part.obj",
+        "file:///home/someone/ws/install/share/my_robot/meshes/part.obj",
+        "file:///home/someone/ws/install/my_robot/share/my_robot/meshes/part.obj",
+        "file:///opt/ros/share/another_name/meshes/part.obj",
+        "file:///home/someone/src/my_robot/meshes/part.obj",
+        "file:///home/some%20one/share/my_robot/me%73hes/part.obj",
+        "/home/someone/ws/install/share/my_robot/meshes/part.obj",
     ],
 )
 def test_meshes_are_found_without_a_ros_installation(tmp_path, name):
@@ -276,6 +282,13 @@ def test_meshes_are_found_without_a_ros_installation(tmp_path, name):
     report = convert(source, tmp_path / "out.xml").report
     assert report.totals["visuals"] == 1
     assert set(report.layers) == {"bot.urdf", "../meshes/part.obj"}
+
+
+def test_a_path_of_another_machine_does_not_match_by_its_last_parts_alone(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "part.obj").write_text(obj())
+    _, conversion = made(tmp_path, link("a", mesh("file:///home/someone/collision/meshes/part.obj")))
+    assert conversion.report.unresolved == ("file:///home/someone/collision/meshes/part.obj",)
 
 
 def test_a_package_is_looked_for_by_its_name_first(tmp_path):

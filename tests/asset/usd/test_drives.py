@@ -251,6 +251,44 @@ def test_an_axis_schema_without_armature_silences_the_joints(tmp_path):
     assert model.dof_armature[6] == 0
 
 
+VELOCITIES = ("newton:velocityLimit", "physxJointAxis:angular:maxJointVelocity", "physxJoint:maxJointVelocity")
+
+
+@pytest.mark.parametrize("first", range(3))
+def test_the_velocity_limit_follows_the_same_precedence_as_the_armature(tmp_path, first):
+    names = VELOCITIES[first:]
+    text = "\n".join(f"float {name} = {90 * (index + 1)}" for index, name in enumerate(names))
+    _, done = two_links(tmp_path, text)
+    assert done.report.velocity_limits["j"] == pytest.approx(math.pi / 2, rel=1e-6)
+    left = {item.name: item.reason for item in done.report.left_out}
+    assert all(names[0] in left[name] for name in names[1:])
+
+
+def test_a_joint_wide_velocity_limit_does_not_count_where_the_axis_schema_is_applied(tmp_path):
+    """Measured in PhysX: the axis has no limit (3.4e38)."""
+    text = "float physxJoint:maxJointVelocity = 180"
+    _, done = two_links(tmp_path, text, apis="PhysxJointAPI PhysxJointAxisAPI:angular")
+    assert "j" not in done.report.velocity_limits
+
+
+def test_a_ball_reads_its_three_axes(tmp_path):
+    text = "\n".join(
+        f"float physxJointAxis:rot{axis}:armature = {number}\n"
+        f"float physxJointAxis:rot{axis}:maxJointVelocity = {180 * number}"
+        for axis, number in zip("XYZ", (1, 2, 3), strict=True)
+    )
+    model, done = two_links(tmp_path, text, kind="Spherical")
+    np.testing.assert_allclose(model.dof_armature[6:], 3)
+    assert done.report.velocity_limits["j"] == pytest.approx(math.pi, rel=1e-6)
+    assert sum("differs between the axes of a ball, 3" in warning for warning in done.report.warnings) == 2
+
+
+def test_equal_values_of_two_schemas_are_both_read(tmp_path):
+    text = "float physxJoint:armature = 0.25\n float physxJointAxis:angular:armature = 0.25"
+    _, done = two_links(tmp_path, text)
+    assert {"physxJoint:armature", "physxJointAxis:angular:armature"} <= {item.name for item in done.report.mapped}
+
+
 def test_static_friction_stands_in_where_no_dynamic_one_is_given(tmp_path):
     model, _ = two_links(tmp_path, "float physxJointAxis:angular:staticFrictionEffort = 0.6")
     assert model.dof_frictionloss[6] == pytest.approx(0.6)

@@ -91,6 +91,25 @@ def test_an_unknown_variant_set_and_name(tmp_path):
     assert told(path, tmp_path / "out.xml", variants={"Physics": "Physx"}).nearest == "PhysX"
 
 
+@pytest.mark.parametrize("place", ["bot", "bot/hand"])
+def test_a_variant_set_without_a_selection_lists_its_choices(tmp_path, place):
+    holder = """def Xform "{}" (
+    prepend variantSets = "Grip"
+)
+{{
+    variantSet "Grip" = {{ "soft" {{}} "hard" {{}} }}
+"""
+    path = write(tmp_path, link("a"))
+    if place == "bot":
+        path.write_text(path.read_text().replace('def Xform "bot" \n{\n', holder.format("bot")))
+    else:
+        path = write(tmp_path, link("a") + holder.format("hand") + "}")
+    warnings = convert(path, tmp_path / "out.xml").report.warnings
+    assert f"/{place}: no variant of 'Grip' is selected; --variant Grip=NAME takes one of hard, soft" in warnings
+    chosen = convert(path, tmp_path / "out.xml", variants={"Grip": "soft"}).report
+    assert not any("Grip" in warning for warning in chosen.warnings)
+
+
 def test_what_mujoco_refuses_is_told_and_leaves_no_output(tmp_path, monkeypatch):
     def refuse(path: str) -> None:
         raise ValueError("Error: no such thing")

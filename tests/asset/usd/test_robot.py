@@ -45,6 +45,20 @@ def home(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
+@pytest.mark.parametrize("schema", ["physxJoint", "physxJointAxis:angular"])
+def test_old_and_new_versions_of_physx_read_armature_and_velocity_limit(source: Path, schema: str):
+    """PhysX ignores PhysxJointAPI from ovphysx 0.6 on; Isaac Sim 4.5 does not know the schema of an axis."""
+    stage = Usd.Stage.Open(str(source))
+    for prim in stage.Traverse():
+        if prim.IsA(UsdPhysics.RevoluteJoint):
+            api, _, instance = schema.partition(":")
+            name = f"{api[0].upper()}{api[1:]}API" + (f":{instance}" if instance else "")
+            assert name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+            assert prim.GetAttribute(f"{schema}:armature").Get() == pytest.approx(0.05)
+            speed = 45 if prim.GetName().endswith("03") else 30
+            assert math.radians(prim.GetAttribute(f"{schema}:maxJointVelocity").Get()) == pytest.approx(speed)
+
+
 def box_moments(mass: float, half: np.ndarray) -> np.ndarray:
     squares = half**2
     return mass / 3 * np.array([squares[1] + squares[2], squares[0] + squares[2], squares[0] + squares[1]])

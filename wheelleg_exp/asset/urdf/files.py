@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import unquote
 
 from wheelleg_exp.asset.sources import LARGEST_TEXT, require_plain_file
 from wheelleg_exp.asset.urdf.document import PACKAGE, Document
@@ -71,15 +72,29 @@ class Files:
         scheme = _SCHEME.match(name)
         if scheme is None:
             yield self.folder / name
+            yield from self._moved(name)
             if self.mesh_folder is not None:
                 yield self.folder / self.mesh_folder / name
                 yield self.folder / self.mesh_folder / Path(name).name
             yield from (above / name for above in self._above())
         elif scheme.group(1).lower() == "file":
-            yield Path("/" + name[scheme.end() :].lstrip("/"))
-            yield self.folder / name[scheme.end() :]
+            for path in dict.fromkeys((name[scheme.end() :], unquote(name[scheme.end() :]))):
+                yield Path("/" + path.lstrip("/"))
+                yield self.folder / path
+                yield from self._moved("/" + path.lstrip("/"))
         elif scheme.group(1).lower() in ("package", "model"):
             yield from self._in_package(*name[scheme.end() :].partition("/")[::2])
+
+    def _moved(self, name: str) -> Iterator[Path]:
+        """Yield the local places of an absolute path that another machine wrote.
+
+        The path ends in ``share/PACKAGE/REST``, or in ``FOLDER/REST`` with a folder that contains the URDF.
+        """
+        parts = Path(name).parts if name.startswith("/") else ()
+        around = {above.name for above in (self.folder, *self._above())}
+        for index in range(1, len(parts) - 1):
+            if parts[index - 1] == "share" or parts[index] in around:
+                yield from self._in_package(parts[index], "/".join(parts[index + 1 :]))
 
     def _in_package(self, package: str, rest: str) -> Iterator[Path]:
         """Yield files of a package: a folder of that name, or one above that the package was checked out to."""

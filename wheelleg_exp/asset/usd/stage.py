@@ -20,7 +20,7 @@ from wheelleg_exp.asset.usd.layers import open_layers
 from wheelleg_exp.asset.usd.ledger import Ledger
 from wheelleg_exp.asset.usd.missing_layers import Missing, find_missing, require_physics
 from wheelleg_exp.asset.usd.units import Units
-from wheelleg_exp.asset.usd.variants import choose
+from wheelleg_exp.asset.usd.variants import choose, unselected
 from wheelleg_exp.errors import AssetError
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -197,6 +197,8 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     for item in missing:
         stage.ledger.warn(_told(item))
         stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
+    for text in unselected(root):
+        stage.ledger.warn(text)
     _note_metadata(stage)
     return stage
 

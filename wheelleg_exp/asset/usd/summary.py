@@ -84,7 +84,10 @@ def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
     names: dict[str, str] = {}
     for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
         names.setdefault(path, name)
-    return tuple(replace(item, subject=names.get(item.path, item.subject)) for item in ledger.findings)
+    return tuple(
+        item if item.kind.endswith("_not_found") else replace(item, subject=names.get(item.path, item.subject))
+        for item in ledger.findings
+    )
 
 
 def base_of(robot: RobotDescription) -> str:

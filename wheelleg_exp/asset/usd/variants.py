@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from pxr import Usd
 
@@ -44,6 +44,15 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
         chosen[name] = wanted
     sets = root.GetVariantSets()
     return {**chosen, **{name: sets.GetVariantSelection(name) for name in sorted(sets.GetNames())}}
+
+
+def unselected(root: Usd.Prim) -> Iterator[str]:
+    """Yield a warning for each variant set without a selection: nothing of any of its variants is read."""
+    for name, options in variant_sets(root).items():
+        holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
+        if options and not holder.GetVariantSet(name).GetVariantSelection():
+            hint = f"--variant {name}=NAME takes one of {', '.join(options)}"
+            yield f"{holder.GetPath()}: no variant of '{name}' is selected; {hint}"
 
 
 def variant_sets(root: Usd.Prim) -> dict[str, list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from pxr import Usd
@@ -15,13 +15,16 @@ from wheelleg_exp.asset.usd.units import HUGE, effort_limit
 
 Found = tuple[str, float | None]  # an attribute and its value in SI units, None where it says nothing
 
-# What says it, the first that is authored wins; of PhysX's schema of an axis, that of the axis.
+# Attributes in the order of precedence: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
 _ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
 _FRICTION = (
     *("mjc:frictionloss", "newton:friction"),
     *("physxJointAxis:dynamicFrictionEffort", "physxJointAxis:staticFrictionEffort", "urdf:dynamics:friction"),
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
+_VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
+# PhysX ignores PhysxJointAPI where PhysxJointAxisAPI is applied, and uses these values if the axis authors none.
+_AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
 @dataclass(frozen=True)
@@ -39,16 +42,7 @@ def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
     units, angular = stage.units, axis.kind != "slide"
 
     def winner(became: str, convert: Callable[[float, bool], float], *names: str) -> float:
-        def to_si(value: float) -> float:
-            return convert(value, angular)
-
-        found: list[Found] = []
-        for name in names:
-            schema, _, what = name.partition(":")
-            if schema == "physxJointAxis":
-                found += _per_axis(stage, prim, axis, what, to_si)
-            else:
-                found.append(_value(stage, prim, name, float if schema in ("mjc", "urdf") else to_si))
+        found = list(_authored(stage, prim, axis, names, lambda value: convert(value, angular)))
         return _winner(stage, prim, became, found)
 
     return Passive(
@@ -64,6 +58,17 @@ def _spring(stage: Stage, prim: Usd.Prim) -> float:
     return 0.0 if value is None else float(value)
 
 
+def _authored(
+    stage: Stage, prim: Usd.Prim, axis: FreeAxis, names: Iterable[str], convert: Callable[[float], float]
+) -> Iterator[Found]:
+    for name in names:
+        schema, _, what = name.partition(":")
+        if schema == "physxJointAxis":
+            yield from _per_axis(stage, prim, axis, what, convert)
+        else:
+            yield _value(stage, prim, name, float if schema in ("mjc", "urdf") else convert)
+
+
 def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], float]) -> Found:
     value = stage.ledger.read(prim, name)
     usable = value is not None and math.isfinite(value) and value >= 0
@@ -73,23 +78,17 @@ def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], f
 def _per_axis(
     stage: Stage, prim: Usd.Prim, axis: FreeAxis, what: str, convert: Callable[[float], float]
 ) -> Iterable[Found]:
-    """Yield what PhysxJointAxisAPI says of an axis, for a ball the largest of its three.
-
-    Where that schema is applied, an unauthored armature is 0, and PhysxJointAPI does not count.
-    """
+    """Yield the values of PhysxJointAxisAPI for one axis. A ball gets the strictest value of its three axes."""
     tokens = TURNS if axis.kind == "ball" else (axis.token,)
     found = [_value(stage, prim, f"physxJointAxis:{token}:{what}", convert) for token in tokens]
-    largest = max((value for _, value in found if value is not None), default=None)
+    values = [value for _, value in found if value is not None]
+    strictest = (min if what == "maxJointVelocity" else max)(values, default=None)
     if len({value for _, value in found}) > 1:
-        stage.ledger.warn(f"{prim.GetPath()}: {what} differs between the axes of a ball, the largest goes for all")
-    if (
-        largest is None
-        and what == "armature"
-        and any(f"PhysxJointAxisAPI:{token}" in schemas(prim) for token in tokens)
-    ):
-        largest = 0.0
+        stage.ledger.warn(f"{prim.GetPath()}: {what} differs between the axes of a ball, {strictest:g} applies to all")
+    if strictest is None and any(f"PhysxJointAxisAPI:{token}" in schemas(prim) for token in tokens):
+        strictest = _AXIS_FALLBACKS.get(what)
     for index, (name, value) in enumerate(found):
-        yield name, largest if index == 0 else value
+        yield name, strictest if index == 0 else value
 
 
 def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> float:
@@ -99,30 +98,38 @@ def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> fl
         return 0.0
     first, value = given[0]
     for name, other in given:
-        if name.split(":")[0] == first.split(":")[0] and name.rsplit(":", 1)[-1] == first.rsplit(":", 1)[-1]:
+        if _agrees(name, other, given[0]):
             stage.ledger.mapped(prim.GetPath(), name, became)
         else:
             stage.ledger.leave(prim.GetPath(), name, f"{first} wins over it", f"{other:g}")
     return value
 
 
+def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
+    """Return whether an attribute has the winner's value, or is the winner's attribute on another axis of a ball."""
+    first, *_, last = winner[0].split(":")
+    return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
+
+
 def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None:
-    """Return the speed limit of an axis in rad/s or m/s, which MuJoCo has no place for."""
-    angular, limit = axis.kind != "slide", None
-    names = (f"physxJointAxis:{axis.token}:maxJointVelocity", "physxJoint:maxJointVelocity", "newton:velocityLimit")
-    for name in names:
-        value = stage.ledger.read(prim, name)
-        if value == 0:
-            stage.ledger.find("placeholder_velocity", prim.GetName(), prim.GetPath(), value=0.0)
-        if value is None or not 0 < value < HUGE:
-            continue
-        speed, unit = stage.units.coordinate(value, angular), "rad/s" if angular else "m/s"
-        reason = f"MuJoCo has no velocity limit; kept in the report's velocity_limits in {unit}"
-        stage.ledger.leave(prim.GetPath(), name, reason, f"{speed:g} {unit}")
-        if is_placeholder(speed):
+    """Return the velocity limit of an axis in rad/s or m/s; MuJoCo has no such limit."""
+    angular = axis.kind != "slide"
+
+    def to_si(value: float) -> float:
+        return stage.units.coordinate(value, angular) if value < HUGE else math.inf
+
+    given = [(name, speed) for name, speed in _authored(stage, prim, axis, _VELOCITY, to_si) if speed is not None]
+    for _, speed in given:
+        if is_placeholder(speed) and speed < math.inf:
             stage.ledger.find("placeholder_velocity", prim.GetName(), prim.GetPath(), value=speed)
-        limit = speed if limit is None else limit
-    return limit
+    given = [(name, speed) for name, speed in given if speed > 0]
+    unit = "rad/s" if angular else "m/s"
+    for name, speed in given:
+        if speed < math.inf:
+            kept = f"MuJoCo has no velocity limit; kept in the report's velocity_limits in {unit}"
+            reason = kept if _agrees(name, speed, given[0]) else f"{given[0][0]} wins over it"
+            stage.ledger.leave(prim.GetPath(), name, reason, f"{speed:g} {unit}")
+    return given[0][1] if given and given[0][1] < math.inf else None
 
 
 def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, float] | None:
