@@ -214,7 +214,7 @@ def test_a_mistake_is_told_and_leaves_nothing(words, said, tmp_path):
     answer = wheelleg("new", *words)
     assert answer.status == 2
     assert said in answer.err
-    assert ".making." not in answer.err
+    assert ".tmp" not in answer.err
     assert inside(tmp_path) == before
 
 
@@ -261,4 +261,4 @@ def test_it_does_not_stand_inside_the_program_itself(monkeypatch):
 
 def test_nothing_of_the_draft_stays_in_the_process(made):
     assert not [name for name in sys.modules if name.split(".")[0] == "myrobot"]
-    assert not [project for project in projects._joined.values() if ".making." in str(project.root)]
+    assert not [project for project in projects._joined.values() if ".tmp" in str(project.root)]

@@ -93,3 +93,41 @@ def tetrahedron(path: Path, size: float = 0.05) -> Path:
     )
     path.write_text(f"{corners}f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
     return path
+
+
+def with_hip_yaw(folder: Path, limit: str = '<limit lower="-0.7" upper="0.7" effort="8" velocity="20"/>') -> Path:
+    """Write ``knees`` with an unlimited vertical joint above each leg, which a ``<limit>`` bounds all the same."""
+    path = knees(folder)
+    text = path.read_text()
+    for side, y in (("l", 0.08), ("r", -0.08)):
+        yaw = f'''
+  <link name="{side}_yaw_link">
+    <inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="{side}_yaw" type="continuous">
+    <parent link="body"/><child link="{side}_yaw_link"/><origin xyz="0 {y} 0"/><axis xyz="0 0 1"/>{limit}
+  </joint>'''
+        text = text.replace(f'<link name="{side}_leg">', f'{yaw}\n  <link name="{side}_leg">')
+        text = text.replace(f'<parent link="body"/><child link="{side}_leg"/><origin xyz="0 {y} 0"/>',
+                            f'<parent link="{side}_yaw_link"/><child link="{side}_leg"/>')  # fmt: skip
+    path.write_text(text)
+    return path
+
+
+def four_legs(folder: Path, front: float = 0.2) -> Path:
+    """Write a robot on four legs with knees: hips 0.2 m before and behind the middle.
+
+    Args:
+        folder: where the file goes.
+        front: length of the front thighs, m; the hind ones have ``LEG``.
+    """
+    path = knees(folder)
+    text = path.read_text().replace('<box size="0.2 0.1 0.1"/>', '<box size="0.5 0.1 0.1"/>')
+    head, _, legs = text.partition("</link>")
+    legs = legs.removesuffix("</robot>\n")
+    hind = legs.replace('xyz="0 0.08 0"', 'xyz="-0.2 0.08 0"').replace('xyz="0 -0.08 0"', 'xyz="-0.2 -0.08 0"')
+    knee = 'xyz="0 0 -{}"/><axis xyz="0 1 0"/>\n    <limit'
+    fore = hind.replace('xyz="-0.2', 'xyz="0.2').replace(knee.format(LEG), knee.format(front))
+    fore = fore.replace('"l_', '"fl_').replace('"r_', '"fr_')
+    path.write_text(f"{head}</link>{hind}{fore}</robot>\n")
+    return path

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
+from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 import yaml
 
-from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, knees, urdf
+from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, four_legs, knees, urdf, with_hip_yaw
+from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.schema import PHYSICS_RULES
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.examine import examine
-from wheelleg_exp.project.create import OF_THE_FILE, create
+from wheelleg_exp.paths import assets_dir
+from wheelleg_exp.project.create import create
 from wheelleg_exp.project.gains import leg_gains, wheel_gains
 from wheelleg_exp.project.robot_yaml import robot_yaml, spawn_height
 from wheelleg_exp.project.survey import survey
@@ -112,6 +116,74 @@ def test_a_leg_of_two_joints_brings_the_mass_over_the_axle(tmp_path):
     assert abs(found.positions["l_knee"]) > 0.2  # stretched legs do not spring
 
 
+def wheel_centres(path, positions) -> np.ndarray:
+    """Return the wheels' centres, m, (wheels, 3), by MuJoCo's own reader of the URDF."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for name, value in positions.items():
+        data.joint(name).qpos = value
+    mujoco.mj_forward(model, data)
+    return np.array([data.joint(name).xanchor for name in positions if name.endswith("_axle")])
+
+
+@pytest.mark.parametrize("limits", ['<limit lower="-0.7" upper="0.7" effort="8" velocity="20"/>', ""])
+def test_hips_that_yaw_without_limits_do_not_make_casters_of_the_wheels(limits, tmp_path):
+    """The default pose leaves the legs facing forwards, where the weight is over the axle as without the yaw."""
+    path = with_hip_yaw(tmp_path, limits)
+    found = surveyed(path)
+    assert found.anatomy.forward == (1, 0, 0)
+    assert (found.standing.frame, found.facts.track) == (None, pytest.approx(0.16, abs=1e-3))
+    assert abs(found.positions["l_yaw"]) < 0.02
+    assert abs(found.positions["l_knee"]) > 0.2  # a solved pose
+    left, right = wheel_centres(path, found.positions)
+    assert left - right == pytest.approx((0, 0.16, 0), abs=1e-3)
+    assert not [note for note in found.notes if "parallel" in note]
+
+
+@pytest.mark.parametrize("front", [LEG, 0.26, 0.14])
+def test_all_four_wheels_touch_the_ground(front, tmp_path):
+    """Front legs as long as the hind ones, 60 mm longer, and 60 mm shorter."""
+    path = four_legs(tmp_path, front)
+    found = surveyed(path)
+    assert np.ptp(wheel_centres(path, found.positions)[:, 2]) < 1e-3
+    assert len(found.anatomy.standing) == 4
+    assert not [note for note in found.notes if "touch the ground" in note]
+
+
+def test_wheels_that_cannot_reach_the_ground_are_named(tmp_path):
+    """A wheel on a high nose, while the legs cannot fold."""
+    path = urdf(tmp_path)
+    nose = """
+  <link name="nose"><inertial><mass value="0.01"/><inertia ixx="2e-6" iyy="4e-6" izz="2e-6" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="0.02" length="0.01"/>
+    </geometry></collision></link>
+  <joint name="nose_axle" type="continuous"><parent link="body"/><child link="nose"/><origin xyz="0.2 0 -0.08"/>
+    <axis xyz="0 1 0"/></joint></robot>"""
+    tall = '<origin xyz="0 0 0.2"/><geometry><box size="0.2 0.1 0.5"/>'
+    text = path.read_text().replace("</robot>", nose).replace('<geometry><box size="0.2 0.1 0.1"/>', tall)
+    path.write_text(text.replace(f'upper="{HIGH}"', 'upper="0.5"'))
+    found = surveyed(path)
+    assert [wheel.joint for wheel in found.anatomy.standing] == ["l_axle", "r_axle"]
+    assert "only 2 of 3 wheels touch the ground in the default pose, not those of nose_axle" in found.notes
+
+
+def test_a_root_link_without_mass_on_the_ground_changes_nothing(tmp_path):
+    """ROS's base_footprint, below where the bent legs stand."""
+    plain = knees(tmp_path / "plain")
+    foot = """<link name="base_footprint"/><joint name="foot" type="fixed"><parent link="base_footprint"/>
+      <child link="body"/><origin xyz="0 0 0.51"/></joint><link name="body">"""
+    (tmp_path / "foot").mkdir()
+    source = tmp_path / "foot" / plain.name
+    source.write_text(plain.read_text().replace('<link name="body">', foot))
+    found, expected = surveyed(source), surveyed(plain)
+    assert found.facts.standing_height == pytest.approx(expected.facts.standing_height, abs=5e-4)
+    task = yaml.safe_load(config_files("mine", found)["task/mine.yaml"])["env"]["rewards"]["base_height"]
+    assert task["target_height"] == pytest.approx(0.3815, abs=1e-3)  # hips over axles, and the wheels' radius
+    assert task["weight"] == yaml.safe_load(config_files("mine", expected)["task/mine.yaml"])["env"]["rewards"][
+        "base_height"
+    ]["weight"]  # fmt: skip
+
+
 def test_an_overlap_of_the_default_pose_is_not_simulated(tmp_path):
     path = urdf(tmp_path)
     wide = path.read_text().replace('<box size="0.2 0.1 0.1"/>', '<box size="0.2 0.3 0.3"/>')
@@ -142,8 +214,6 @@ def test_wheels_follow_speeds_and_are_about_as_strong_as_their_traction(two):
 
 
 def test_gains_of_drives_in_the_file_are_kept():
-    from wheelleg_exp.paths import assets_dir
-
     stock = compose(["task=stand"]).config["env"]["robot"]
     found = survey(
         assets_dir() / stock["asset"], compose(["task=stand"]).config["env"], stock["init_state"]["joint_pos"]
@@ -198,6 +268,77 @@ def test_odd_names_survive_yaml_and_match_themselves_alone():
         assert [other for other in [*odd, "aXb"] if re.fullmatch(read, other)] == [name]
 
 
+@pytest.mark.parametrize(
+    ("limit", "said"),
+    [
+        ('effort="2" velocity="0.7"', "0.7 rad/s on wheels of 60 mm is 0.042 m/s"),
+        ('effort="0.01" velocity="0.7"', "0.01 N·m on wheels of 60 mm"),
+        ('effort="0.6" velocity="7.46"', None),  # a speed that rounds upwards
+    ],
+)
+def test_every_project_passes_its_own_check(limit, said, tmp_path):
+    source = knees(tmp_path / "file")
+    source.write_text(source.read_text().replace('type="continuous">', f'type="continuous"><limit {limit}/>'))
+    made = create(tmp_path / "mine", source)
+    assert examine(compose(["task=mine"], config_dirs=[made.path / "configs"])).open == []
+    assert (said is None) == ("weak_wheels" not in made.accepted)
+    assert said is None or said in made.accepted["weak_wheels"]
+
+
+def test_the_stock_robots_file_makes_a_project_that_passes_its_own_check(tmp_path):
+    made = create(tmp_path / "mine", assets_dir() / "wheelleg" / "wheelleg.usda")
+    assert examine(compose(["task=mine"], config_dirs=[made.path / "configs"])).open == []
+    assert "9.25 rad/s" in made.accepted["drive_bandwidth"]
+
+
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
+
+
+def with_lost_meshes(folder: Path, content: str | None) -> Path:
+    """Write ``knees`` with meshes as the wheels' colliders, which are pointers of Git LFS or missing."""
+    path = knees(folder)
+    cylinder = re.compile(r'<cylinder radius="0.06" length="0.02"/>')
+    path.write_text(cylinder.sub('<mesh filename="wheel.stl"/>', path.read_text()))
+    if content is not None:
+        (folder / "wheel.stl").write_text(content)
+    return path
+
+
+@pytest.mark.parametrize(("content", "why"), [(None, "the file is not there"), (POINTER, "git lfs pull")])
+def test_wheels_whose_meshes_are_missing_make_no_project_unless_allowed(content, why, tmp_path, capsys):
+    source = with_lost_meshes(tmp_path / "file", content)
+    with pytest.raises(AssetError, match=r"colliders are missing: wheel\.stl") as refused:
+        create(tmp_path / "mine", source)
+    assert why in refused.value.message
+    assert "'l_axle', 'r_axle' turn without limits, as wheels do" in refused.value.message
+    assert "--allow-missing" in refused.value.expected
+    assert not (tmp_path / "mine").exists()
+    made = create(tmp_path / "mine", source, allow_missing=True)
+    assert refused.value.message in made.robot.notes
+    for _ in range(2):  # the second run takes the robot from the cache
+        report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
+        assert [finding.message for finding in report.open] == [refused.value.message]
+    assert main(["doctor", str(source), "--json"]) == 1
+    assert refused.value.message in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arc", ["payload", "references"])
+def test_wheels_whose_layer_is_missing_make_no_project(arc, tmp_path):
+    """The colliders of the wheels are in a file that is not there, however the wheels name it."""
+    stock = assets_dir() / "wheelleg"
+    shutil.copytree(stock, tmp_path / "robot")
+    bare = f'(prepend {arc} = @gone.usda@)\n{{\n over "collisions" (active = false)\n {{\n }}\n}}\n'
+    wheels = "".join(f'over "{side}_wheel_link" {bare}' for side in "lr")
+    source = tmp_path / "robot" / "bare.usda"
+    source.write_text(
+        '#usda 1.0\n(\n defaultPrim = "wheelleg"\n subLayers = [@wheelleg.usda@]\n)\n'
+        f'over "wheelleg"\n{{\nover "wl2"\n{{\n{wheels}}}\n}}\n'
+    )
+    with pytest.raises(AssetError, match=r"colliders are missing: gone\.usda") as refused:
+        create(tmp_path / "mine", source)
+    assert "'l03', 'r03' turn without limits" in refused.value.message
+
+
 def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
     """Hips that turn all round: the project says so, silences it, and passes its own look."""
     source = urdf(tmp_path / "file")
@@ -213,8 +354,14 @@ def test_what_only_the_file_can_mend_is_accepted_by_name(tmp_path):
     assert "action_scale" in {finding.rule for finding in examine(wild).open}  # a number of one's own is looked at
 
 
-def test_what_may_be_accepted_are_rules_that_there_are():
-    assert set(PHYSICS_RULES) >= OF_THE_FILE
+def test_a_robot_of_implausible_size_is_reported_and_not_accepted(tmp_path):
+    source = urdf(tmp_path / "file")
+    source.write_text(source.read_text().replace(f'radius="{RADIUS}"', 'radius="100"'))
+    made = create(tmp_path / "mine", source)
+    assert any("kg in 200" in note for note in made.robot.notes)
+    report = examine(compose(["task=mine"], config_dirs=[made.path / "configs"]))
+    assert [finding.rule for finding in report.open].count("robot_size") == 1
+    assert not set(made.accepted) & {"robot_size", "link_masses"}
 
 
 def test_an_effort_that_cannot_hold_the_weight_is_not_taken(tmp_path):

@@ -17,6 +17,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("place", metavar="NAME", type=Path, help="the project's name, or a new folder that ends in it")
     parser.add_argument("--robot", metavar="FILE", type=Path, help="a USD or URDF robot; by default the stock one")
+    parser.add_argument(
+        "--allow-missing",
+        action="store_true",
+        help="make the project although files of the robot's colliders are missing",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -30,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     with StopRequest() as stop:  # the USD library swallows an interrupt of its import
         from wheelleg_exp.project.create import create
     stop.check()
-    _show(create(args.place, args.robot))
+    _show(create(args.place, args.robot, allow_missing=args.allow_missing))
     return EXIT_OK
 
 
@@ -46,7 +51,7 @@ def _show(made: Created) -> None:
     for note in robot.notes:
         print(f"  note: {note}")
     for rule, text in made.accepted.items():
-        print(f"  accepted as the file has it ({rule}): {text}")
+        print(f"  accepted as a property of the robot ({rule}): {text}")
     name = made.name
     print(f"next: cd {shown}")
     print(f"      wheelleg check --physics task={name}")

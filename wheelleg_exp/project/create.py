@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -16,7 +15,7 @@ from wheelleg_exp.config.checking.collect import find_mistakes
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.errors import AssetError, nearest_name
-from wheelleg_exp.files import for_people
+from wheelleg_exp.files import for_people, temporary_folder
 from wheelleg_exp.lint.examine import examine
 from wheelleg_exp.paths import configs_dir, find_asset
 from wheelleg_exp.project.project_names import NameTaken, require_name
@@ -33,21 +32,7 @@ _TEMPLATES = {
     "{{name}}/terms.py": "terms.py.txt",
     "tests/test_{{name}}.py": "test.py.txt",
 }
-# Rules about what stands in the robot's file, which no setting of a project mends.
-OF_THE_FILE = frozenset(
-    {
-        "armature_ratio",
-        "assumed_masses",
-        "joint_limits",
-        "link_masses",
-        "lopsided_pose",
-        "lost_in_conversion",
-        "mirror_images",
-        "missing_files",
-        "placeholder_limits",
-        "wheel_senses",
-    }
-)
+_STAY = ("missing_files", "robot_size")  # a robot of a wrong size was exported in a wrong unit
 _SAID = {
     "action": "what a unit of action moves",
     "observation": "positions of the legs alone",
@@ -96,7 +81,7 @@ class Created:
         name: its name, which is its package's, its task's and its robot's.
         files: what it holds, relative to ``path``.
         robot: what was found out about the robot.
-        accepted: what `check --physics` says of it that no setting mends, by rule; the task silences it by name.
+        accepted: what `check --physics` finds with the numbers above, by rule; the task silences these rules.
     """
 
     path: Path
@@ -106,12 +91,13 @@ class Created:
     accepted: dict[str, str]
 
 
-def create(place: Path, source: Path | None = None) -> Created:
+def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
     """Make a project.
 
     Args:
         place: the folder to make; its last part is the project's name.
         source: the robot's USD or URDF; by default the stock robot.
+        allow_missing: whether the robot's colliders may be missing with their files.
 
     Raises:
         WheellegError: the name or the place is not good, or the robot's file is not; nothing has been made.
@@ -122,10 +108,10 @@ def create(place: Path, source: Path | None = None) -> Created:
     _require_place(path)
     if source is not None:
         _require_source(source)
-    with for_people(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{name}.making.") as scratch:
-        draft = Path(scratch) / name
+    with for_people(path), temporary_folder(path) as scratch:
+        draft = scratch / name
         draft.mkdir()
-        robot, accepted = _fill(draft, name, source)
+        robot, accepted = _fill(draft, name, source, allow_missing)
         files = sorted(file.relative_to(draft) for file in draft.rglob("*") if file.is_file())
         _require_free(path)
         draft.rename(path)
@@ -163,28 +149,30 @@ def _require_source(source: Path) -> None:
     )
 
 
-def _fill(draft: Path, name: str, source: Path | None) -> tuple[Survey, dict[str, str]]:
+def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> tuple[Survey, dict[str, str]]:
     """Write all files of a project, and hold them against the checks that every task passes."""
-    env, ours = compose(["task=stand"]).config["env"], source is None
-    pose = env["robot"]["init_state"]["joint_pos"] if ours else {}
+    env = compose(["task=stand"]).config["env"]
+    pose = env["robot"]["init_state"]["joint_pos"] if source is None else {}
     source = find_asset(env["robot"]["asset"]) if source is None else source
-    robot = _surveyed(source, draft / "assets" / name, env, pose)
+    robot = _surveyed(source, draft / "assets" / name, env, pose, allow_missing)
     asset = f"{name}/{source.name}"
     texts = {f"robot/{name}.yaml": robot_yaml(name, asset, robot), **config_files(name, robot)}
     write(draft, {f"configs/{file}": text for file, text in texts.items()})
     write(draft, project_files(name, asset, list(texts)))
     try:
         _require_valid(draft, name)
-        accepted = _accept(draft, name, ours=ours)
+        accepted = _accept(draft, name)
     finally:
         projects.forget(draft)
     return robot, accepted
 
 
-def _surveyed(source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[str, float]) -> Survey:
+def _surveyed(
+    source: Path, folder: Path, env: Mapping[str, Any], pose: Mapping[str, float], allow_missing: bool
+) -> Survey:
     """Copy and survey a robot; an error speaks of the file that was given, not of the copy."""
     try:
-        return survey(copy_robot(source, folder), env, pose)
+        return survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
     except AssetError as error:
         for part in ("message", "key", "where"):
             text = getattr(error, part)
@@ -200,18 +188,18 @@ def _require_valid(draft: Path, name: str) -> None:
         raise_all(mistakes)
 
 
-def _accept(draft: Path, name: str, *, ours: bool) -> dict[str, str]:
-    """Silence in the task what `wheelleg check --physics` finds in the robot's file, saying what it is.
+def _accept(draft: Path, name: str) -> dict[str, str]:
+    """Silence in the task what `wheelleg check --physics` still finds, with the finding as the reason.
 
-    All numbers of the stock robot (``ours``) stand in its file.
+    The rules `_STAY` are never silenced.
     """
     found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
-    found = [finding for finding in found if ours or finding.rule in OF_THE_FILE]
-    accepted = {finding.rule: " ".join(finding.message.split()) for finding in reversed(found)}
+    rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _STAY)
+    accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}
     if accepted:
         task = draft / projects.CONFIGS / "task" / f"{name}.yaml"
         lines = "".join(
-            f"    {rule}: {json.dumps(f'so in the file: {text}', ensure_ascii=False)}\n"
+            f"    {rule}: {json.dumps(f'a property of this robot: {text}', ensure_ascii=False)}\n"
             for rule, text in accepted.items()
         )
         task.write_text(task.read_text(encoding="utf-8") + lines, encoding="utf-8")

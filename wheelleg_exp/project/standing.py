@@ -48,7 +48,7 @@ def stand(model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> Standing:
     """
     stance = solve_stance(model, anatomy, qpos)
     lean = 0.0
-    if stance is not None and anatomy.one_axle and not stance.balanced and abs(stance.lean) > _LEAN:
+    if stance is not None and not stance.balanced and abs(stance.lean) > _LEAN:
         lean = stance.lean
     frame = _frame(anatomy, lean)
     w, x, y, z = (float(part) for part in qpos[3:7]) if frame is None else (1.0, 0.0, 0.0, 0.0)

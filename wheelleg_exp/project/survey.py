@@ -18,7 +18,9 @@ from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.anatomy.examine import anatomy_of
 from wheelleg_exp.lint.anatomy.parts import Anatomy
 from wheelleg_exp.lint.collider_depth import lowest_point
+from wheelleg_exp.lint.robot.compiled import with_written_limits
 from wheelleg_exp.lint.robot.overlaps import overlap_depths
+from wheelleg_exp.lint.robot.rules_conversion import missing_colliders
 from wheelleg_exp.lint.robot_facts import RobotFacts, measure
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.project.standing import Standing, stand
@@ -84,16 +86,17 @@ class Survey:
         return self.up[2] >= _LEVEL
 
 
-def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float]) -> Survey:
+def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
     """Convert a robot, find out what its joints do, choose a default pose, and measure it there.
 
     Args:
         source: the robot's file.
         env: sections ``sim`` and ``scene`` to build it with.
         pose: default positions by joint expression, in place of the file's.
+        allow_missing: whether colliders may be missing with their files.
 
     Raises:
-        AssetError: the file cannot be read, or holds no robot that could stand: one with joints and colliders.
+        AssetError: the file cannot be read, or holds no robot that could stand: one with joints and all its colliders.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
@@ -107,10 +110,14 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float]) -> S
         scene = SceneManager({**env, "robot": robot}, conversion.output, 1).scene
         _require_floating(scene.robot, source)
         model = scene.spec.compile()
+        lost = missing_colliders(conversion.report, model)
+        if lost and not allow_missing:
+            raise AssetError(lost, where=str(source), expected="these files (git lfs pull), or --allow-missing")
         standing = None
         if not pose:
             data = _at(model, scene.robot, chosen)
-            standing = stand(model, anatomy_of(model, data.qpos), data.qpos)
+            limited, driven = with_written_limits(model, conversion.report), conversion.description.driven or None
+            standing = stand(limited, anatomy_of(limited, data.qpos, driven), data.qpos)
             chosen |= standing.positions
             robot = provisional_robot(conversion.description.name, standing.rotation, chosen)
             scene = SceneManager({**env, "robot": robot | {"root_frame": standing.frame}}, conversion.output, 1).scene
@@ -192,7 +199,8 @@ def _measured(
     dofs = {dof.name: dof for dof in description.dofs}
     dofs = {name: dofs[name] for name in robot.joint_names}
     data = _at(model, robot, positions)
-    anatomy = anatomy_of(model, data.qpos)
+    limited = with_written_limits(model, conversion.report)
+    anatomy = anatomy_of(limited, data.qpos, description.driven or None)
     wheels = anatomy.wheel_joints
     facts = measure(model, robot, anatomy)
     driven, passive = _driven(description, dofs, wheels)
@@ -228,7 +236,7 @@ def _measured(
         trunk_mass=float(model.body_mass[trunk]),
         wheel_bodies=[name for name in robot.body_names if name in touching],
         raised_bodies=[name for name in raised if name not in turned],
-        notes=_notes(conversion, up_z >= _LEVEL, anatomy, legs, passive),
+        notes=_notes(conversion, up_z >= _LEVEL, anatomy, legs, passive, missing_colliders(conversion.report, model)),
     )
 
 
@@ -269,15 +277,23 @@ def _raised(model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str], he
 
 
 def _notes(
-    conversion: Conversion, upright: bool, anatomy: Anatomy, legs: Sequence[str], passive: Sequence[str]
+    conversion: Conversion, upright: bool, anatomy: Anatomy, legs: Sequence[str], passive: Sequence[str], lost: str
 ) -> list[str]:
-    notes = list(conversion.report.warnings)
+    notes = [*filter(None, [lost]), *conversion.report.warnings]
     if not upright:
         notes.append("the root link's z axis does not point up, so the task leaves out terms that take it to")
     if not anatomy.wheels:
         notes.append(
             "no joint is a wheel's (unlimited, about a level axis, last of its chain, with a round collider), so the "
             "task has none"
+        )
+    lifted = [wheel.joint for wheel in anatomy.wheels if not wheel.stands]
+    if lifted:
+        count = f"only {len(anatomy.standing)} of {len(anatomy.wheels)} wheels"
+        notes.append(f"{count} touch the ground in the default pose, not those of {', '.join(lifted)}")
+    if anatomy.wheels and anatomy.forward is None:
+        notes.append(
+            "the wheels' axles are not parallel, so the legs keep the file's pose, and the root link its frame"
         )
     notes += [f"joint '{name}' would be a wheel's, but {why}" for name, why in anatomy.near.items()]
     if not legs:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from wheelleg_exp.lint.findings import at_most
 from wheelleg_exp.project.gains import leg_gains, wheel_gains
 from wheelleg_exp.project.survey import Survey
 from wheelleg_exp.project.yaml_text import names, number
@@ -17,7 +18,7 @@ _ERROR = 0.2  # of the standing height: an error that costs 1/s
 _COST = 0.15  # per second, of a motion at a tenth of the speeds that go with the robot's height
 _TILT = 0.03  # rad, of the stock event
 _DIP = 0.003  # of the robot's size: how deep either tilt may put a wheel into the ground
-_STD = 0.5  # m/s, largest
+_STD = 0.5  # m/s and rad/s, largest
 _LEG_SCALE = (0.05, 0.25)  # rad per unit of action, smallest and largest
 _WHEEL_EFFORT = 0.25  # of the largest torque, at standstill per unit of action
 
@@ -128,17 +129,19 @@ def _events(robot: Survey) -> str:
 
 
 def _tilt(robot: Survey) -> str:
-    """Return the tilts that episodes begin with, where the stock ones would put a wheel into the ground."""
+    """Return the tilts that episodes begin with, where the stock ones would put a wheel or foot into the ground."""
     anatomy = robot.anatomy
-    if anatomy.forward is None:
-        return ""
-    along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
-    arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
+    arms = dict.fromkeys(("roll", "pitch"), anatomy.size / 2)  # of feet, whose places are not known
+    if anatomy.forward is not None:
+        along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
+        arms = {"roll": anatomy.support_width / 2, "pitch": max(map(abs, along), default=0.0)}
     dip = _DIP * anatomy.size
     most = {axis: math.floor(1e3 * dip / arm) / 1e3 for axis, arm in arms.items() if arm * _TILT > dip}
     ranges = ", ".join(f"{axis}: [-{tilt}, {tilt}]" for axis, tilt in most.items())
     return (
-        f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel into the ground\n" if ranges else ""
+        f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel or foot into the ground\n"
+        if ranges
+        else ""
     )
 
 
@@ -167,11 +170,12 @@ def _rewards(robot: Survey) -> str:
 
 def _motion(robot: Survey) -> str:
     """Return the rewards of motions in the root link's axes."""
-    gravity, size = robot.facts.gravity, robot.size
+    gravity, size, track = robot.facts.gravity, robot.size, robot.facts.track
+    turning = min(_STD, 2 * _tolerance(robot) / track) if track else _STD
     return f"""    lin_vel_z: {{weight: {number(-_COST / (0.01 * gravity * size), 2)}}}
     ang_vel_xy: {{weight: {number(-_COST * size / (0.01 * gravity), 2)}}}
     track_lin_vel_xy: {{weight: 2.0, std: {number(_tolerance(robot), 2)}}}   # m/s
-    track_ang_vel_z: {{weight: 1.0, std: 0.5}}   # rad/s
+    track_ang_vel_z: {{weight: 1.0, std: {number(turning, 2)}}}   # rad/s
 """
 
 
@@ -219,7 +223,7 @@ def _wheel_action(name: str, robot: Survey) -> str:
 {name}_wheels:
   _target_: wheelleg_exp.mdp.actions.JointVelocityAction
   joint_names: {names(robot.wheels, 4, 15)}
-  scale: {number(_wheel_scale(robot), 2)}    # rad/s per unit of action
+  scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
 """
 
 
