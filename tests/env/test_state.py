@@ -393,6 +393,12 @@ REFUSED_WHEN_IT_COMES = {
     "RemembersTheLastAction": ("env.rewards.own", "'last' has come to share its memory with env.actions.action"),
     "remembers_on_itself": ("env.rewards.own", "'calls' of 'remembers_on_itself'"),
     "remembers_on_the_robot": ("env.robot", "'own_calls'"),
+    "RemembersOnATensor": ("env.rewards.own", "an attribute of its own, 'calls'"),
+    "remembers_on_the_engine": ("env.scene.sim", "'own_calls'"),
+    "remembers_in_a_default": ("env.rewards.own", "the default argument 'calls' of 'remembers_in_a_default'"),
+    "remembers_on_a_default_entity": ("env.rewards.own", "the default argument 'asset_cfg'"),
+    "remembers_on_its_term": ("env.rewards.own", "the attribute 'calls'"),
+    "expands_the_batch": ("env.scene.sim.batch", "jnt_stiffness"),
     "remembers_in_the_config": ("env.rewards.own.weight", "the config"),
 }
 
@@ -407,6 +413,46 @@ def test_state_that_comes_later_is_refused_when_it_is_saved(make, kind):
     with pytest.raises(ConfigError, match=words) as caught:
         env.state_dict()
     assert caught.value.key == key
+
+
+MODEL_WRITES = {
+    "opt.gravity": lambda m: m.opt.gravity.__setitem__(2, -5.0),
+    "opt.wind": lambda m: setattr(m.opt, "wind", [1.0, 0.0, 0.0]),
+    "opt.disableflags": lambda m: setattr(m.opt, "disableflags", 1),
+    "body_mass": lambda m: m.body_mass.__imul__(1.1),
+    "geom_friction": lambda m: setattr(m.geom("ground"), "friction", [2.0, 0.005, 0.0001]),
+}
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "warp"])
+def test_a_write_to_the_compiled_model_is_refused_by_name_and_expanded_fields_are_saved(make_env, engine):
+    env = make_env(sim={"engine": engine})
+    env.reset()
+    for name, write in MODEL_WRITES.items():
+        before = copy.deepcopy(env.scene.sim.model)
+        write(env.scene.sim.model)
+        with pytest.raises(ConfigError, match=rf"has changed {name} of .* no effect") as caught:
+            env.state_dict()
+        assert caught.value.key == "env.scene.sim.model"
+        assert f"env.scene.sim.expand('{name}')" in str(caught.value)
+        for field in ("body_mass", "geom_friction"):
+            getattr(env.scene.sim.model, field)[:] = getattr(before, field)
+        for field in ("gravity", "wind", "disableflags"):
+            setattr(env.scene.sim.model.opt, field, getattr(before.opt, field))
+    for name in ("opt.gravity", "body_mass", "geom_friction"):
+        env.scene.sim.expand(name)[:] *= 1.5
+    env.scene.sim.set_const()
+    other = make_env(sim={"engine": engine}, seed=3)
+    other.load_state_dict(env.state_dict())
+    action = torch.zeros(env.num_envs, env.action_manager.total_action_dim)
+    assert equal([env.step(action)[0] for _ in range(5)], [other.step(action)[0] for _ in range(5)])
+
+
+def test_an_event_at_startup_that_writes_to_the_compiled_model_is_refused(make_env):
+    spies.VALUES["write"] = lambda env, ids: env.scene.model.body_mass.__imul__(2.0)
+    event = {"_target_": spies.HERE + "writes", "mode": "startup", "key": "write"}
+    with pytest.raises(ConfigError, match="body_mass of the compiled model"):
+        make_env(events={"heavier": event})
 
 
 def test_what_a_term_keeps_on_the_environment_is_saved_like_its_own(make):

@@ -20,51 +20,58 @@ def env(config):
     return ManagerBasedRLEnv(config, ASSETS / "legged.xml", 0)
 
 
-def test_the_layout_of_the_observation_is_the_articles(env):
+def test_the_observation_has_the_articles_widths(env):
+    """The article has the two wheel angles where the rolled distance and the heading are here."""
     assert env.observation_manager.group_obs_dim == {"policy": (135,), "critic": (180,)}
     slices = env.observation_manager.term_slices("policy")
     assert {name: (s.start, s.stop) for name, s in slices.items()} == {
         "base_ang_vel": (0, 15),
         "projected_gravity": (15, 30),
         "velocity_commands": (30, 45),
-        "joint_pos_rel": (45, 75),
-        "joint_vel_rel": (75, 105),
-        "last_action": (105, 135),
+        "joint_pos_rel": (45, 65),
+        "joint_vel_rel": (65, 95),
+        "last_action": (95, 125),
+        "travel_error": (125, 135),
     }
     critic = env.observation_manager.term_slices("critic")
-    assert (critic["base_lin_vel"].start, critic["base_lin_vel"].stop) == (135, 150)
-    assert (critic["joint_effort"].start, critic["joint_effort"].stop) == (150, 180)
+    assert (critic["base_lin_vel"].start, critic["base_lin_vel"].stop) == (125, 140)
+    assert (critic["joint_effort"].start, critic["joint_effort"].stop) == (140, 170)
 
 
 def test_each_place_of_the_observation_holds_what_the_map_says(env):
     """Oldest first within a term, joints breadth first within a sample, with the stock scales."""
     env.reset()
     data, frames = env.scene.robot.data, []
+    signs, travel = torch.tensor(env.command_manager.get_term("base_velocity").wheel_signs), torch.zeros(8, 2)
     for k in range(6):
         action = torch.randn(8, 6, generator=torch.Generator().manual_seed(k)) * 0.1
         obs, *_ = env.step(action)
+        rolled = (data.joint_vel[:, 4:] * signs).mean(dim=1) * 0.02
+        travel = travel + torch.stack((rolled, data.root_ang_vel_b[:, 2]), dim=1) / 60
+        assert travel.abs().max() < 0.1  # its bound
         frames.append(
             {
                 "base_ang_vel": data.root_ang_vel_b * 0.25,
                 "projected_gravity": data.projected_gravity_b,
-                "joint_pos_rel": data.joint_pos - data.default_joint_pos,
+                "joint_pos_rel": (data.joint_pos - data.default_joint_pos)[:, :4],
                 "joint_vel_rel": data.joint_vel * 0.05,
                 "last_action": action,
                 "base_lin_vel": data.root_lin_vel_b,
                 "joint_effort": data.applied_torque * 0.01,
+                "travel_error": travel * 20,
             }
         )
         frames[-1] = {name: value.clone() for name, value in frames[-1].items()}
     assert env.scene.robot.joint_names == ["l01", "r01", "l02", "r02", "l03", "r03"]
     critic = obs["critic"]
-    begin = {"base_ang_vel": 0, "projected_gravity": 15, "joint_pos_rel": 45, "joint_vel_rel": 75, "last_action": 105}
-    begin |= {"base_lin_vel": 135, "joint_effort": 150}
+    begin = {"base_ang_vel": 0, "projected_gravity": 15, "joint_pos_rel": 45, "joint_vel_rel": 65, "last_action": 95}
+    begin |= {"base_lin_vel": 125, "joint_effort": 140, "travel_error": 170}
     for name, start in begin.items():
         width = frames[0][name].shape[1]
         for age in range(5):
             place = slice(start + age * width, start + (age + 1) * width)
             torch.testing.assert_close(critic[:, place], frames[1 + age][name], msg=f"{name}, sample {age}")
-    assert torch.equal(critic[:, :135], obs["policy"])
+    assert torch.equal(torch.cat((critic[:, :125], critic[:, 170:]), dim=1), obs["policy"])
     assert (critic[:, 30:45] == 0).all()
 
 

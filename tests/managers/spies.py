@@ -399,6 +399,49 @@ def remembers_on_the_robot(env: Env) -> torch.Tensor:
     return torch.full((env.num_envs,), float(robot.own_calls))  # type: ignore[attr-defined]
 
 
+def remembers_on_the_engine(env: Any) -> torch.Tensor:
+    """Store a number on the engine."""
+    sim = env.scene.sim
+    sim.own_calls = getattr(sim, "own_calls", 0) + 1
+    return torch.full((env.num_envs,), float(sim.own_calls))
+
+
+def remembers_in_a_default(env: Env, calls: list[int] = []) -> torch.Tensor:  # noqa: B006
+    """Count in a mutable default argument."""
+    calls.append(1)
+    return torch.full((env.num_envs,), float(len(calls)))
+
+
+def remembers_on_a_default_entity(env: Env, asset_cfg: Any = SceneEntityCfg("robot")) -> torch.Tensor:  # noqa: B008
+    """Count in an attribute of a default argument."""
+    asset_cfg.calls = getattr(asset_cfg, "calls", 0) + 1
+    return torch.full((env.num_envs,), float(asset_cfg.calls))
+
+
+def remembers_on_its_term(env: Any) -> torch.Tensor:
+    """Count in an attribute of the manager's entry for the term."""
+    term = env.reward_manager.get_term_cfg("own")
+    term.calls = getattr(term, "calls", 0) + 1
+    return torch.full((env.num_envs,), float(term.calls))
+
+
+class RemembersOnATensor(TermBase):
+    """Counts in an attribute of a tensor."""
+
+    def __init__(self, env: Env) -> None:
+        self.buffer: Any = torch.zeros(env.num_envs)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        self.buffer.calls = getattr(self.buffer, "calls", 0) + 1
+        return self.buffer + self.buffer.calls
+
+
+def expands_the_batch(env: Any) -> torch.Tensor:
+    """Write to a model field of each simulation without the engine's knowledge."""
+    env.scene.sim.batch.expand("jnt_stiffness")[:] += 1.0
+    return torch.zeros(env.num_envs)
+
+
 def remembers_in_the_config(env: Any) -> torch.Tensor:
     """Counts in the environment's config."""
     env.cfg["rewards"]["own"]["weight"] += 1.0

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import itertools
 from typing import Any, ClassVar
 
 import pytest
+import torch
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import SceneEntityCfg
 from wheelleg_exp.state import Outside
 
 
@@ -80,8 +83,73 @@ def test_an_iterator_of_a_class_is_refused_at_once():
     class Kind:
         ids: ClassVar[Any] = itertools.count()
 
-    with pytest.raises(ConfigError, match="class attribute 'ids'"):
+    with pytest.raises(ConfigError, match=r"the attribute 'ids' of .*Kind' is a count"):
         _code(Kind)
+
+
+def _with_default(default):
+    def term(env, memory=default, *, rate=1.0):
+        pass
+
+    return term
+
+
+def _of_a_class(default):
+    class Kind:
+        def __call__(self, env, *, memory=default):
+            pass
+
+    return Kind
+
+
+class _Plain:
+    def __init__(self) -> None:
+        self.count = 0
+
+
+@pytest.mark.parametrize("made", [_with_default, _of_a_class, lambda d: functools.wraps(_with_default(d))(lambda: 0)])
+@pytest.mark.parametrize(
+    ("default", "change"),
+    [
+        ([], lambda d: d.append(1)),
+        ({}, lambda d: d.update(count=1)),
+        (torch.zeros(2), lambda d: d.add_(1)),
+        (SceneEntityCfg("robot"), lambda d: setattr(d, "stage", 1)),
+        (_Plain(), lambda d: setattr(d, "count", 1)),
+    ],
+)
+def test_a_default_argument_that_is_changed_in_place(made, default, change):
+    default = copy.deepcopy(default)
+    outside = _code(made(default))
+    outside.require_unchanged()
+    change(default)
+    with pytest.raises(ConfigError, match=r"the default argument 'memory' of '.*'"):
+        outside.require_unchanged()
+
+
+def test_an_iterator_as_a_default_argument_is_refused_at_once():
+    with pytest.raises(ConfigError, match=r"the default argument 'memory' of .* is a count"):
+        _code(_with_default(itertools.count()))
+
+
+def test_what_init_stores_is_saved_there_and_may_be_a_default_argument():
+    class Kind:
+        def __init__(self, memory=[]):  # noqa: B006
+            self.memory = memory
+
+    outside = _code(Kind)
+    Kind().memory.append(1)
+    outside.require_unchanged()
+
+
+class Part:
+    """An object of the package below an owner."""
+
+    __module__ = Outside.__module__
+    used = False  # a default of the class, which an object overrides later
+
+    def __init__(self) -> None:
+        self._count = 0
 
 
 class Owner:
@@ -101,6 +169,22 @@ def test_an_owner_may_not_get_attributes_nor_have_its_numbers_changed():
     owner.limit, owner.mine = 1.0, None
     with pytest.raises(ConfigError, match="'mine'"):
         outside.require_unchanged()
+
+
+def test_an_attribute_that_appears_below_an_owner_or_on_its_tensor_is_named():
+    owner = Owner()
+    owner.part, owner.table = Part(), torch.zeros(2)
+    outside = Outside({}, {"env.robot": owner}, {})
+    owner.table, owner.part._count, owner.part.used = owner.table + 1, 1, True
+    outside.require_unchanged()
+    owner.table.stage = 1
+    with pytest.raises(ConfigError, match="'table'"):
+        outside.require_unchanged()
+    del owner.table.stage
+    owner.part.mine = 1
+    with pytest.raises(ConfigError, match="'mine'") as caught:
+        outside.require_unchanged()
+    assert caught.value.key == "env.robot.part"
 
 
 @pytest.mark.parametrize(

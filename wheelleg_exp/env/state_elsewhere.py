@@ -27,12 +27,12 @@ class TermState:
         cfg: its section of the config.
 
     Raises:
-        ConfigError: a term keeps what cannot be saved.
+        ConfigError: a term has stored state that cannot be saved, or has written to the compiled model.
     """
 
     def __init__(self, env: Env, managers: Mapping[str, Any], cfg: Mapping[str, Any]) -> None:
         terms = [term for manager in managers.values() for term in getattr(manager, "bound_terms", [])]
-        robot = env.scene.robot
+        robot, owners = env.scene.robot, _owners(env, terms)
         kept = {
             "env": env,
             "env.scene": env.scene,
@@ -42,13 +42,17 @@ class TermState:
         }
         kept |= {f"env.scene.sensors.{name}": sensor for name, sensor in env.scene.sensors.items()}
         kept |= {f"env.{name}": manager for name, manager in managers.items() if name != "scene"}
+        env.scene.require_compiled_model()
         self._env = env
+        parts = owners | {k: v for k, v in kept.items() if k.startswith(("env.scene.sensors.", "env.scene.terrain"))}
         self._outside = Outside(
-            {term.path: type(term.stateful) if term.stateful is not None else term.func for term in terms},
-            {name: value for name, value in kept.items() if name != "env"},
+            {term.path: term.func for term in terms} | {key: type(value) for key, value in parts.items()},
+            {k: v for k, v in kept.items() if k != "env"}
+            | {"env.scene.sim": env.scene.sim, "env.streams": env.streams}
+            | {term.path: term for term in terms},
             cfg,
         )
-        self._memory = Memory(_owners(env, terms), lambda: _tensors(kept) | {"the state": env.scene.sim.state})
+        self._memory = Memory(owners, lambda: _tensors(kept) | {"the state": env.scene.sim.state})
         self._names = {*vars(env), "_term_state"}
         self._plain = {name: item for name, item in vars(env).items() if _is_plain(name, item)}
 
@@ -58,6 +62,7 @@ class TermState:
         Raises:
             ConfigError: a term has kept something where it cannot be saved.
         """
+        self._env.scene.require_compiled_model()
         self._outside.require_unchanged()
         self._memory.require_apart()
         found = {}

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from mujoco.batch import Batch, SimulationError
 
-from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import not_finite
 from wheelleg_exp.sim.rays.still_geoms import StillGeoms
@@ -158,7 +158,17 @@ class BatchEngine(Engine):
         self._still[(geom_group,)] = StillGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the next step depends on: state rows, warnings, per-simulation model fields."""
+        """Return everything that the next step depends on: state rows, warnings, per-simulation model fields.
+
+        Raises:
+            ConfigError: a model field was expanded by ``batch`` itself.
+        """
+        if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
+            raise ConfigError(
+                f"a term has expanded {' and '.join(hidden)} of the batch itself, which no checkpoint saves",
+                key="env.scene.sim.batch",
+                expected=f"env.scene.sim.expand('{hidden[0]}')",
+            )
         fields = {name: values.clone() for name, values in sorted(self.expanded.items())}
         return {
             "state": self.state.clone(),

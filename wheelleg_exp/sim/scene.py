@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -92,6 +93,7 @@ class Scene(Kept):
     def play(self) -> None:
         """Compile the spec, start the simulations and stand the robot at its default state."""
         self.model = self.spec.compile()
+        self._compiled = _checksums(self.model)
         self.sim = make_engine(self._sim_options, self.model, self.num_envs)
         self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)
         self._unstable: torch.Tensor | None = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
@@ -149,6 +151,18 @@ class Scene(Kept):
     def model_digest(self) -> str:
         """Return the sha256 of the compiled model, the identity of everything that physics reads."""
         return model_digest(self.model)
+
+    def require_compiled_model(self) -> None:
+        """Raise ConfigError with the fields of ``model`` that a term has changed: engines simulate their own copies."""
+        now = _checksums(self.model)
+        if changed := [name for name, value in self._compiled.items() if now[name] != value]:
+            raise ConfigError(
+                f"a term has changed {' and '.join(changed)} of the compiled model. The engine simulates a copy, so "
+                "that this change has no effect, and no checkpoint saves it",
+                key="env.scene.sim.model",
+                expected=f"env.scene.sim.expand('{changed[0]}'), a tensor with one value for each environment, and "
+                "env.scene.sim.set_const() after writing to it",
+            )
 
     def write_data_to_sim(self) -> None:
         """Run the actuators and write controls and wrenches, before each physics step."""
@@ -288,14 +302,25 @@ def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> En
 def model_digest(model: mujoco.MjModel) -> str:
     """Return the sha256 of all numbers and names of a model, but not of the places of its files."""
     digest = hashlib.sha256()
-    for holder in (model, model.opt):
+    for name, value in _fields(model):
+        digest.update(name.removeprefix("opt.").encode() + b"\0" + value.tobytes())
+    return digest.hexdigest()
+
+
+def _fields(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the numbers and names of a model, but not the paths of its files."""
+    for prefix, holder in (("", model), ("opt.", model.opt)):
         for name in sorted(dir(holder)):
             if name.startswith("_") or name in _PLACES or name.endswith("pathadr"):
                 continue
             value = getattr(holder, name)
             if isinstance(value, (np.ndarray, np.generic, int, float, bytes)):
-                digest.update(name.encode() + b"\0" + np.asarray(value).tobytes())
-    return digest.hexdigest()
+                yield prefix + name, np.asarray(value)
+
+
+def _checksums(model: mujoco.MjModel) -> dict[str, int]:
+    """Return a checksum of each field of a model by name; every checkpoint compares them."""
+    return {name: zlib.crc32(np.ascontiguousarray(value).data) for name, value in _fields(model)}
 
 
 def _set_options(spec: mujoco.MjSpec, sim: SimOptions) -> None:

@@ -99,6 +99,8 @@ def look(value: Any, path: str) -> Any:
     if isinstance(value, torch.Tensor):
         if value.layout != torch.strided:
             raise Unsaveable(path, value, "not strided")
+        if vars(value):
+            raise Unsaveable(path, value, f"with an attribute of its own, '{next(iter(vars(value)))}'")
         return value.detach().clone()
     if isinstance(value, (np.ndarray, np.generic)):
         return _array(value, path)
@@ -115,6 +117,8 @@ def look(value: Any, path: str) -> Any:
 
 
 def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
+    if isinstance(value, np.ndarray) and type(value) is not np.ndarray:  # a mask or a file would be lost
+        raise Unsaveable(path, value)
     try:
         tensor = torch.from_numpy(np.array(value))
     except TypeError:

@@ -12,6 +12,7 @@ import torch
 
 from wheelleg_exp.constraints import Count, Names, Natural, NonNegative
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.sensors.base import SensorBase
@@ -77,6 +78,8 @@ class ContactSensor(SensorBase):
         """Find the sensed bodies and add one MuJoCo contact sensor a body."""
         super().add_to(spec, name, robot)
         _, self.body_names = robot.find_bodies(self._expressions, key=f"{self.key}.body_names")
+        numbers = len(self.body_names) * self._slots * _WIDTH
+        require_memory(8 * numbers, f"{self.key}.max_contacts", f"{numbers:,} readings of contacts")
         self._robot, key = robot, f"{self.key}.filter_body_names"
         self.filter_names: list[str] = []
         if self._filters:
@@ -118,6 +121,8 @@ class ContactSensor(SensorBase):
         """Attach to the running simulations; called once, after the scene has been compiled."""
         super().connect(sim, stream)
         n, bodies, device = sim.num_envs, len(self.body_names), sim.device
+        numbers = 3 * n * bodies * self._history_length
+        require_memory(4 * numbers, f"{self.key}.history_length", f"{numbers:,} numbers of past forces")
         start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
         end = start + bodies * self._slots * _WIDTH
         self._readings = sim.view("sensordata")[:, start:end].view(n, bodies, self._slots, _WIDTH)

@@ -13,6 +13,7 @@ import torch
 
 from wheelleg_exp.constraints import AtMost, Broken, Count, Interval, Length, NotAllZero, Positive, relation
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.memory import require_memory
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.failures import blamed, code_place, described, dotted_name
 
@@ -29,6 +30,9 @@ class PatternBase(Kept):
 
     def checked_rays(self, device: torch.device) -> Rays:
         """Return the rays; ConfigError, with a key below the sensor's, unless they are what ``rays`` promises."""
+        if type(self).__module__ == __name__:
+            count = len(self.rays(torch.device("meta"))[0])  # the device gives shapes and takes no memory
+            require_memory(24 * count, "pattern", f"{count:,} rays")
         with blamed("pattern", self):
             given = self.rays(device)
         if not isinstance(given, tuple) or len(given) != 2:
