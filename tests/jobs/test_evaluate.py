@@ -6,8 +6,11 @@ import csv
 import json
 
 import pytest
+import torch
 
 from wheelleg_exp.cli.main import main
+from wheelleg_exp.jobs.evaluate.settings import settings
+from wheelleg_exp.rl import checkpoint
 
 pytestmark = pytest.mark.train
 
@@ -42,3 +45,67 @@ def test_a_protocol_that_is_not_there_is_told_with_the_nearest(run, capsys):
 def test_another_robot_is_refused(run, capsys):
     assert main(["evaluate", str(run.path), "env.robot.asset=other.usd"]) == 2
     assert "env.robot.asset" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "env.rewards.alive.weight=9",
+        "~env.rewards.alive",
+        "env.num_envs=4",
+        "env.episode_length_s=9.0",
+        "env.events.push_robot.velocity_range.x=[-1.0,1.0]",
+        "env.terminations.time_out=null",
+        "agent.device=cuda",
+        "agent.algorithm.gamma=0.5",
+        "agent.critic.activation=relu",
+        "agent.max_iterations=3",
+    ],
+)
+def test_an_override_that_no_evaluation_reads_is_refused_by_name(run, override, capsys):
+    assert main(["evaluate", str(run.path), *SHORT, "env.decimation=3", override]) == 2
+    said = capsys.readouterr().err
+    assert f"{override.lstrip('~').partition('=')[0]}: nothing reads this here (override {override}); expected" in said
+    assert "env.decimation" not in said
+    assert not run.evaluation.exists()
+
+
+def test_every_unread_override_is_named_at_once(run, capsys):
+    assert main(["evaluate", str(run.path), "env.num_envs=4", "agent.device=cuda"]) == 2
+    said = capsys.readouterr().err
+    assert "protocol.stand.episodes" in said
+    assert "env.sim.device" in said
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "env.sim.dt=0.002",
+        "env.rewards.base_height.target_height=0.08",
+        "~env.events.reset_base",
+        "env.scene.terrain.static_friction=0.5",
+        "+agent.clip_actions=1.0",
+        "agent.torch_threads=2",
+        "env.decimation=2",  # repeats the run's own value
+    ],
+)
+def test_what_an_evaluation_reads_can_be_changed(run, override):
+    settings(run, [override])
+
+
+def test_the_ground_is_read_where_the_protocol_keeps_it(run):
+    settings(run, ["protocol.ground=own", "env.scene.terrain.restitution=0.1"])
+
+
+@pytest.mark.parametrize("command", ["evaluate", "play", "export"])
+def test_a_policy_with_nan_is_an_error_of_its_checkpoint(run, command, capsys):
+    path = run.latest_checkpoint()
+    state = checkpoint.load(path)
+    name, weights = next(iter(state["actor_state_dict"].items()))
+    weights.view(-1)[3] = torch.nan
+    path.write_bytes(checkpoint.serialize(state))
+    assert main([command, str(run.path)]) == 2
+    said = capsys.readouterr().err
+    assert path.name in said
+    assert f"actor.{name} are NaN or inf" in said
+    assert not run.evaluation.exists()

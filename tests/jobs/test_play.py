@@ -227,6 +227,9 @@ def test_a_play_ends_when_the_last_first_episode_does(run):
         ("recording.max_mb=-1", "recording.max_mb"),
         ("recording.live=maybe", "recording.live"),
         ("agent.torch_threads=0", "agent.torch_threads"),
+        ("agent.device=cuda", "agent.device"),
+        ("agent.max_iterations=3", "agent.max_iterations"),
+        ("agent.critic.hidden_dims=[4]", "agent.critic.hidden_dims"),
     ],
 )
 def test_a_wrong_override_is_told_and_leaves_nothing_behind(run, override, key):

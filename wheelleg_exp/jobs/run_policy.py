@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.check import check_tree
-from wheelleg_exp.config.composing.amend import amend, placing
+from wheelleg_exp.config.composing.amend import amend, placing, require_read
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.problems import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -24,9 +24,14 @@ from wheelleg_exp.rl.policy import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.params import load_params, on_reference_engine, present_form
+from wheelleg_exp.run.params import OF_A_POLICY, load_params, on_reference_engine, present_form
 
 Tree = dict[str, Any]
+
+_INSTEAD = {
+    "agent.device": "env.sim.engine and env.sim.device: the policy runs where the simulation does",
+    "": "agent.torch_threads, agent.clip_actions, agent.max_non_finite, or a key of the policy's network",
+}
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,7 @@ def prepare(
     with placing(overrides):
         tree = tree if change is None else change(tree)
         _require_playable(kept, tree)
+        require_read(kept, overrides, _read, _INSTEAD)
         env = ManagerBasedRLEnv(tree["env"], kept_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
     if tree["env"] == kept["env"] and env.scene.model_digest() != kept_model_digest(run):
@@ -118,6 +124,12 @@ def prepare(
 def _own_settings() -> Tree:
     composed = compose(primary="play").config
     return {key: composed[key] for key in ("seed", "play", "drive", "recording")}
+
+
+def _read(tree: Mapping[str, Any]) -> Any:
+    """Return what a play reads: of ``agent``, what the policy depends on and how many failures are accepted."""
+    agent = {key: value for key, value in tree["agent"].items() if key in (*OF_A_POLICY, "max_non_finite")}
+    return {**tree, "agent": agent}
 
 
 def _require_playable(kept: Tree, tree: Tree) -> None:

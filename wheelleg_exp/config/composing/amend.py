@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,10 +12,12 @@ from hydra.core.override_parser.types import Override
 
 from wheelleg_exp.config.checking.diagnose import nearest_path, unreadable
 from wheelleg_exp.config.composing.hydra_keys import unread
-from wheelleg_exp.config.problems import join, parts
+from wheelleg_exp.config.problems import join, parts, raise_all
 from wheelleg_exp.config.tree import dotted, node_paths, split_path
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, UnreadKey
 from wheelleg_exp.terms.binding import drop_removed
+
+_OTHER = "another value"
 
 
 def amend(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
@@ -32,6 +34,40 @@ def amend(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     if overrides:  # what nobody changes stays as it was recorded
         drop_removed(amended)
     return amended
+
+
+def require_read(
+    kept: Mapping[str, Any],
+    overrides: Sequence[str],
+    read: Callable[[Mapping[str, Any]], Any],
+    instead: Mapping[str, str],
+) -> None:
+    """Raise ConfigError, with every key, for overrides that nothing reads.
+
+    An override is read if its value, or any other value of its key, changes what ``read`` returns. Thus an override
+    that repeats the present value is no mistake.
+
+    Args:
+        kept: the tree before the overrides.
+        overrides: the overrides, each of which ``amend`` accepts.
+        read: returns what of a tree is read, comparable with ``==``.
+        instead: what to write in place of a key or of those below it, by key; ``""`` for all others.
+    """
+    errors: list[ConfigError] = []
+    tree: Mapping[str, Any] = kept
+    for text in overrides:
+        keys, after = split_path(_parse(text).key_or_group), amend(tree, [text])
+        other = amend(after, [])
+        parent = _parent(other, keys, text)
+        old = parent.get(keys[-1], _OTHER)
+        parent[keys[-1]] = {**(old or {}), _OTHER: None} if old is None or isinstance(old, Mapping) else _OTHER
+        if read(after) == read(tree) == read(other):
+            key = dotted(keys)
+            expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))
+            errors.append(UnreadKey("nothing reads this here", key=key, where=f"override {text}", expected=expected))
+        tree = after
+    if errors:
+        raise_all(errors)
 
 
 @contextmanager
