@@ -20,7 +20,9 @@ from jobs.small import ITERATIONS, TINY, Trained, trained_once, wheelleg
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs.export import bundle as as_they_stand
+from wheelleg_exp.jobs.export import comparison
 from wheelleg_exp.jobs.export import export as job
+from wheelleg_exp.jobs.export.c_terms import in_comment
 from wheelleg_exp.jobs.export.deployment import as_configured
 from wheelleg_exp.jobs.export.export import export
 from wheelleg_exp.jobs.kept_robot import kept_mjcf
@@ -116,8 +118,8 @@ def test_a_runner_that_is_another_policy_is_told(bundle, runner, tmp_path):
 
 
 def test_an_export_whose_runner_differs_writes_nothing(trained, tmp_path, monkeypatch):
-    monkeypatch.setattr(job, "TOLERANCE", -1.0)
-    with pytest.raises(SimulationFailure, match="is not the policy"):
+    monkeypatch.setattr(comparison, "TOLERANCE", -1.0)
+    with pytest.raises(SimulationFailure, match="is not the trained policy"):
         exported(trained.run, tmp_path / "made" / "bundle")
     assert list((tmp_path / "made").iterdir()) == []
 
@@ -364,8 +366,8 @@ def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
     assert told.value.key == "env.observations.policy.terms.base_ang_vel"
 
 
-def hold_c_header(folder: Path, place: Path) -> None:
-    """Compile the C header, if there is a compiler, and hold what it makes of recorded readings against the record."""
+def hold_c_header(folder: Path, place: Path, *flags: str) -> None:
+    """Compile the C header, if there is a compiler, and compare its answers to recorded readings with the record."""
     compiler, recorded = shutil.which("cc"), checked(folder)
     if compiler is None:
         return
@@ -373,8 +375,8 @@ def hold_c_header(folder: Path, place: Path) -> None:
     assert [name.removeprefix("reading:") for name in names] == list(spec_of(folder)["readings"])
     rows = np.concatenate([recorded["reset"][:, None], *(recorded[name] for name in names)], axis=1, dtype=np.float32)
     (place / "main.c").write_text(MAIN)
-    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", f"-I{folder}"]
-    subprocess.run([compiler, *flags, place / "main.c", "-o", place / "main", "-lm"], check=True, timeout=PATIENCE_S)
+    strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", f"-I{folder}", *flags]
+    subprocess.run([compiler, *strict, place / "main.c", "-o", place / "main", "-lm"], check=True, timeout=PATIENCE_S)
     said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
     wanted = np.concatenate(
         [recorded["observations"], recorded["actions"], recorded["targets"].reshape(len(rows), -1)], axis=1
@@ -393,7 +395,7 @@ int main(void) {
     float begins;
     while (fread(&begins, sizeof begins, 1, stdin) == 1 && fread(&readings, sizeof readings, 1, stdin) == 1) {
         if (begins) policy_reset(&state);
-        policy_step(&state, &readings, &targets);
+        if (policy_step(&state, &readings, &targets)) return 1;
         fwrite(state.observation, sizeof state.observation, 1, stdout);
         fwrite(state.action, sizeof state.action, 1, stdout);
         fwrite(&targets, sizeof targets, 1, stdout);
@@ -469,3 +471,181 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
     np.testing.assert_allclose(readings["imu.projected_gravity"], imu.projected_gravity_b[0], atol=5e-4)
     np.testing.assert_allclose(readings["imu.quat"], imu.quat_w[0], atol=5e-4)
     assert np.abs(data.joint_vel[0]).max() > 1.0
+
+
+def test_a_correct_policy_that_amplifies_its_last_action_passes_the_check(bundle, runner, tmp_path):
+    recorded, spec = checked(bundle), spec_of(bundle)
+    weight = np.zeros((6, 135), np.float32)
+    weight[np.arange(6), np.arange(129, 135)] = 1.35  # of the newest last action
+    np.savez(tmp_path / "policy.npz", weight_0=weight, bias_0=np.zeros(6, np.float32))
+    spec["network"] |= {"widths": [6], "activations": ["identity"], "normalized": False}
+    (tmp_path / "policy.json").write_text(json.dumps(spec))
+    policy = runner.Policy(tmp_path)
+    for step, starts in enumerate(recorded["reset"]):
+        if starts:
+            policy.reset()
+        targets = policy.step({k.removeprefix("reading:"): v[step] for k, v in recorded.items() if ":" in k})
+        recorded["observations"][step] = policy.observation
+        recorded["targets"][step] = np.stack([targets[name] for name in ("position", "velocity", "effort")])
+        policy.action = recorded["actions"][step] = policy.action + np.float32(1e-7)  # a rounding error
+    recorded["actions_float32"] = recorded["actions"]
+    np.savez(tmp_path / "check.npz", **recorded)
+    assert recorded["actions"].max() > 1e-5, "an open loop would differ by so much"
+    assert max(runner.check(tmp_path).values()) <= 1e-6
+
+
+def test_every_policy_of_the_bundle_was_compared(bundle):
+    found = spec_of(bundle)["check"]["largest_difference"]
+    networks = {"observations", "actions", "targets", "actions_float32", "onnx", "torchscript"}
+    assert set(found) == networks | ({"c_double", "c_float"} if shutil.which("cc") else set())
+    assert max(found.values()) <= 1e-4
+    text = (bundle / "README.md").read_text()
+    assert [name for name in found if f"| `{name}` |" not in text] == []
+
+
+def test_a_header_that_cannot_be_compared_is_not_shipped(trained, tmp_path, monkeypatch):
+    monkeypatch.setattr(comparison, "_COMPILERS", ("no-such-compiler",))
+    made = exported(trained.run, tmp_path / "bundle")
+    assert made.notes == ["policy.h, which was not compared: there is no C compiler (no-such-compiler)"]
+    assert not (made.folder / "policy.h").exists()
+    assert f"Not here: {made.notes[0]}." in (made.folder / "README.md").read_text()
+    assert "c_float" not in made.differences
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_a_header_that_differs_stops_the_export(trained, tmp_path, monkeypatch):
+    made = job.c_header
+    monkeypatch.setattr(job, "c_header", lambda *a: made(*a).replace("v[0] *= 0.25f", "v[0] *= 0.26f"))
+    with pytest.raises(SimulationFailure, match="its c_double differ by"):
+        exported(trained.run, tmp_path / "bundle")
+
+
+def steady(spec: dict) -> dict[str, np.ndarray]:
+    """Return readings of a robot that stands still at its default pose."""
+    known = {"projected_gravity": [0, 0, -1], "joint_pos": spec["default_joint_pos"]}
+    return {name: np.array(known.get(name, [0.0] * r["width"]), np.float32) for name, r in spec["readings"].items()}
+
+
+def by_c(folder: Path, place: Path, rows: list[dict], *flags: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the statuses (T,) and the targets (T, 3, J) of the C header for a list of readings."""
+    (place / "main.c").write_text(STATUS)
+    command = ["cc", "-std=c99", "-O2", *flags, f"-I{folder}", place / "main.c", "-o", place / "main", "-lm"]
+    subprocess.run(command, check=True, timeout=PATIENCE_S)
+    given = np.stack([np.concatenate(list(row.values())) for row in rows]).astype(np.float32)
+    said = subprocess.run([place / "main"], input=given.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
+    found = np.frombuffer(said.stdout, np.float32).reshape(len(rows), -1)
+    return found[:, 0], found[:, 1:].reshape(len(rows), 3, -1)
+
+
+STATUS = """
+#include "policy.h"
+#include <stdio.h>
+int main(void) {
+    policy_state state;
+    policy_readings readings;
+    policy_targets targets;
+    memset(&targets, 0, sizeof targets);
+    policy_reset(&state);
+    while (fread(&readings, sizeof readings, 1, stdin) == 1) {
+        float status = (float)policy_step(&state, &readings, &targets);
+        fwrite(&status, sizeof status, 1, stdout);
+        fwrite(&targets, sizeof targets, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def joined(targets: dict) -> np.ndarray:
+    return np.stack([targets[name] for name in ("position", "velocity", "effort")])
+
+
+BROKEN = [("base_ang_vel", np.nan), ("joint_vel", np.inf), ("joint_pos", -np.inf), ("joint_vel", 3e38)]
+
+
+def test_readings_that_are_not_finite_change_nothing(bundle, runner):
+    policy, clean = runner.Policy(bundle), runner.Policy(bundle)
+    good = steady(policy.spec)
+    for name, value in [*BROKEN, ("base_ang_vel", None)]:
+        bad = {k: [*list(v[:-1]), value] if k == name else v for k, v in good.items()}
+        with pytest.raises(ValueError, match=r"not finite"), np.errstate(all="ignore"):
+            policy.step(bad)
+        np.testing.assert_array_equal(joined(policy.step(good)), joined(clean.step(good)))
+
+
+@pytest.mark.parametrize("flags", [(), ("-ffast-math",), ("-ffast-math", "-DPOLICY_REAL=float")])
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_the_header_rejects_readings_that_are_not_finite(flags, bundle, tmp_path):
+    good = steady(spec_of(bundle))
+    bad = [good | {name: np.append(good[name][:-1], value)} for name, value in BROKEN]
+    statuses, targets = by_c(bundle, tmp_path, [row for one in bad for row in (one, good)], *flags)
+    _, clean = by_c(bundle, tmp_path, [good] * len(bad), *flags)
+    np.testing.assert_array_equal(statuses, [1, 0] * len(bad))
+    np.testing.assert_array_equal(targets[0], 0.0)
+    np.testing.assert_array_equal(targets[2::2], targets[1:-1:2])
+    np.testing.assert_array_equal(targets[1::2], clean)
+
+
+def test_the_angle_of_a_wheel_counts_from_the_reset(bundle, runner, tmp_path):
+    spec = spec_of(bundle)
+    assert spec["rolling_joints"] == ["l03", "r03"]
+    rows = [steady(spec) | {"joint_pos": np.array(spec["default_joint_pos"]) + 0.1 * k} for k in range(4)]
+    turned = [row | {"joint_pos": row["joint_pos"] + [0, 0, 0, 0, 3.5, -100.0]} for row in rows]
+    policy, other = runner.Policy(bundle), runner.Policy(bundle)
+    for row, same in zip(rows, turned, strict=True):
+        targets = policy.step(row)
+        found = other.step(same)
+        np.testing.assert_allclose(other.observation, policy.observation, atol=1e-6)
+        np.testing.assert_allclose(found["velocity"], targets["velocity"], atol=1e-4)
+        np.testing.assert_allclose(found["position"], targets["position"] + [0, 0, 0, 0, 3.5, -100.0], atol=1e-4)
+    if shutil.which("cc"):
+        (_, plain), (_, moved) = (by_c(bundle, tmp_path, given) for given in (rows, turned))
+        np.testing.assert_allclose(moved[:, 1:], plain[:, 1:], atol=1e-3)
+        np.testing.assert_allclose(moved[:, 0, 4:] - plain[:, 0, 4:], [[3.5, -100.0]] * 4, atol=1e-4)
+
+
+def test_position_targets_stay_within_the_limits_of_the_joints(bundle, runner):
+    policy = runner.Policy(bundle)
+    policy.action = np.array([1e3, -1e3, -1e3, 1e3, 0, 0], np.float32)
+    for term in policy.spec["actions"]:
+        term["clip"] = None
+    limits = np.array(policy.spec["joint_pos_limits"][:4], float)
+    position = policy.act(policy.spec["default_joint_pos"])["position"][:4]
+    np.testing.assert_allclose(position, [limits[0, 1], limits[1, 0], limits[2, 0], limits[3, 1]], atol=1e-6)
+
+
+def test_the_bundle_says_what_the_joints_of_the_robot_must_be(bundle):
+    spec, text = spec_of(bundle), (bundle / "README.md").read_text()
+    assert spec["armature"] == pytest.approx([0.05] * 6)
+    assert spec["inertia"][2] == pytest.approx(0.05 / 375, rel=0.01)
+    assert spec["friction"] == spec["viscous_friction"] == [0.0] * 6
+    assert spec["drive_rate"] == pytest.approx([120.0] * 6)  # kd / (2 I) is 10 Hz for wheels: each physics step
+    assert "| `l03` | 0.05 | 1.2e-05 | 0 | 0 | 120 |" in text
+    for words in ("count from `reset`", "velocity targets to the speed", "needs numpy and mujoco"):
+        assert words in text
+
+
+def test_what_a_killed_export_left_is_removed_by_the_next_one_unless_it_still_runs(trained, tmp_path):
+    left, running = tmp_path / ".bundle.0123456789ab.tmp", tmp_path / ".bundle.ba9876543210.tmp"
+    for folder in (left, running):
+        (folder / "robot").mkdir(parents=True)
+    lock = "import fcntl, os, sys; fcntl.flock(os.open(sys.argv[1], os.O_RDONLY), fcntl.LOCK_EX); print(); input()"
+    with subprocess.Popen([sys.executable, "-c", lock, running], stdin=-1, stdout=-1, text=True) as other:
+        other.stdout.readline()
+        exported(trained.run, tmp_path / "bundle")
+        assert sorted(path.name for path in tmp_path.iterdir()) == [running.name, "bundle"]
+        other.communicate("\n", timeout=PATIENCE_S)
+
+
+@pytest.mark.parametrize("order", ["term", "time"])
+def test_histories_that_do_not_fit_into_memory_are_refused_before_they_are_made(order, run):
+    def remember(env):
+        env["observations"]["policy"] |= {"history_length": 1_000_000_000, "history_order": order}
+
+    with pytest.raises(ConfigError, match=r"histories of 1000000000 steps of 1 environments take") as told:
+        exported(edited(run, "env", remember))
+    assert told.value.key.startswith("env.observations.policy.terms.")
+
+
+def test_names_of_a_foreign_robot_cannot_leave_a_comment_of_the_header():
+    assert "*" not in in_comment('*/ int x = system("id"); /*')

@@ -170,9 +170,10 @@ def test_the_slices_of_the_observation_hold_what_they_name(trainer, described):
         "base_ang_vel": data.root_ang_vel_b * 0.25,
         "projected_gravity": data.projected_gravity_b,
         "velocity_commands": torch.zeros(16, 3),
-        "joint_pos_rel": data.joint_pos - data.default_joint_pos,
+        "joint_pos_rel": (data.joint_pos - data.default_joint_pos)[:, :4],
         "joint_vel_rel": data.joint_vel * 0.05,
         "last_action": action,
+        "travel_error": env.command_manager.get_term("base_velocity").travel_error * 20,
     }
     slices = {entry["term"]: (entry["group"], entry["start"], entry["stop"]) for entry in described["observations"]}
     assert list(slices) == list(expected)
@@ -228,4 +229,4 @@ def test_several_groups_follow_each_other(trainer, tiny_config):
     found = json.loads(export.description(trainer.env.env, agent, 0))
     assert found["observation_width"] == 315
     assert found["observations"][0] == {"group": "critic", "term": "base_ang_vel", "start": 0, "stop": 15}
-    assert found["observations"][-1] == {"group": "policy", "term": "last_action", "start": 285, "stop": 315}
+    assert found["observations"][-1] == {"group": "policy", "term": "travel_error", "start": 305, "stop": 315}

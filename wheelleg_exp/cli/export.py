@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write a deployer's bundle and say how near its runner is to the simulation."""
+    """Write a deployer's bundle and print how much its policies differ from the simulation."""
     from wheelleg_exp.run.directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_OK
     print(f"exported {shown(made.checkpoint)} to {shown(made.folder)}")
     told = ", ".join(f"{name} {difference:.1g}" for name, difference in made.differences.items())
-    print(f"its runner in NumPy differs from the simulation by at most: {told}")
+    print(f"largest difference of a step from the simulation: {told}")
     for note in made.notes:
         print(f"it lacks {note}")
     print(f"next: python {shown(made.folder / 'simulate.py')}   (numpy and mujoco)")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.files import for_people, require_new, write_new
+from wheelleg_exp.files import for_people, require_new, temporary_folder, write_new
 from wheelleg_exp.inspection.questions.columns import find_number, frames_for, is_of_env
 from wheelleg_exp.inspection.questions.selection import Selection, nothing_chosen
 from wheelleg_exp.inspection.questions.view import TIMES
@@ -163,21 +161,15 @@ def _about(recording: Recording) -> str:
 
 
 def _write_folder(output: Path, tables: Mapping[str, pa.Table], kind: str) -> None:
-    with for_people(output):
-        output.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=f".{output.name}.", suffix=".tmp", dir=output.parent))
-        try:
-            for group, table in tables.items():
-                with (aside / f"{_file_name(group)}.{kind}").open("xb") as file:
-                    file.write(encoded(table, kind))
-            if kind == "csv":
-                told = {group: units(table) for group, table in tables.items()}
-                (aside / UNITS_NAME).write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", "utf-8")
-            aside.chmod(0o755)
-            require_new(output)
-            aside.rename(output)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
+    with for_people(output), temporary_folder(output) as aside:
+        for group, table in tables.items():
+            with (aside / f"{_file_name(group)}.{kind}").open("xb") as file:
+                file.write(encoded(table, kind))
+        if kind == "csv":
+            told = {group: units(table) for group, table in tables.items()}
+            (aside / UNITS_NAME).write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", "utf-8")
+        require_new(output)
+        aside.rename(output)
 
 
 def _told(path: Path, group: str, table: pa.Table) -> Exported:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from wheelleg_exp.jobs.export.c_terms import action_lines, action_memory, identifier, number, term_lines, term_memory
+from wheelleg_exp.jobs.export.c_terms import in_comment as _plain
 
 _ACTIVATIONS = {
     "elu": "x > 0 ? x : expm1(x)",
@@ -50,6 +51,7 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         observations=spec["observation_width"],
         actions=spec["action_width"],
         dt=float(spec["step_dt"]),
+        rolling=_listed(spec["rolling_joints"]) or "none",
         readings="\n".join(
             f"    float {identifier(name)}[{known['width']}]; /* {known['unit']}: {_plain(known['meaning'])} */"
             for name, known in spec["readings"].items()
@@ -59,6 +61,8 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         widest=max([spec["observation_width"], *widths]),
         observe=_indented([*observe, *_layout(spec)], 4),
         normalize=_NORMALIZE if spec["network"]["normalized"] else _COPY,
+        zero=_indented(_zero(spec), 4),
+        limits=_indented(_limits(spec), 4),
         layers=_indented(_layers(spec), 4),
         clip="" if spec["clip_actions"] is None else _CLIP.format(bound=number(spec["clip_actions"])),
         processed=_indented(processed, 4),
@@ -66,12 +70,8 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
     )
 
 
-def _plain(text: str) -> str:
-    return text.replace("*/", "* /")
-
-
 def _listed(words: Iterable[str]) -> str:
-    return ", ".join(_plain(word) for word in words)
+    return ", ".join(map(_plain, words))
 
 
 def _indented(lines: Iterable[str], spaces: int) -> str:
@@ -127,10 +127,21 @@ def _layers(spec: Mapping[str, Any]) -> Iterable[str]:
     yield f"for (i = 0; i < POLICY_ACTIONS; i++) s->action[i] = (float){result}[i];"
 
 
+def _zero(spec: Mapping[str, Any]) -> Iterable[str]:
+    for i in map(spec["joint_names"].index, spec["rolling_joints"]):
+        yield f"if (first) s->zero[{i}] = counted.joint_pos[{i}] - policy_default_joint_pos[{i}];"
+
+
+def _limits(spec: Mapping[str, Any]) -> Iterable[str]:
+    for i, (low, high) in enumerate(spec["joint_pos_limits"]):
+        position = f"out->position[{i}]"
+        yield f"{position} = policy_clip({position} + s->zero[{i}], {number(low, '-FLT_MAX')}, {number(high)});"
+
+
 def _applied(spec: Mapping[str, Any]) -> Iterable[str]:
     for place, term in enumerate(spec["actions"]):
         for index, joint in enumerate(term["joint_ids"]):
-            relative = f"joint_pos[{joint}] + " if term["function"] == "relative" else ""
+            relative = f"joint_pos[{joint}] - s->zero[{joint}] + " if term["function"] == "relative" else ""
             yield f"out->{term['drives']}[{joint}] = {relative}s->processed_{place}[{index}];"
 
 
@@ -143,14 +154,20 @@ _HEADER = """\
  * Sensor readings in, joint targets out; SI units and radians. Joints in order: {joint_names}.
  *
  *     policy_state state;
- *     policy_reset(&state);                          when an episode begins
- *     policy_step(&state, &readings, &targets);      every POLICY_STEP_DT seconds
+ *     policy_reset(&state);                                          when an episode starts
+ *     if (policy_step(&state, &readings, &targets)) stop_drives();   every POLICY_STEP_DT seconds
+ *
+ * policy_step returns POLICY_OK, or POLICY_NOT_FINITE when a reading is NaN, inf, or at least 2^64. It
+ * then changes neither state nor targets. Position targets are clipped to the joints' limits, velocity targets to the
+ * drives' limits. Rolling joints, whose positions count from policy_reset: {rolling}.
  *
  * C99, needs the C library's math. -DPOLICY_REAL=float runs the network in single precision.
  */
 #ifndef POLICY_H
 #define POLICY_H
+#include <float.h>
 #include <math.h>
+#include <stdint.h>
 #include <string.h>
 
 #ifndef POLICY_REAL
@@ -162,6 +179,8 @@ typedef POLICY_REAL policy_real;
 #define POLICY_OBSERVATIONS {observations}
 #define POLICY_ACTIONS {actions}
 #define POLICY_STEP_DT {dt!r}
+
+enum {{ POLICY_OK, POLICY_NOT_FINITE }};
 
 typedef struct {{
 {readings}
@@ -175,6 +194,7 @@ typedef struct {{
 
 typedef struct {{
     int steps;
+    float zero[POLICY_JOINTS]; /* of rolling joints: the reading at the reset, minus the default */
     float action[POLICY_ACTIONS];
     float observation[POLICY_OBSERVATIONS];
 {memory}
@@ -183,6 +203,18 @@ typedef struct {{
 {constants}
 
 static inline float policy_clip(float x, float low, float high) {{ return x < low ? low : x > high ? high : x; }}
+
+/* Whether no float is NaN, inf, or at least 2^64. It tests bits, because -ffast-math removes isfinite(). */
+static inline int policy_finite(const void *floats, size_t size) {{
+    const unsigned char *bytes = (const unsigned char *)floats;
+    uint32_t bits;
+    size_t i;
+    for (i = 0; i + sizeof bits <= size; i += sizeof bits) {{
+        memcpy(&bits, bytes + i, sizeof bits);
+        if ((bits & 0x7f800000u) >= 0x5f800000u) return 0;
+    }}
+    return 1;
+}}
 
 /* The first sample of an episode fills every slot, oldest first. */
 static inline void policy_remember(float *history, const float *sample, int width, int length, int first) {{
@@ -215,12 +247,14 @@ static inline void policy_projected_gravity(const float quat[4], float out[3]) {
 
 static inline void policy_reset(policy_state *s) {{ memset(s, 0, sizeof *s); }}
 
-static inline void policy_observe(policy_state *s, const policy_readings *r) {{
+static inline void policy_observe(policy_state *s, const policy_readings *readings) {{
     int i, first = s->steps == 0;
     float v[POLICY_OBSERVATIONS], *next;
-    (void)r;
+    policy_readings counted = *readings;
+    const policy_readings *r = &counted;
+{zero}
+    for (i = 0; i < POLICY_JOINTS; i++) counted.joint_pos[i] -= s->zero[i];
 {observe}
-    (void)i;
 }}
 
 /* The mean action of an observation. */
@@ -231,25 +265,33 @@ static inline void policy_network(policy_state *s) {{
 {layers}
 {clip}}}
 
-/* The targets anew: only those relative to the joints' positions differ from those of policy_step. */
-static inline void policy_apply(const policy_state *s, const float joint_pos[POLICY_JOINTS], policy_targets *out) {{
+/* The targets for newer joint positions: only relative targets differ from those of policy_step. */
+static inline int policy_apply(const policy_state *s, const float joint_pos[POLICY_JOINTS], policy_targets *out) {{
     int i;
-    (void)joint_pos;
+    if (!policy_finite(joint_pos, POLICY_JOINTS * sizeof(float))) return POLICY_NOT_FINITE;
     memset(out, 0, sizeof *out);
     for (i = 0; i < POLICY_JOINTS; i++) out->position[i] = policy_default_joint_pos[i];
 {apply}
+{limits}
     for (i = 0; i < POLICY_JOINTS; i++)
         out->velocity[i] = policy_clip(out->velocity[i], -policy_velocity_limit[i], policy_velocity_limit[i]);
+    return POLICY_OK;
 }}
 
-static inline void policy_step(policy_state *s, const policy_readings *r, policy_targets *out) {{
+/* The targets for s->action; advances the moving averages of the actions. */
+static inline int policy_act(policy_state *s, const float joint_pos[POLICY_JOINTS], policy_targets *out) {{
     int first = s->steps == 0;
     (void)first;
-    policy_observe(s, r);
-    policy_network(s);
 {processed}
     s->steps++;
-    policy_apply(s, r->joint_pos, out);
+    return policy_apply(s, joint_pos, out);
+}}
+
+static inline int policy_step(policy_state *s, const policy_readings *r, policy_targets *out) {{
+    if (!policy_finite(r, sizeof *r)) return POLICY_NOT_FINITE;
+    policy_observe(s, r);
+    policy_network(s);
+    return policy_act(s, r->joint_pos, out);
 }}
 #endif
 """

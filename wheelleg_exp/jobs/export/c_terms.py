@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 Spec = Mapping[str, Any]
+_LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
 def term_memory(name: str, term: Spec) -> Iterator[str]:
@@ -26,7 +27,7 @@ def term_memory(name: str, term: Spec) -> Iterator[str]:
 
 def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
     """Yield how an observation term is sampled into its history."""
-    yield f"/* {_plain(term['name'])} */"
+    yield f"/* {in_comment(term['name'])} */"
     yield from _value(name, term, float(spec["step_dt"]))
     width = term["width"]
     for number_of, modifier in enumerate(term["modifiers"]):
@@ -50,17 +51,17 @@ def action_lines(name: str, term: Spec) -> Iterator[str]:
         out = f"s->processed_{name}[{i}]"
         if "alpha" in term:  # the average begins where the joints are
             yield "{"
-            yield f"    float last = first ? r->joint_pos[{joint}] : {out};"
+            yield f"    float last = first ? joint_pos[{joint}] - s->zero[{joint}] : {out};"
         yield from (f"    {line}" if "alpha" in term else line for line in _processed(out, term, i))
         if "alpha" in term:
-            low, high = number(term["low"][i], "-INFINITY"), number(term["high"][i])
+            low, high = number(term["low"][i], "-FLT_MAX"), number(term["high"][i])
             yield f"    {out} = policy_clip(last + {number(term['alpha'][i])} * ({out} - last), {low}, {high});"
             yield "}"
 
 
-def number(value: float | None, missing: str = "INFINITY") -> str:
-    """Return a float of C; null is ``missing``."""
-    return missing if value is None else f"{float(np.float32(value))!r}f"
+def number(value: float | None, missing: str = "FLT_MAX") -> str:
+    """Return a float of C; null is ``missing``, and inf the largest float: -ffast-math has no inf."""
+    return missing if value is None else f"{float(np.clip(np.float32(value), _LEAST, _MOST))!r}f"
 
 
 def _processed(out: str, term: Spec, i: int) -> Iterator[str]:
@@ -161,5 +162,6 @@ def identifier(name: str) -> str:
     return re.sub(r"\W", "_", name)
 
 
-def _plain(text: str) -> str:
-    return text.replace("*/", "* /")
+def in_comment(text: str) -> str:
+    """Return text that cannot end a C comment: export compiles the header, and names come from foreign files."""
+    return text.replace("*", "_")

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+_BIAS = "wheelleg_exp.mdp.events.randomize_encoder_bias"
+_RESET = "wheelleg_exp.mdp.events.reset_joints_by_scale"
+_ENTITY = "wheelleg_exp.managers.SceneEntityCfg"
 _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
@@ -20,18 +24,24 @@ def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def as_checked(env: Mapping[str, Any]) -> dict[str, Any]:
+def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
     """Return the ``env`` section for episodes that a runner can repeat from readings.
 
     Noise and delays belong to the sensors and the way to the drives, which a robot has by itself: they are left out.
-    So are pushes between two readings and what is drawn once of the robot; what resets do stays.
+    So are errors of encoders, pushes between two readings and what is drawn once of the robot. Resets stay, but rolling
+    joints then are at their defaults, because a runner counts their positions from there.
 
     Args:
         env: the run's section, plain; it stays as it is.
+        rolling_joints: the joints whose positions count from the reset.
     """
     found = as_configured(env)
-    events = {name: node for name, node in env["events"].items() if node is not None}
+    events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
     found["events"] = {name: copy.deepcopy(node) for name, node in events.items() if node["mode"] == "reset"}
+    if rolling_joints:
+        joints = {"_target_": _ENTITY, "name": "robot", "joint_names": [*map(re.escape, rolling_joints)]}
+        still = {"position_range": [1.0, 1.0], "velocity_range": [1.0, 1.0], "asset_cfg": joints}
+        found["events"]["rolling_joints_at_default"] = {"_target_": _RESET, "mode": "reset", **still}
     for group in (group for group in found["observations"].values() if group is not None):
         group["enable_corruption"] = False
         for node in (node for node in group["terms"].values() if node is not None):

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
+import numpy as np
+
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.lint.robot_facts import at_default
 from wheelleg_exp.sim import actuators
 
 _LAWS = {
@@ -13,6 +17,7 @@ _LAWS = {
     actuators.DelayedPDActuator: "pd",
     actuators.DCMotor: "dc_motor",
 }
+_RATE_MARGIN = 10.0
 _NUMBERS = ("stiffness", "damping", "effort_limit", "velocity_limit")
 
 
@@ -41,13 +46,28 @@ def law(group: actuators.ActuatorBase) -> str | None:
 
 
 def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str, list[float | None]]:
-    """Return gains and limits of every joint in the robot's order; a joint without a drive has gains 0, no limits."""
-    count = len(env.scene.robot.joint_names)
+    """Return gains and limits of every joint in the robot's order, and what it is; without a drive gains are 0.
+
+    ``inertia`` is of the parts about the joint's axis, without ``armature``. ``drive_rate`` (Hz) is how often a drive
+    must compute its torque: each physics step, and ten times as often as stability needs (kp·dt² + 2·kd·dt < 4·I).
+    """
+    robot = env.scene.robot
+    count = len(robot.joint_names)
     found: dict[str, list[float | None]] = {key: [0.0 if key in _NUMBERS[:2] else None] * count for key in _NUMBERS}
     for drive in drives:
         for key in _NUMBERS:
             for joint, value in zip(drive["joint_ids"], drive[key], strict=True):
                 found[key][joint] = value
+    model, dofs = env.scene.sim.model, robot.layout.dof_ids.tolist()
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, at_default(model, robot), matrix)
+    fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
+    fields["inertia"] = matrix.diagonal() - model.dof_armature
+    found |= {name: values[dofs].tolist() for name, values in fields.items()}
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # what a torque meets while everything else can move
+    kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _NUMBERS[:2])
+    least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
+    found["drive_rate"] = np.maximum(_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
     return found
 
 

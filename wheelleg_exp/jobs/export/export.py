@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.files import (
     for_people,
     require_new,
     sha256,
     sync_folder,
-    temporary_name,
+    temporary_folder,
     write_bytes,
     write_json,
     write_text,
 )
 from wheelleg_exp.jobs.export import bundle
 from wheelleg_exp.jobs.export.c_header import c_header
+from wheelleg_exp.jobs.export.comparison import TOLERANCE, TOLERANCE_FLOAT32, compare
 from wheelleg_exp.jobs.export.deployment import as_checked, as_configured, as_simulated
 from wheelleg_exp.jobs.export.drives import law
 from wheelleg_exp.jobs.export.network import ROLES, in_float64, network_arrays, require_perceptron
@@ -37,6 +36,7 @@ from wheelleg_exp.jobs.export.specification import specification
 from wheelleg_exp.jobs.kept_robot import REPORT, kept_mjcf
 from wheelleg_exp.jobs.threads import set_threads
 from wheelleg_exp.managers.scene_manager import SceneManager
+from wheelleg_exp.memory import require_memory
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.rl import export as formats
 from wheelleg_exp.rl.policy import load_policy
@@ -46,9 +46,6 @@ from wheelleg_exp.run.params import load_params, on_reference_engine, present_fo
 from wheelleg_exp.state.rebuilding import made_again
 
 BUNDLE = "bundle"
-# Relative to the larger of 1 and what was recorded: of the network in float64, and where either side runs it in
-# float32, whose sums depend on their order.
-TOLERANCE, TOLERANCE_FLOAT32 = 1e-6, 1e-4
 _AS_THEY_STAND = ("runner.py", "simulate.py")
 _MOST_STEPS = 600
 _NOT_OF_THE_ROBOT = (REPORT, "asset.json")
@@ -62,7 +59,7 @@ class Exported:
         run: the run whose policy it is.
         checkpoint: the checkpoint.
         folder: the bundle.
-        differences: the largest differences of its runner from the simulation that trained it.
+        differences: the largest differences of its policies from the simulation that trained it, step by step.
         notes: what the bundle lacks, and why.
     """
 
@@ -85,21 +82,16 @@ def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, comm
     Raises:
         ConfigError: a part of the policy cannot work without the simulation: which, and what can.
         RunDirectoryError: the run or the checkpoint is wrong, or the folder exists.
-        SimulationFailure: the bundle's runner does not do what the simulation recorded; nothing is written.
+        SimulationFailure: a policy of the bundle differs from what the simulation recorded; nothing is written.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
         require_new(output)
     target = run.exported / BUNDLE if output is None else output.absolute()
-    work = temporary_name(target)
-    try:
-        with for_people(target):
-            work.mkdir(parents=True)
+    with for_people(target), temporary_folder(target) as work:
         differences, notes = _fill(work, run, checkpoint)
         sync_folder(work)
         folder = _placed(work, target, numbered=output is None)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
     if folder.is_relative_to(run.path):
         results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
         try:
@@ -136,17 +128,21 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
     params, seed = on_reference_engine(present_form(params)), int(run.manifest().data["seeds"][0])
     role = next(role for role in ROLES if role in agent)
     require_perceptron(agent[role], f"agent.{role}")
+    groups = agent["obs_groups"][role]
     mjcf, state = kept_mjcf(run), checkpoints.load(checkpoint)
     plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
     _require_unchanged(state)
     spec = specification(plain, agent, _ranges(plain, state))
-    env = ManagerBasedRLEnv(as_checked(params), mjcf, seed)
+    steps = min(2 * plain.max_episode_length, _MOST_STEPS)
+    need = 4 * steps * spec["observation_width"]
+    require_memory(
+        need, f"env.observations.{groups[0]}", f"{steps} recorded steps of {spec['observation_width']:,} numbers"
+    )
+    env = ManagerBasedRLEnv(as_checked(params, spec["rolling_joints"]), mjcf, seed)
     set_threads(agent, env.scene.sim.nthread)
     adapter = RslRlVecEnv(env, agent.get("clip_actions"))
     policy = load_policy(checkpoint, adapter, agent)
     network, arrays = network_arrays(policy, role)
-    groups = agent["obs_groups"][role]
-    steps = min(2 * env.max_episode_length, _MOST_STEPS)
     recorded = recorded_episodes(
         adapter, in_float64(policy), policy, groups, list(spec["readings"]), agent.get("clip_actions"), steps
     )
@@ -158,13 +154,15 @@ def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, 
     for name in _AS_THEY_STAND:
         write_text(folder / name, Path(str(bundle.__file__)).with_name(name).read_text(encoding="utf-8"))
     write_json(folder / "policy.json", spec)
-    differences = _checked(folder)
+    torchscript, onnx, header = formats.torchscript(policy), formats.onnx(policy), c_header(spec, arrays)
+    differences, notes = compare(folder, torchscript, onnx, header)
     spec["check"]["largest_difference"] = differences
     write_json(folder / "policy.json", spec)
-    write_bytes(folder / "policy.pt", formats.torchscript(policy))
-    write_bytes(folder / "policy.onnx", with_metadata(formats.onnx(policy), spec))
-    write_text(folder / "policy.h", c_header(spec, arrays))
-    notes = _write_robot(folder / "robot", mjcf, params, plain)
+    write_bytes(folder / "policy.pt", torchscript)
+    write_bytes(folder / "policy.onnx", with_metadata(onnx, spec))
+    if not notes:
+        write_text(folder / "policy.h", header)
+    notes += _write_robot(folder / "robot", mjcf, params, plain, spec["readings"])
     files = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
     write_text(folder / "README.md", readme(spec, files, notes))
     return differences, notes
@@ -207,29 +205,9 @@ def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def _checked(folder: Path) -> dict[str, float]:
-    """Hold the bundle's own runner against what was recorded; SimulationFailure when it does something else."""
-    differences = _module(folder / "runner.py").check(folder)
-    for name, difference in differences.items():
-        tolerance = TOLERANCE_FLOAT32 if name == "actions_float32" else TOLERANCE
-        if not difference <= tolerance:
-            raise SimulationFailure(
-                f"the exported runner is not the policy: its {name} differ by {difference:.3g} from the simulation",
-                expected=f"at most {tolerance:g}, relative to the larger of 1 and the recorded number",
-            )
-    return dict(differences)
-
-
-def _module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"bundle_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def _write_robot(folder: Path, mjcf: Path, params: Mapping[str, Any], env: ManagerBasedRLEnv) -> list[str]:
+def _write_robot(
+    folder: Path, mjcf: Path, params: Mapping[str, Any], env: ManagerBasedRLEnv, readings: Iterable[str] = ()
+) -> list[str]:
     """Write the robot's files and its scene; return what is missing."""
     with for_people(folder):
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_NOT_OF_THE_ROBOT))
@@ -238,5 +216,7 @@ def _write_robot(folder: Path, mjcf: Path, params: Mapping[str, Any], env: Manag
     scene = SceneManager(as_simulated(params, friction), mjcf, 1).scene
     scene.play()
     write_text(folder / "scene.xml", scene.spec.to_xml())
-    strange = [name for name, group in env.scene.robot.actuators.items() if law(group) is None]
-    return [f"a simulation of the drive `{name}`, which `simulate.py` refuses" for name in strange]
+    strange = [f"the drive `{name}`" for name, group in env.scene.robot.actuators.items() if law(group) is None]
+    strange += [f"the reading `{name}`" for name in readings if name.endswith(".lin_acc")]
+    strange += [] if env.scene.robot.floating else ["a fixed base"]
+    return [f"a simulation of {what}, which `simulate.py` refuses" for what in strange]

@@ -11,20 +11,24 @@ _FILES = {
     "policy.npz": "the network's arrays, float32, for `runner.py`",
     "policy.onnx": "the network: `obs` (B, O) to `actions` (B, A), before clipping; its metadata hold `policy.json`",
     "policy.pt": "the same as TorchScript",
-    "policy.h": "the same policy in C99: readings to targets, no other file needed",
-    "check.npz": "readings, observations, actions and targets of training's own simulation, against which "
-    "`python runner.py` holds itself",
-    "simulate.py": "the robot in MuJoCo: `python simulate.py --seconds 20 --view`",
+    "policy.h": "the same policy in C99: readings to targets, no other file needed; returns a status",
+    "check.npz": "readings, observations, actions and targets of training's own simulation, with which "
+    "`python runner.py` compares each step",
+    "simulate.py": "the robot in MuJoCo: `python simulate.py --seconds 20 --view`; needs numpy and mujoco, `--onnx` "
+    "also onnxruntime or onnx, `--view` also a display",
     "robot/robot.xml": "the robot that was simulated, with its meshes",
     "robot/scene.xml": "the same with training's drives, friction and solver on level ground",
 }
 _USE = """```python
 from runner import Policy
 
-policy = Policy()              # Policy(onnx=True) lets onnxruntime run the network
-policy.reset()                 # when an episode begins, and after the robot was put on its feet
+policy = Policy()              # Policy(onnx=True) runs policy.onnx, with onnxruntime or onnx
+policy.reset()                 # when an episode starts, and after the robot was put on its feet
 targets = policy.step({...})   # every step_dt: targets["position"] (rad), ["velocity"] (rad/s), ["effort"] (N·m)
-```"""
+```
+
+A reading that is NaN, inf or missing raises ValueError; in C `policy_step` returns `POLICY_NOT_FINITE`. The call then
+changes nothing, and the caller must decide what the drives do."""
 
 
 def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) -> str:
@@ -59,6 +63,17 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
             ("#", "joint", "default, rad", "stiffness, N·m/rad", "damping, N·m·s/rad", "effort, N·m", "speed, rad/s"),
             [(i, f"`{joints[i]}`", *(_number(spec[key][i]) for key in _PER_JOINT)) for i in range(len(joints))],
         ),
+        "Position targets are clipped to the limits of the joints (`joint_pos_limits`), velocity targets to the speed. "
+        "The positions of these joints count from `reset`, whatever their encoders read then: "
+        f"{', '.join(f'`{name}`' for name in spec['rolling_joints']) or 'none'}.",
+        "## What the robot must have\n\nThe policy was trained with these joints. A robot that differs can fall.",
+        _table(
+            ("joint", *_UNITS),
+            [(f"`{joints[i]}`", *(_number(spec[key][i]) for key in _OF_ROBOT)) for i in range(len(joints))],
+        ),
+        "Armature is the rotor's inertia times the gear ratio squared; it adds to the inertia of the parts. The drive "
+        "must compute its torque from new encoder values at the drive rate or faster: in each physics step of the "
+        "training, and ten times as often as stability needs. With less armature it must do so more often.",
         "## Observation",
         f"{spec['observation_width']} numbers. Each term: its value, its modifiers, `clip`, then `scale`; then the "
         "history. The first readings of an episode fill every slot of it.",
@@ -78,6 +93,8 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
+_OF_ROBOT = ("armature", "inertia", "friction", "viscous_friction", "drive_rate")
+_UNITS = ("armature, kg·m²", "inertia of the parts, kg·m²", "friction, N·m", "damping, N·m·s/rad", "drive rate, Hz")
 _PER_JOINT = ("default_joint_pos", "stiffness", "damping", "effort_limit", "velocity_limit")
 
 
@@ -91,12 +108,14 @@ def _number(value: float | None) -> str:
 
 
 def _checked(check: Mapping[str, Any]) -> str:
-    told = ", ".join(f"{name} {value:.1g}" for name, value in check["largest_difference"].items())
+    rows = [(f"`{name}`", f"{value:.1g}") for name, value in check["largest_difference"].items()]
     return (
-        f"`python runner.py` (numpy alone) repeats {check['steps']} recorded steps. Largest difference, relative to "
-        f"max(1, |recorded|): {told}. Observations, actions and targets are those of the network in float64, within "
-        f"{check['tolerance']:g}. `actions_float32` are those of the network as training runs it, whose sums depend on "
-        f"their order: within {check['tolerance_float32']:g}, and so is all of `python runner.py --onnx`."
+        f"Every policy here was compared with {check['steps']} recorded steps, each from the recorded readings, "
+        "observation and last action. Differences are relative to max(1, |recorded|). `observations`, `actions` and "
+        f"`targets` (`runner.py`) and `c_double` (`policy.h`) agree within {check['tolerance']:g}. `actions_float32` "
+        "(the network as in training), `onnx`, `torchscript` and `c_float` have float32 sums, which depend on their "
+        f"order: within {check['tolerance_float32']:g}. `python runner.py [--onnx]` repeats the comparison.\n\n"
+        + _table(("compared", "largest difference"), rows)
     )
 
 

@@ -66,12 +66,16 @@ def recorded_episodes(
 
 
 def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
-    """Return the joint targets (N, 3, J) that actions set in the first physics step, and change nothing."""
+    """Return the joint targets (N, 3, J) that actions set in the first physics step, and change nothing.
+
+    Positions are clipped to the joints' limits, as a runner clips them; training does not.
+    """
     env = adapter.env
     manager, kept = env.action_manager, env.action_manager.state_dict()
     manager.process_action(actions)
     manager.apply_action()
     targets = env.scene.robot.targets
-    found = torch.stack((targets.pos, targets.vel, targets.effort), dim=1)
+    low, high = env.scene.robot.layout.joint_pos_limits.unbind(dim=1)
+    found = torch.stack((targets.pos.clamp(low, high), targets.vel, targets.effort), dim=1)
     manager.load_state_dict(kept)
     return found

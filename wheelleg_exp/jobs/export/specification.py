@@ -35,6 +35,8 @@ def specification(
     groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])
     actions, drives = action_specs(env), drive_specs(env)
     names = readings_of(groups)
+    limits = [[finite(low), finite(high)] for low, high in layout.joint_pos_limits.tolist()]
+    by_joint = per_joint(env, drives)
     return {
         "format_version": FORMAT_VERSION,
         "step_dt": env.step_dt,
@@ -44,8 +46,9 @@ def specification(
         "joint_names": list(robot.joint_names),
         "default_joint_pos": layout.default_joint_pos.tolist(),
         "default_joint_vel": layout.default_joint_vel.tolist(),
-        "joint_pos_limits": [[finite(low), finite(high)] for low, high in layout.joint_pos_limits.tolist()],
-        **per_joint(env, drives),
+        "joint_pos_limits": limits,
+        "rolling_joints": [robot.joint_names[i] for i in _rolling(limits, by_joint["stiffness"], actions)],
+        **by_joint,
         "readings": {name: _reading(env, name) for name in names},
         "commands": {
             name.removeprefix(COMMANDS): dict(ranges.get(name.removeprefix(COMMANDS), {}))
@@ -67,6 +70,16 @@ def specification(
             "quat": layout.default_root_quat.tolist(),
         },
     }
+
+
+def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, Any]]) -> list[int]:
+    """Return the joints whose positions count from the reset: without limits, and not driven to an absolute position.
+
+    An encoder does not know how often a wheel has turned; in training each episode starts at the default position.
+    """
+    driven = {i: term["function"] for term in actions if term["drives"] == "position" for i in term["joint_ids"]}
+    free = [i for i, pair in enumerate(limits) if pair == [None, None]]
+    return [i for i in free if driven.get(i, "absolute" if stiffness[i] else "relative") == "relative"]
 
 
 def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:

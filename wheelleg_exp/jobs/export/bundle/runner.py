@@ -5,8 +5,8 @@
     targets = policy.step({"base_ang_vel": ..., "base_quat": ..., "joint_pos": ..., "commands.<name>": ...})
 
 Call ``step`` every ``step_dt`` seconds. ``policy.json`` names each reading with its width and unit (``readings``) and
-the joints in order (``joint_names``); README.md tells the rest. ``python runner.py`` holds this file against actions
-that were recorded in training's own simulation.
+the joints in order (``joint_names``); README.md explains the remaining keys. ``python runner.py`` compares each step
+with recorded steps of the training's simulation; ``--onnx`` does so with ``policy.onnx`` (onnxruntime or onnx).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 F = np.float32
+LARGEST = 2.0**64  # a reading of this size is treated as inf: sums of smaller ones cannot overflow
 ACTIVATIONS: dict[str, Callable[..., Any]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
     "relu": lambda x: np.maximum(x, 0.0),
@@ -143,7 +144,7 @@ class Policy:
 
     Args:
         folder: the bundle.
-        onnx: let onnxruntime run the network instead of NumPy.
+        onnx: run ``policy.onnx`` with onnxruntime, or with onnx.reference where onnxruntime is missing.
 
     Attributes:
         spec: ``policy.json``.
@@ -156,17 +157,24 @@ class Policy:
         self.groups = [[Term(term, self.spec["step_dt"]) for term in g["terms"]] for g in self.spec["observations"]]
         self.session: Any = None
         if onnx:
-            import onnxruntime
-
-            self.session = onnxruntime.InferenceSession(Path(folder) / "policy.onnx")
+            try:
+                from onnxruntime import InferenceSession as Session
+            except ImportError:
+                from onnx.reference import ReferenceEvaluator as Session
+            self.session = Session(str(Path(folder) / "policy.onnx"))
         with np.load(Path(folder) / "policy.npz") as weights:
             self.weights = {name: weights[name].astype(np.float64) for name in weights.files}
         self.limit = array(self.spec["velocity_limit"], np.inf)
+        limits = zip(*self.spec["joint_pos_limits"], strict=True)
+        self.bounds = [array(values, missing) for values, missing in zip(limits, (-np.inf, np.inf), strict=True)]
+        self.default = array(self.spec["default_joint_pos"])
+        self.rolling = np.array([name in self.spec["rolling_joints"] for name in self.spec["joint_names"]], bool)
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: the next readings fill every history."""
+        """Start an episode: the next readings fill every history, and rolling joints count from them."""
         self.steps = 0
+        self.zero = np.zeros(len(self.default))  # readings of the rolling joints at the reset, minus their defaults
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, np.ndarray] = {}
         for term in (term for terms in self.groups for term in terms):
@@ -176,26 +184,29 @@ class Policy:
         """Return the targets of all joints: ``position`` (rad), ``velocity`` (rad/s), ``effort`` (N·m), (J,) each.
 
         Args:
-            readings: what the sensors say now and what is asked for, by name; ``base_quat`` (w, x, y, z) may stand for
+            readings: what the sensors measure now and the commands, by name; ``base_quat`` (w, x, y, z) can replace
                 ``projected_gravity``.
+
+        Raises:
+            ValueError: a reading is missing or not finite. The call then changes nothing.
         """
         self.observation = self.observe(readings)
-        action = self.network(self.observation)
-        bound = self.spec["clip_actions"]
-        self.action = action if bound is None else np.clip(action, F(-bound), F(bound))
-        self.steps += 1
-        joint_pos = array(readings["joint_pos"])
-        self.processed = [self.process(term, joint_pos) for term in self.spec["actions"]]
-        return self.targets(joint_pos)
+        self.action = self.network(self.observation)
+        return self.act(readings["joint_pos"])
 
     def observe(self, readings: Mapping[str, Any]) -> np.ndarray:
-        """Take up readings and return the observation of the network."""
-        found = {name: array(value) for name, value in readings.items()}
+        """Advance histories by a step's readings and return the observation of the network."""
+        found = {name: np.asarray(value, F) for name, value in readings.items()}
         if "projected_gravity" not in found and "base_quat" in found:
             found["projected_gravity"] = projected_gravity(found["base_quat"])
         for name, known in self.spec["readings"].items():
             if name not in found or found[name].shape != (known["width"],):
                 raise ValueError(f"reading '{name}' must be {known['width']} numbers: {known['meaning']}")
+            if not (np.abs(found[name]) < LARGEST).all():
+                raise ValueError(f"reading '{name}' is not finite, or too large")
+        if self.steps == 0:
+            self.zero = np.where(self.rolling, np.asarray(readings["joint_pos"], float) - self.default, 0.0)
+        found["joint_pos"] = self.counted(readings["joint_pos"])
         pieces = []
         for terms, group in zip(self.groups, self.spec["observations"], strict=True):
             histories = [term.sample(found, self.action, self.steps) for term in terms]
@@ -206,16 +217,31 @@ class Policy:
         return np.concatenate(pieces)
 
     def network(self, observation: np.ndarray) -> np.ndarray:
-        """Return the mean action of an observation: computed in float64, where the order of sums does not matter."""
+        """Return the action for an observation, clipped as in training; NumPy computes it in float64."""
         if self.session is not None:
-            return self.session.run(None, {"obs": observation[None]})[0][0]
+            return self.clipped(self.session.run(None, {"obs": observation[None]})[0][0])
         x = observation.astype(np.float64)
         if "mean" in self.weights:
             x = (x - self.weights["mean"]) / self.weights["deviation"]
         for number, name in enumerate(self.spec["network"]["activations"]):
             x = self.weights[f"weight_{number}"] @ x + self.weights[f"bias_{number}"]
             x = ACTIVATIONS[name](x)
-        return x.astype(F)
+        return self.clipped(x.astype(F))
+
+    def clipped(self, actions: np.ndarray) -> np.ndarray:
+        """Return outputs of the network within the bounds of the training's actions."""
+        bound = self.spec["clip_actions"]
+        return actions if bound is None else np.clip(actions, F(-bound), F(bound))
+
+    def act(self, joint_pos: Any) -> dict[str, np.ndarray]:
+        """Return the targets for ``action``, as ``step`` does; advances the moving averages of the actions."""
+        self.steps += 1
+        self.processed = [self.process(term, self.counted(joint_pos)) for term in self.spec["actions"]]
+        return self.targets(joint_pos)
+
+    def counted(self, joint_pos: Any) -> np.ndarray:
+        """Return joint positions (J,) as the policy sees them: rolling joints count from the reset."""
+        return (np.asarray(joint_pos, float) - self.zero).astype(F)
 
     def process(self, term: Mapping[str, Any], joint_pos: np.ndarray) -> np.ndarray:
         """Return what one action term makes of its part of the action."""
@@ -239,21 +265,25 @@ class Policy:
         return x
 
     def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
-        """Return the targets anew; only those relative to the joints' positions differ from those of ``step``."""
-        count = len(self.spec["joint_names"])
-        found = {"position": array(self.spec["default_joint_pos"]), "velocity": np.zeros(count, F)}
-        found["effort"] = np.zeros(count, F)
+        """Return the targets for newer joint positions: only relative targets differ from those of ``step``.
+
+        Positions are clipped to the joints' limits, velocities to the drives' limits.
+        """
+        found = {"position": self.default.copy(), "velocity": np.zeros_like(self.default)}
+        found["effort"] = np.zeros_like(self.default)
         for term, x in zip(self.spec["actions"], self.processed, strict=True):
             ids = term["joint_ids"]
-            found[term["drives"]][ids] = x + array(joint_pos)[ids] if term["function"] == "relative" else x
+            found[term["drives"]][ids] = x + self.counted(joint_pos)[ids] if term["function"] == "relative" else x
+        found["position"] = np.clip((found["position"] + self.zero).astype(F), *self.bounds)
         found["velocity"] = np.clip(found["velocity"], -self.limit, self.limit)
         return found
 
 
 def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dict[str, float]:
-    """Return the largest differences from what was recorded: |a - b| / max(1, |b|).
+    """Return the largest differences of a step from the recorded steps (see ``largest_difference``).
 
-    ``actions_float32`` is what the network answered in float32, as in training, where the order of sums matters.
+    Observations follow from recorded readings and last actions, actions from the recorded observation, targets from
+    the recorded action. ``actions_float32`` is the network in float32, as in training, where the order of sums matters.
     """
     policy, worst = Policy(folder, onnx), dict.fromkeys(("observations", "actions", "targets", "actions_float32"), 0.0)
     with np.load(Path(folder) / "check.npz") as file:
@@ -262,14 +292,20 @@ def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dic
     for step in range(len(recorded["reset"])):
         if recorded["reset"][step]:
             policy.reset()
-        targets = policy.step({name.removeprefix("reading:"): recorded[name][step] for name in names})
-        joined = np.stack([targets[name] for name in ("position", "velocity", "effort")])
-        found = {"observations": policy.observation, "actions": policy.action, "targets": joined}
-        for name, value in (found | {"actions_float32": policy.action}).items():
+        readings = {name.removeprefix("reading:"): recorded[name][step] for name in names}
+        found = {"observations": policy.observe(readings), "actions": policy.network(recorded["observations"][step])}
+        policy.action = recorded["actions"][step]
+        targets = policy.act(readings["joint_pos"])
+        found["targets"] = np.stack([targets[name] for name in ("position", "velocity", "effort")])
+        for name, value in (found | {"actions_float32": found["actions"]}).items():
             wanted = recorded[name][step]
-            difference = np.abs(value - wanted) / np.maximum(1.0, np.abs(wanted))
-            worst[name] = max(worst[name], float(np.max(difference, initial=0.0)))
+            worst[name] = max(worst[name], largest_difference(value, wanted))
     return worst
+
+
+def largest_difference(found: Any, wanted: np.ndarray) -> float:
+    """Return the largest |found - wanted| / max(1, |wanted|)."""
+    return float(np.max(np.abs(found - wanted) / np.maximum(1.0, np.abs(wanted)), initial=0.0))
 
 
 def main(words: list[str]) -> int:

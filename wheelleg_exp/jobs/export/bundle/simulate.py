@@ -1,7 +1,7 @@
 """The robot of this bundle in MuJoCo, driven by its policy: ``python simulate.py --seconds 20 --command 0.2 0 0``.
 
-Needs numpy and mujoco (``--view``: a display as well; ``--onnx``: onnxruntime). It ends with status 1 if the robot has
-fallen. ``robot/scene.xml`` is training's own scene on level ground; drives work as they did in training.
+Needs numpy and mujoco (``--view``: also a display; ``--onnx``: also onnxruntime or onnx). The exit status is 1 if the
+robot fell. ``robot/scene.xml`` is training's own scene on level ground; drives work as they did in training.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=10.0, help="how long")
     parser.add_argument("--command", type=float, nargs="+", default=None, help="what is asked for; zeros by default")
     parser.add_argument("--view", action="store_true", help="show it in MuJoCo's viewer, in real time")
-    parser.add_argument("--onnx", action="store_true", help="let onnxruntime run the network")
+    parser.add_argument("--onnx", action="store_true", help="run policy.onnx, with onnxruntime or onnx")
     args = parser.parse_args()
     spec = json.loads((HERE / "policy.json").read_text(encoding="utf-8"))
     if not spec["step_dt"] <= args.seconds < np.inf:
