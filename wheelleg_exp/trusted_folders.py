@@ -1,7 +1,8 @@
-"""The folders that this user has worked with on this machine: configs and sources that were named, or stood in.
+"""The folders that this user has trusted on this machine, by naming them with ``--config-dir``.
 
-A run directory may come from anybody, and so may the paths in it. A path that a run has recorded is used unasked only
-when it leads to one of these folders.
+Anybody may have written a record (of a run, a pipeline, a result), so its paths are not trusted. A recorded path is
+used only if it leads to one of these folders or to the current project. Only ``cli/main.py`` adds folders: it knows
+what the user typed.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from wheelleg_exp.paths import cache_dir
 
 
 def trust(folders: Iterable[Path]) -> None:
-    """Note folders that the user has named, or stood in; where nothing can be written a later command asks again."""
+    """Record existing folders that the user has typed; if the file cannot be written, a later command asks again."""
     known = _known()
-    new = [place for place in dict.fromkeys(map(os.path.realpath, folders)) if place not in known]
+    existing = map(os.path.realpath, filter(Path.is_dir, folders))
+    new = [place for place in dict.fromkeys(existing) if place not in known]
     with suppress(OSError):
         if new:
             _file().parent.mkdir(parents=True, exist_ok=True)
@@ -26,7 +28,7 @@ def trust(folders: Iterable[Path]) -> None:
 
 
 def is_trusted(path: str | Path) -> bool:
-    """Return whether a path leads to a folder that was noted."""
+    """Return whether a path leads to a trusted folder."""
     return real(path) in _known() - {""}
 
 

@@ -65,6 +65,10 @@ OVERRIDES = {
         ["rewards.height.weight=-30"],
         ["rewards.height.weight:", "override rewards", "did you mean 'env.rewards.height.weight'"],
     ),
+    "optional key that no file sets": (
+        ["agent.clip_actions=1"],
+        ["agent.clip_actions: no file of the task sets it", "expected +agent.clip_actions=1"],
+    ),
     "misspelled top key": (["sed=3"], ["sed: there is no such key", "override sed=3", "did you mean 'seed'"]),
     "created key": (
         ["+env.num_env=3"],

@@ -153,6 +153,7 @@ WRONG: dict[str, str | tuple[str, str]] = {
     "agent.actor.distribution_cfg.init_std=0": "more than 0",
     "+agent.actor.distribution_cfg.std_range=[1,1]": "low below high",
     "agent.save_interval=0": "at least 1",
+    "agent.max_non_finite=-1": "at least 0",
     "agent.max_iterations=0": "at least 1",
     "agent.num_steps_per_env=0": "at least 1",
     "agent.torch_threads=0": "at least 1",

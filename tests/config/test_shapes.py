@@ -33,8 +33,6 @@ def test_the_layout_is_that_of_the_built_environments_tensors(task, variant):
     from wheelleg_exp.build import build_env
 
     words = [f"task={task}", "env.num_envs=3", *VARIANTS[variant]]
-    if variant.endswith("others") and task != "stand":  # the tasks' own settings of a term that the list leaves out
-        words.append("env.observations.critic.terms.travel_error=null")
     composed = compose(words)
     found = shapes(composed)
     env = build_env(composed.config)
@@ -70,11 +68,13 @@ def test_the_layout_of_the_main_task_by_hand_and_without_a_step(monkeypatch):
         ("base_ang_vel", 3, 5),
         ("projected_gravity", 3, 5),
         ("velocity_commands", 3, 5),
-        ("joint_pos_rel", 6, 5),
+        ("joint_pos_rel", 4, 5),
         ("joint_vel_rel", 6, 5),
         ("last_action", 6, 5),
     ]
-    assert widths == {"policy": policy, "critic": [*policy, ("base_lin_vel", 3, 5), ("joint_effort", 6, 5)]}
+    travel = ("travel_error", 2, 5)
+    critic = [*policy, ("base_lin_vel", 3, 5), ("joint_effort", 6, 5), travel]
+    assert widths == {"policy": [*policy, travel], "critic": critic}
     assert {name: group.shape for name, group in found.observations.items()} == {"policy": (135,), "critic": (180,)}
     assert [(t.name, t.width, t.joints) for t in found.actions.terms] == [
         ("leg_pos", 4, ("l01", "l02", "r01", "r02")),
@@ -94,7 +94,7 @@ def test_the_command_prints_tables_or_json(capsys):
     assert main(["compose", "--shapes", "task=stand"]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["observations.policy:", "135"] in lines
-    assert ["joint_pos_rel", "joint_pos_rel", "6", "5", "30", "45..74"] in lines
+    assert ["joint_pos_rel", "joint_pos_rel", "4", "5", "20", "45..64"] in lines
     assert ["wheel_vel", "JointVelocityAction", "2", "4..5", "l03", "r03"] in lines
     assert main(["compose", "--shapes", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

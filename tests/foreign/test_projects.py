@@ -96,6 +96,7 @@ def test_a_link_into_the_run_is_as_the_run(asking):
     configs = project(asking.run.path, asking.canary)
     link = asking.root / "mine"
     link.symlink_to(asking.root / "elsewhere")
+    (asking.root / "elsewhere").mkdir()
     trust([link])
     link.unlink()
     link.symlink_to(configs)

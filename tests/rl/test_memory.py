@@ -7,6 +7,8 @@ import pytest
 from wheelleg_exp import memory
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 
+SENSORS = "wheelleg_exp.sim.sensors"
+EYES = f"+env.scene.sensors.eyes={{_target_: {SENSORS}.RayCaster, body_name: base_link, pattern: {{_target_: {SENSORS}."
 TOO_MUCH = {
     "env.num_envs=1000000000000": ("env.num_envs", "1,000,000,000,000 environments take"),
     "env.num_envs=100000000000000000000": ("env.num_envs", "environments take"),
@@ -16,6 +18,22 @@ TOO_MUCH = {
     "env.observations.policy.history_length=1000000000": (
         "env.observations.policy.terms.base_ang_vel",
         "histories of 1000000000 steps",
+    ),
+    "env.scene.sensors.contact_forces.history_length=1000000000": (
+        "env.scene.sensors.contact_forces.history_length",
+        "numbers of past forces take",
+    ),
+    "env.scene.sensors.contact_forces.max_contacts=1000000000": (
+        "env.scene.sensors.contact_forces.max_contacts",
+        "readings of contacts take",
+    ),
+    EYES + "GridPattern, resolution: 1e-5, size: [2, 2]}}": (
+        "env.scene.sensors.eyes.pattern",
+        "rays take",
+    ),
+    EYES + "PinholePattern, width: 1000000, height: 1000000}}": (
+        "env.scene.sensors.eyes.pattern",
+        "rays take",
     ),
 }
 

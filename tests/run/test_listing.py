@@ -112,6 +112,24 @@ def test_how_far_a_crashed_run_came_is_told_from_the_end_of_its_lines(make_run, 
     assert found.seconds is not None
 
 
+def test_how_long_a_resumed_run_took_leaves_out_the_pauses(make_run, tmp_path):
+    run = written(make_run(now=START), 6)
+    lines = [json.loads(text) for text in run.iterations.read_text().splitlines()]
+    for line in lines:
+        line["scalars"] |= {"Perf/collection_time": 1.5, "Perf/learning_time": 0.5, "Perf/total_fps": 100.0}
+    run.iterations.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    run.manifest().finish("interrupted", {}, now=START + timedelta(seconds=20))
+    (stopped,) = list_runs(tmp_path / "runs")
+    assert stopped.seconds == pytest.approx(20.0)
+    manifest = run.manifest()
+    manifest.restart(command=["wheelleg", "resume"], threads={}, now=START + timedelta(minutes=24))
+    manifest.finish("finished", {}, now=START + timedelta(minutes=25))
+    (resumed,) = list_runs(tmp_path / "runs")
+    assert resumed.seconds == pytest.approx(6 * 2.0)
+    run.iterations.unlink()
+    assert list_runs(tmp_path / "runs")[0].seconds == 0.0
+
+
 @pytest.mark.parametrize(("end", "resumable"), [("interrupted", True), ("failed", True), ("finished", False)])
 def test_what_stopped_early_can_be_resumed_and_what_is_whole_cannot(make_run, tmp_path, end, resumable):
     run = written(make_run(), 10 if end == "finished" else 6, checkpoints=(9 if end == "finished" else 5,))

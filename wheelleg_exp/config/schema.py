@@ -152,6 +152,7 @@ PHYSICS_RULES: tuple[str, ...] = (
     "reset_into_ground",
     "reward_outweighs",
     "reward_too_small",
+    "robot_size",
     "rolling_direction",
     "spawn_height",
     "target_height",

@@ -76,9 +76,9 @@ class RowHistory:
         self._spans = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
         self._kept = [slice(s.start + width, s.stop) for s, width in zip(self._spans, widths, strict=True)]
         self._widths = list(widths)
-        firsts = itertools.accumulate(widths)
-        columns = [list(range(end - width, end)) * n for end, width, n in zip(firsts, widths, slots, strict=True)]
-        self._fill = torch.tensor([c for term in columns for c in term], device=device)
+        firsts = zip(itertools.accumulate(widths), widths, slots, strict=True)
+        columns = [torch.arange(end - width, end, device=device).repeat(count) for end, width, count in firsts]
+        self._fill = torch.cat(columns)
         self.remembers = max(lengths) > 0
         self.values = torch.zeros(num_envs, sum(sizes), device=device)
 

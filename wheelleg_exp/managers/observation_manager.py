@@ -14,10 +14,13 @@ from wheelleg_exp.managers.manager_base import table
 from wheelleg_exp.managers.observation_layout import Group, GroupLayout
 from wheelleg_exp.managers.observation_term import ObservationTerm, Values
 from wheelleg_exp.managers.term import Term, bind_terms
+from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.sections import read_section
+
+_SLICE = 100  # bytes of a Python slice and its two numbers: one for each term and step where history_order is time
 
 
 class ObservationManager(Kept):
@@ -194,6 +197,7 @@ class ObservationManager(Kept):
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
             self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
+        _require_memory(list(self._groups[group].values()), env, by_time=options.history_order == "time")
         self._layouts[group] = GroupLayout(self._groups[group], options, path)
         self._add_histories(group, env)
         others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
@@ -279,3 +283,14 @@ class ObservationManager(Kept):
             title = f"Observations '{group}': {self.group_obs_dim[group]}"
             parts.append(table(title, ("index", "name", "shape", "scale", "term"), rows))
         return "\n".join(parts)
+
+
+def _require_memory(terms: list[ObservationTerm], env: Env, *, by_time: bool) -> None:
+    """Refuse a group whose histories do not fit into memory; one message for all terms, at the longest."""
+    longest = max(terms, key=lambda term: term.history_length)
+    lengths = [max(1, term.history_length) for term in terms]
+    numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
+    # float32, and a copy in each step; RowHistory has an int64 index for each number and copies it once.
+    need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
+    what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
+    require_memory(need, longest.term.path, what)

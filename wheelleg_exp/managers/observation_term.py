@@ -16,7 +16,6 @@ from wheelleg_exp.managers.entity import SceneEntityCfg
 from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.returned import require_form, row_form
 from wheelleg_exp.managers.term import Term, TermBase
-from wheelleg_exp.memory import require_memory
 from wheelleg_exp.state import Kept, made, stateful
 from wheelleg_exp.terms.failures import failure
 
@@ -66,8 +65,6 @@ class ObservationTerm(Kept):
             modifier.start(sample)
             made(modifier, f"{term.path}.modifiers[{number}]")
         self._noise_state = stateful(self._noise, f"{term.path}.noise")
-        what = f"histories of {history_length} steps of {env.num_envs} environments"
-        require_memory(4 * sample.numel() * history_length, term.path, what)
         self.history: HistoryBuffer | RowHistoryPart | None = None
         self.same_as: ObservationTerm | None = None
         self._when_shared: list[tuple[Any, Any]] = []

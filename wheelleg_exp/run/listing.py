@@ -15,6 +15,7 @@ from wheelleg_exp.files import open_file, read_text
 from wheelleg_exp.reading import json_value
 from wheelleg_exp.run.directory import CHECKPOINT, NEEDED, SWEEPS, run_folders, start_moment, task_folders
 from wheelleg_exp.run.inventory import MANIFEST_NAME
+from wheelleg_exp.run.log import read_log, seconds_of
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.process import is_alive
 from wheelleg_exp.run.sweep_index import SWEEP_NAME, SweepIndex
@@ -60,7 +61,7 @@ class RunSummary:
         played: results of the last play.
         evaluated: results of the last evaluation.
         bundles: folders in it that were exported for deployment.
-        seconds: how long it took, or has taken up to its last iteration; times between resumes count.
+        seconds: how long it took, or has taken up to its last iteration; of a resumed run, the time of its iterations.
         bytes: size of the files in its folder's top, without later additions.
     """
 
@@ -125,7 +126,7 @@ def summarize(folder: Path) -> RunSummary:
         played=_last_results(data["additions"], "play"),
         evaluated=_last_results(data["additions"], "evaluation"),
         bundles=_bundles(data["additions"]),
-        seconds=_seconds(folder, manifest.started, data.get("ended"), status),
+        seconds=_seconds(folder, manifest, status),
         bytes=size,
     )
 
@@ -268,9 +269,14 @@ def _bundles(additions: list[dict[str, Any]]) -> tuple[str, ...]:
     return tuple(str(found["folder"]) for found in exports if isinstance(found, dict) and "folder" in found)
 
 
-def _seconds(folder: Path, started: datetime, ended: str | None, status: str) -> float | None:
-    if ended is not None:
-        moment = parse_utc(ended)
+def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
+    if manifest.data["resumes"]:  # nobody knows when a killed process stopped
+        try:
+            return seconds_of(line.content for line in read_log(folder / "iterations.jsonl").lines)
+        except RunDirectoryError:
+            return None
+    if manifest.data.get("ended") is not None:
+        moment = parse_utc(manifest.data["ended"])
     elif status == "running":
         moment = utc_now()
     else:
@@ -278,4 +284,4 @@ def _seconds(folder: Path, started: datetime, ended: str | None, status: str) ->
             moment = datetime.fromtimestamp((folder / "iterations.jsonl").stat().st_mtime, UTC)
         except OSError:
             return None
-    return max(0.0, (moment - started).total_seconds())
+    return max(0.0, (moment - manifest.started).total_seconds())

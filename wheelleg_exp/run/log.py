@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -74,6 +74,12 @@ def read_log(path: Path) -> IterationLog:
             log.problems.append(_out_of_order(number, line.iteration, expected))
         break  # what follows could be taken for another iteration
     return log
+
+
+def seconds_of(lines: Iterable[Mapping[str, Any]]) -> float:
+    """Return how long iterations took, s; building, exporting and pauses before a resume are not counted."""
+    times = [line["scalars"].get(_TIMES + key) for line in lines for key in ("collection_time", "learning_time")]
+    return float(sum(value for value in times if isinstance(value, (int, float))))
 
 
 def _out_of_order(number: int, iteration: int, expected: int) -> str:

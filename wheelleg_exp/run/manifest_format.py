@@ -17,12 +17,11 @@ STATUSES = ("running", "finished", "interrupted", "failed")
 
 
 _FILES = {str: {"sha256": str, "size": int}}
+WRITER = {"pid": Maybe(int), "host": Maybe(str), "boot_id": Maybe(str), "start_ticks": Maybe(int)}  # a process
 _PROCESS: dict[Any, Any] = {
     "error": Maybe({"type": Maybe(str), "message": Maybe(str)}),
     "ended": Maybe(str),
-    "process": Maybe(
-        {"pid": Maybe(int), "host": Maybe(str), "boot_id": Maybe(str), "start_ticks": Maybe(int)},
-    ),
+    "process": Maybe(WRITER),
     "failure": Maybe({"key": Maybe(str), "iteration": int, "message": str}),
     "versions": Maybe(dict),
     "hardware": Maybe(dict),

@@ -12,6 +12,8 @@ from wheelleg_exp.files import read_yaml, require_mapping, write_text
 from wheelleg_exp.plain_yaml import dump_yaml
 
 PARTS = ("env", "agent")
+# Keys of ``agent`` that a trained policy depends on; all others are of the training.
+OF_A_POLICY = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
 
 
 def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:

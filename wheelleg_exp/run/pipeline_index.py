@@ -13,13 +13,17 @@ from typing import Any, Literal
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import json_plain, read_json, write_json
 from wheelleg_exp.run.directory import PIPELINES, RunDirectory, checkpoint_iteration, create_exclusively
-from wheelleg_exp.run.pipeline_runs import PIPELINE_NAME
+from wheelleg_exp.run.kinds import Maybe, misfits
+from wheelleg_exp.run.manifest_format import WRITER
+from wheelleg_exp.run.pipeline_runs import PIPELINE_NAME, is_pipeline
 from wheelleg_exp.run.process import this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
 
 FORMAT = 1
-_KEYS = ("id", "name", "status", "why", "config_dirs", "root", "overrides", "started", "resumes", "config", "phases")
-_PHASE_KEYS = ("name", "status", "why", "digest", "run", "init_from", "trained", "gates")
+_PHASE: dict[str, Any] = dict.fromkeys(("name", "status", "digest"), str) | {"trained": int}
+_PHASE |= {**dict.fromkeys(("why", "run", "init_from"), Maybe(str)), "gates": [{"iteration": int, "passed": bool}]}
+_KINDS: dict[str, Any] = dict.fromkeys(("id", "name", "status", "root", "started"), str) | {"why": Maybe(str)}
+_KINDS |= {"config_dirs": [str], "overrides": [str], "resumes": [dict], "config": {"phases": dict}, "phases": [_PHASE]}
 
 PhaseStatus = Literal["waiting", "training", "passed", "failed"]
 PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
@@ -104,10 +108,12 @@ class PipelineIndex:
             message = f"pipeline format {data.get('format')!r} is not known here"
             raise RunDirectoryError(message, where=str(path), expected=f"format {FORMAT}")
         phases = [phase if isinstance(phase, dict) else {} for phase in data["phases"]]
-        missing = [key for key in _KEYS if key not in data]
-        missing += [f"phases.{key}" for phase in phases for key in _PHASE_KEYS if key not in phase]
+        missing = [key for key in _KINDS if key not in data]
+        missing += [f"phases.{key}" for phase in phases for key in _PHASE if key not in phase]
         if missing:
-            raise RunDirectoryError(f"this record lacks {missing[0]}", where=str(path), expected=", ".join(_KEYS))
+            raise RunDirectoryError(f"this record lacks {missing[0]}", where=str(path), expected=", ".join(_KINDS))
+        for wrong in misfits(data, {**_KINDS, "process": Maybe(WRITER)}):
+            raise RunDirectoryError(f"broken record: '{wrong}' is missing or wrong", where=str(path))
         return cls(path.parent.resolve(), data)
 
     @property
@@ -169,10 +175,10 @@ class PipelineIndex:
 def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
     """Return the folder of the pipeline that a path, or an id below ``root``, names; None where it names none."""
     for folder in (Path(named), Path(root) / PIPELINES / str(named), Path(root) / str(named)):
-        if (folder / PIPELINE_NAME).is_file():
+        if is_pipeline(folder):
             return folder.resolve()
     path = Path(named)
-    return path.parent.resolve() if path.name == PIPELINE_NAME and path.is_file() else None
+    return path.parent.resolve() if path.name == PIPELINE_NAME and is_pipeline(path.parent) else None
 
 
 def pipelines_below(root: Path) -> list[PipelineIndex]:

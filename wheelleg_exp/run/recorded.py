@@ -1,4 +1,4 @@
-"""What a run has kept, read back: its config is resolved from itself alone.
+"""What a record holds, read back safely: a run's config is resolved from itself alone; overrides change configs only.
 
 Hydra's ``.hydra/config.yaml`` holds ``${...}`` as it was written, and anybody may have written it. What is resolved
 here refers to the config's own keys and to the variables that the run has kept; nothing of this process is asked, and
@@ -8,7 +8,8 @@ nothing is called.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -18,6 +19,7 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_yaml
 from wheelleg_exp.run.kinds import misfits
 from wheelleg_exp.run.source.secrecy import is_secret_variable
+from wheelleg_exp.terms.keys import is_override
 
 if TYPE_CHECKING:
     from omegaconf.base import Container
@@ -27,6 +29,7 @@ SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")  
 _PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
 _STEPS, _LETTERS = 10_000, 100_000  # most interpolations that are resolved, and most letters of all that hold one
 _NONE = object()
+_REACHING = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)  # options, Hydra's own settings, resolvers
 
 
 def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
@@ -78,6 +81,18 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
     if not isinstance(found, list):
         raise RunDirectoryError("holds no list", key=str(path), expected="the overrides of the run")
     return [str(word) for word in found]
+
+
+def require_overrides(words: Iterable[Any], path: Path) -> None:
+    """Refuse recorded words that are composed again unless each is an override of the config and nothing more.
+
+    Refused are options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers
+    (environment variables of this machine). The RunDirectoryError names ``path``, the record.
+    """
+    for word in words:
+        if not isinstance(word, str) or not is_override(word) or _REACHING.match(word):
+            expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"
+            raise RunDirectoryError(f"{word!r} is not accepted from a record", key=str(path), expected=expected)
 
 
 def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:

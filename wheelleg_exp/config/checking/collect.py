@@ -11,7 +11,7 @@ from hydra.errors import MissingConfigException
 from wheelleg_exp.config.checking.check import check, follows_from
 from wheelleg_exp.config.checking.diagnose import DoesNotMerge
 from wheelleg_exp.config.checking.diagnose_groups import NowhereMounted
-from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.compose import Composed, compose, override_texts
 from wheelleg_exp.config.composing.headers import package_meant, usual_header
 from wheelleg_exp.config.composing.tolerant_loader import Leniency, TolerantLoader
 from wheelleg_exp.config.problems import override_of, parts, raise_all
@@ -123,7 +123,7 @@ def find_mistakes(
     Returns:
         The config, or None when there is none to look at; and the mistakes, those that stop Hydra first.
     """
-    search = _Search([str(text) for text in overrides], primary, tuple(config_dirs))
+    search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()
     behind = [] if composed is None or "" in search.lost else check(composed)
     mistakes = _once([*search.found, *(error for error in behind if not search.follows(error))])

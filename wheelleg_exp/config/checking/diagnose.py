@@ -29,6 +29,7 @@ from wheelleg_exp.config.checking.diagnose_groups import (
 )
 from wheelleg_exp.config.composing.headers import missing_headers
 from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, Repository
+from wheelleg_exp.config.explaining.fixed_keys import KEYS
 from wheelleg_exp.config.problems import AbsentKey, join
 from wheelleg_exp.config.tree import Keys, at, defaults_items, dotted, node_paths, scalar_line, show_file, split_path
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -198,6 +199,11 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return _unknown_part(shown, override, strange.group(1))
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where_of(override))
+    if (
+        key in KEYS and not override.is_delete() and at(shown, split_path(key)[:-1]) is not None
+    ):  # optional, and not set by any file
+        plain = str(override.input_line).lstrip("+")
+        return AbsentKey("no file of the task sets it", key=key, where=where_of(override), expected=f"+{plain}")
     top = None if split_path(key)[0] in shown else nearest_name(key, [*shown, *groups])
     return AbsentKey(
         "there is no such key",

@@ -126,7 +126,7 @@ def compose(
     Raises:
         ConfigError: anything that is wrong with the files, the overrides or the interpolations.
     """
-    texts = [str(text) for text in overrides]
+    texts = override_texts(overrides)
     unread = [] if launching else unread_overrides(texts)
     if unread:
         raise_all(unread)
@@ -146,6 +146,11 @@ def compose(
     config = _resolve(raw, lambda: trace(used, primary, parsed))
     removed = drop_removed(config)
     return Composed(config, raw, texts, primary, folders, removed, hydra, used, parsed)
+
+
+def override_texts(overrides: Sequence[str]) -> list[str]:
+    """Return overrides as a list; a single text is one override, not a sequence of letters."""
+    return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
 def _resolve(raw: DictConfig, provenance: Any) -> dict[str, Any]:

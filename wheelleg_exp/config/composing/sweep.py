@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from wheelleg_exp.config.checking.collect import find_mistakes
 from wheelleg_exp.config.checking.diagnose import explain
 from wheelleg_exp.config.checking.diagnose_groups import where_of
-from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.compose import Composed, compose, override_texts
 from wheelleg_exp.config.composing.hydra_keys import is_unread, unread
 from wheelleg_exp.config.composing.launchers import LAUNCHERS, QUEUES, jobs_at_once, not_installed, offer_ray
 from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
@@ -96,7 +96,7 @@ def compose_sweep(
     offer_ray()
     with hydra_globals():
         loader = Loader(folders)
-        parsed, mistakes = _parse([str(text) for text in overrides], loader)
+        parsed, mistakes = _parse(override_texts(overrides), loader)
         own = [override for override in parsed if _OWN.match(override.key_or_group)]
         chosen = _chosen(own)
         refused = {str(o.input_line): e for o in parsed for e in _refuse(o, chosen)}

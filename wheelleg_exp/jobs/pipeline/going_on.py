@@ -13,9 +13,11 @@ from wheelleg_exp.config.composing.primaries import names_pipeline
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs.pipeline.options import Phase
 from wheelleg_exp.jobs.pipeline.settings import PRIMARY, Declared, read, words_of
+from wheelleg_exp.packages import join_recorded, left_out
 from wheelleg_exp.run.begin import refuse_secrets
 from wheelleg_exp.run.pipeline_index import PipelineIndex
 from wheelleg_exp.run.process import is_alive
+from wheelleg_exp.run.recorded import require_overrides
 
 _LATER = ("max_iterations", "gate")  # what may change of a phase that has begun
 
@@ -29,7 +31,7 @@ def go_on(
         index: its record.
         overrides: changes to its phases, such as ``pipeline.phases.walk.max_iterations=600``.
         command: the command line, for the record.
-        config_dirs: the user's config folders; those that it began with where none are given.
+        config_dirs: the user's config folders; if none are given, the recorded ones, which must be the user's own.
 
     Raises:
         WheellegError: it is under way or finished, or an override is wrong. Nothing of the record has changed then.
@@ -56,7 +58,11 @@ def go_on(
         for change in found:
             _require_changeable(change, index)
         declared = read(tree)
-    folders = list(config_dirs) or [Path(folder) for folder in index.data["config_dirs"]]
+    folders = _folders(index, config_dirs)
+    for name, asked in declared.phases.items():
+        require_overrides(words_of(name, asked, index.data["overrides"]), index.path)
+        if asked.gate is not None:
+            require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
         raise ConfigError("the phases of a pipeline stay", key=f"{PRIMARY}.phases", expected=str(list(kept["phases"])))
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
@@ -65,10 +71,19 @@ def go_on(
     for phase in index.phases:
         if phase["status"] == "failed":
             phase |= _again(phase, declared.tree["phases"][phase["name"]], found)
-    if config_dirs:
-        index.data["config_dirs"] = [str(folder) for folder in config_dirs]
+    index.data["config_dirs"] = [str(folder) for folder in folders]
     index.restart(command, [{"key": c.key, "was": str(c.a), "now": str(c.b)} for c in found], declared.tree)
     return declared
+
+
+def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
+    """Return the config folders to use: a pipeline composes its phases again, so it needs every recorded one."""
+    recorded = index.data["config_dirs"]
+    folders = join_recorded(config_dirs, recorded)
+    for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
+        expected = "--config-dir with the place where that folder is now, if it is yours"
+        raise ConfigError(f"the pipeline was begun with {folder}, which {why}", key=str(index.path), expected=expected)
+    return folders
 
 
 def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:

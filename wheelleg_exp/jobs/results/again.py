@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.config.checking.collect import compose_valid
+from wheelleg_exp.config.composing.sweep import digest_of
 from wheelleg_exp.files import json_plain
 from wheelleg_exp.jobs.evaluate.evaluate import Evaluated, evaluate_reference, evaluate_run
+from wheelleg_exp.jobs.pipeline.child import StepProcess
+from wheelleg_exp.jobs.pipeline.job import Step
 from wheelleg_exp.jobs.results.record import compared_with, numbers, parameters, record_of
 from wheelleg_exp.jobs.resume.differences import brief
+from wheelleg_exp.jobs.stop import StopRequest
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.environment import hardware, versions
 from wheelleg_exp.verify.made_with import FactDifference, allowing, environment_differences
 
 _COMMAND = ("wheelleg", "results")
-_LAST_WORDS = 4  # lines
-_MAIN = "from wheelleg_exp.cli.main import main; import sys; sys.exit(main())"
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def again(
         trained: runs that have been made again, by what they are made of; those that this makes are added.
 
     Raises:
-        SimulationFailure: a training ended with an error.
+        WheellegError: a training ended with an error.
     """
     differs = _told(_machine(manifests[:1], [{"versions": versions(), "hardware": hardware()}], early=True))
     for line in differs:
@@ -169,21 +169,15 @@ def _trained(
         parent = _trained(recipe["begins_with"], root, trained, say, config_dirs)
         words.append(f"init_from={parent.checkpoint(recipe['iteration'])}")
     say(f"wheelleg train {' '.join(words)}")
-    before = _runs(root)
-    folders = [word for folder in config_dirs for word in ("--config-dir", str(folder))]
-    _train([*words, f"run.root={root}", "recording.enabled=false", *folders])
-    (path,) = _runs(root) - before
+    path = _train([*words, f"run.root={root}", "recording.enabled=false"], config_dirs)
     trained[repr(recipe)] = RunDirectory.open(path, root)
     return trained[repr(recipe)]
 
 
-def _train(words: Sequence[str]) -> None:
-    """Train in a process of its own, as the command line does: threads and libraries are prepared anew."""
-    done = subprocess.run([sys.executable, "-c", _MAIN, "train", *words], capture_output=True, text=True, check=False)
-    if done.returncode:
-        last = " ".join(done.stderr.split("\n")[-_LAST_WORDS:]).strip()
-        raise SimulationFailure(f"wheelleg train {' '.join(words)} ended with status {done.returncode}: {last}")
-
-
-def _runs(root: Path) -> set[Path]:
-    return {path.parent for path in root.glob("*/*/manifest.json")}
+def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
+    """Train in another process and return the run directory. Recorded words reach it as overrides, never as options."""
+    digest = digest_of(compose_valid(words, config_dirs=config_dirs))
+    step = Step("train", words, [str(folder) for folder in config_dirs], ["wheelleg", "train", *words], digest)
+    with StepProcess(step, StopRequest()) as process:
+        (path,) = [event["path"] for event in process.events() if event["event"] == "run"]
+    return str(path)

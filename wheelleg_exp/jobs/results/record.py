@@ -15,6 +15,7 @@ from wheelleg_exp.jobs.results.page import page
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.reading import Unreadable, json_value, yaml_value
 from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.recorded import require_overrides
 from wheelleg_exp.verify.made_with import is_the_machine
 
 FORMAT = 2
@@ -157,12 +158,18 @@ def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str,
             raise RunDirectoryError(f"is of '{record['name']}'", key=str(path), expected="a record of its own name")
         if not record["runs"]:
             raise RunDirectoryError("names no runs", key=str(path), expected="what wheelleg results has written")
+        require_overrides([*record["words"], *(word for run in record["runs"] for word in _words(run["train"]))], path)
         manifests = read_manifests(record, folder)
         require_own_page(record, manifests, folder)
     except (LookupError, TypeError, AttributeError) as error:
         expected = "what wheelleg results has written"
         raise RunDirectoryError(f"lacks what a record has: {error}", key=str(path), expected=expected) from error
     return record, manifests
+
+
+def _words(made: Mapping[str, Any]) -> list[Any]:
+    """Return the overrides of a recipe and of the recipe of the run that it began with."""
+    return [*made["overrides"], *(_words(made["begins_with"]) if made["begins_with"] else ())]
 
 
 def require_own_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:

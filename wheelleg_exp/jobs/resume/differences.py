@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.jobs.train.source_roots import loaded_outside
+from wheelleg_exp.jobs.train.source_roots import installed_roots, loaded_outside
 from wheelleg_exp.packages import read_project
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run import environment
@@ -92,7 +92,7 @@ def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
 def _roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders.
 
-    Of other recorded folders those count that modules have been imported from by now, and the user's own.
+    Other recorded folders count only if they are trusted or this process uses them: installed, or imported by now.
     """
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
     content = load_source(run)
@@ -103,5 +103,5 @@ def _roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
         if record["root"] is not None
     ]
     known = [configs_dir().parent, *projects]
-    loaded = {real(path) for path in loaded_outside(known)}
-    return [*known, *(p for p in recorded[1:] if (real(p) in loaded or is_trusted(p)) and p.exists())]
+    used = {real(path) for path in [*loaded_outside(known), *installed_roots()]}
+    return [*known, *(p for p in recorded[1:] if (real(p) in used or is_trusted(p)) and p.exists())]

@@ -72,7 +72,7 @@ def follow(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str
     why: list[str] = []
     with ranks.agreed():
         if told["checkpoint"] is not None:
-            why = load(trainer, checkpoint.load(Path(told["checkpoint"])), told["learning_rate"])
+            why = load(trainer, checkpoint.load(Path(told["checkpoint"]), finite=False), told["learning_rate"])
     ranks.tell_all([f"in process {ranks.rank}, {reason}" for reason in why])
     return trainer, told["tree"]["agent"]
 

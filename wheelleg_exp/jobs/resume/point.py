@@ -103,7 +103,7 @@ def _lasts(name: str, start: int) -> bool:
 
 
 def _loaded(path: Path) -> dict[str, Any]:
-    state = checkpoint.load(path)
+    state = checkpoint.load(path, finite=False)  # training itself stops at numbers that are not finite
     if state["iter"] != checkpoint_iteration(path):
         raise RunDirectoryError(f"holds iteration {state['iter']}", key=str(path))
     return state

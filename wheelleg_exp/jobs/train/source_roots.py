@@ -30,6 +30,11 @@ def source_roots(composed: Composed) -> list[Path]:
     return _once(roots)
 
 
+def installed_roots() -> list[Path]:
+    """Return the folders of the installed packages that declare themselves, without importing them."""
+    return [root for name in installed_packages() if (root := _package_root(name)) is not None]
+
+
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
     """Return the packages and modules imported from anywhere but the roots, the standard library and environments.
 

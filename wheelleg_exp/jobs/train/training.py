@@ -40,10 +40,10 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.begin import begin, refuse_secrets
 from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.lock import RunLock
+from wheelleg_exp.run.log import seconds_of
 from wheelleg_exp.run.manifest import MANIFEST_NAME, Manifest
 from wheelleg_exp.run.source.description import source_lines
 from wheelleg_exp.run.source.restore import load_source
-from wheelleg_exp.trusted_folders import trust
 from wheelleg_exp.user_code import ending_as, in_words
 
 
@@ -115,7 +115,7 @@ def recipe_of(composed: Composed, display: Display) -> Recipe:
     with initial_file(composed.config, display.note) as (initial, begun_with):
         networks = find_teacher(composed.config) | initial
         asset = prepare_asset(composed.config, composed.asset_roots, networks)
-    recipe = Recipe(
+    return Recipe(
         config=composed.config,
         hydra_files=composed.hydra_files(),
         source_roots=source_roots(composed),
@@ -123,8 +123,6 @@ def recipe_of(composed: Composed, display: Display) -> Recipe:
         config_dirs=composed.config_dirs,
         begun_with=begun_with,
     )
-    trust([*recipe.config_dirs, *recipe.source_roots])
-    return recipe
 
 
 def start(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:
@@ -224,7 +222,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
             if due or stopped:
                 results["checkpoint"] = outputs.checkpoint(iteration.index)
             if last:
-                seconds = _seconds(training.earlier) + time.perf_counter() - started
+                seconds = seconds_of(training.earlier) + time.perf_counter() - started
                 results |= {"iterations": iteration.index + 1, "seconds": seconds, **summary(iteration.scalars)}
                 results |= {"stuck_curricula": stuck.now} if stuck.now else {}
             stop.check(stopped)
@@ -306,14 +304,8 @@ def _results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     if not earlier:
         return {}
     done = len(earlier)
-    facts = {"checkpoint": f"model_{done - 1}.pt", "iterations": done, "seconds": _seconds(earlier)}
+    facts = {"checkpoint": f"model_{done - 1}.pt", "iterations": done, "seconds": seconds_of(earlier)}
     return facts | summary(earlier[-1]["scalars"])
-
-
-def _seconds(earlier: Sequence[Mapping[str, Any]]) -> float:
-    """Return how long earlier iterations took; what a process did beside is not known when it was killed."""
-    times = ("Perf/collection_time", "Perf/learning_time")
-    return sum(float(line["scalars"].get(key, 0.0)) for line in earlier for key in times)
 
 
 def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:

@@ -115,7 +115,7 @@ def _index(sources: Sequence[Path], target: Path, output: Path) -> None:
 
 def _rerun(*words: str) -> subprocess.CompletedProcess[str]:
     """Run rerun's own program, which may not survive what it reads."""
-    command = [sys.executable, "-c", _RERUN, "rrd", *words]
+    command = [sys.executable, "-P", "-c", _RERUN, "rrd", *words]
     try:
         return subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=_TIMEOUT_S, check=False

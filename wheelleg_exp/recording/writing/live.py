@@ -32,7 +32,8 @@ class LiveView:
         self._shown: tuple[int, int] | None = None
         self._folder = Path(tempfile.mkdtemp(prefix="wheelleg-live-"))
         self._write_layout()
-        words = [sys.executable, "-m", "wheelleg_exp.recording.writing.feed", str(recorder.path), str(self._folder)]
+        module = "wheelleg_exp.recording.writing.feed"
+        words = [sys.executable, "-P", "-m", module, str(recorder.path), str(self._folder)]
         self._process: subprocess.Popen[bytes] | None = None
         with contextlib.suppress(OSError):  # no more processes: then there is no live view
             self._process = subprocess.Popen(

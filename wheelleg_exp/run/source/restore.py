@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
-from wheelleg_exp.files import for_people, read_bytes, read_json, require_mapping, temporary_name
+from wheelleg_exp.files import for_people, read_bytes, read_json, require_mapping, temporary_folder
 from wheelleg_exp.run.inventory import is_inside
 from wheelleg_exp.run.kinds import Maybe, misfits
 from wheelleg_exp.run.source.git import OBJECT_ID, GitError, Repository, run_git
@@ -121,13 +121,9 @@ def restore_source(
         raise RunDirectoryError(f"'{destination}' exists already", expected="a new folder")
     change = _patch(Path(directory) / "source" / record["patch"], record)
     origin = find_origin(record, [repository or Path(record["root"])])
-    unfinished = temporary_name(destination)
-    try:
+    with for_people(destination), temporary_folder(destination) as unfinished:
         _rebuild(record, origin, unfinished, change)
-        with for_people(destination):
-            unfinished.rename(destination)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        unfinished.rename(destination)
     return record["tree"]
 
 
@@ -180,8 +176,6 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
 
 def _borrowing(origin: Path | None, folder: Path, tree: str) -> Repository:
     """Make an empty repository that reads objects from another; nothing of that one's settings comes along."""
-    with for_people(folder):
-        folder.mkdir(parents=True)
     kind = "sha256" if len(tree) > 40 else "sha1"
     run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
     clone = Repository(folder.absolute())
