@@ -157,6 +157,13 @@ def test_single_directions_are_counted():
     assert push_verdict(found, "A", "B").endswith(said)
 
 
+def test_how_many_times_the_push_the_other_survives_is_told():
+    scatter = 1e-4 * (noise(1) - 1.0)
+    found = differences([pushed(0.2 + scatter, 0.6 + scatter)], [pushed(0.4 + scatter, 0.3 + scatter)])
+    said = " The reference survives 2 times the kick and 0.5 times the push over 0.15 s that A survives. "
+    assert said in push_verdict(found, "A", "the reference")
+
+
 def test_where_no_pushes_were_measured_there_is_no_line():
     one = made(1.0, 1e-3)
     assert push_verdict(differences([one], [one]), "A", "B") == ""

@@ -102,6 +102,27 @@ def test_it_stands_as_still_as_was_measured(rolled):
     assert float(settled.max() - settled.min()) < 1e-4
 
 
+def test_it_stands_where_it_was_told_to_and_comes_back_there_after_a_kick(rolled):
+    """Without an integrator the soft legs' lean moves it by 44 mm."""
+    moved = rolled["x"][:, [0, 6]] - rolled["x"][0, [0, 6]]
+    assert float(moved[-1].abs().max()) < 1.5e-3
+    assert float(moved[:, 0].abs().max()) < 0.02
+
+
+def test_a_wrench_leaves_no_offset_once_it_leans_against_it():
+    env = stock_env(num_envs=3)
+    policy, data = Reference(env), env.scene.robot.data
+    env.reset(0)
+    wrench = torch.zeros(3, 1, 6)
+    wrench[:, 0, 0], wrench[2, 0, 4] = torch.tensor([0.2, -0.2, 0.0]), 0.005  # N, N·m
+    env.scene.robot.set_permanent_wrench(torch.arange(3), [0], wrench.unsqueeze(1))
+    begin = data.root_pos_w[:, 0].clone()
+    for _ in range(round(5.0 / env.step_dt)):
+        env.step(policy())
+    assert (data.root_pos_w[:, 0] - begin).abs().max() < 6e-3  # of the base, which the lean moves over the axle
+    assert data.projected_gravity_b[:, 0].std() > 0.01  # each leans otherwise
+
+
 @pytest.mark.parametrize(("env_id", "most"), [(1, 0.0022), (2, 0.0065)])
 def test_it_tracks_as_was_measured(rolled, env_id, most):
     begin = after(rolled, STEP_AT + 3.0)

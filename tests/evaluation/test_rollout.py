@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -18,7 +20,10 @@ from wheelleg_exp.evaluation.task import base_link, build, evaluation_cfg
 from wheelleg_exp.managers import Env
 from wheelleg_exp.terms.sections import read_section
 
-SETTINGS = {"command": "base_velocity", "fall_tilt": 3.2, "contact_force": 0.3, "saturation": 0.99}
+SETTINGS = {"command": "base_velocity", "fall_tilt": 3.2, "contact_force": 0.3, "saturation": 0.99} | {
+    "deadband": 0.001,
+    "settle_s": 0.0,
+}
 
 
 def rollout(task, scenarios, cfg=None) -> Rollout:
@@ -40,8 +45,8 @@ def test_commands_come_when_the_table_says_and_every_observation_shows_them(task
 
     found = made.roll(policy, 3)
     expected = torch.tensor(cells)[:, [0] * 6 + [1] * 6].transpose(0, 1)
-    assert torch.equal(torch.stack(seen), expected)
-    assert torch.equal(found.command, expected)
+    torch.testing.assert_close(torch.stack(seen), expected)
+    torch.testing.assert_close(found.command, expected)
     assert (standing[0], standing[-1]) == ([False, False], [False, True])
 
 
@@ -80,8 +85,8 @@ def test_the_work_of_a_step_is_torque_times_way_and_the_net_leaves_out_what_the_
         joint_armature=armature,
         joint_effort_limits=torch.tensor([[2.0, 2.0]]),
     )
-    meter = EffortMeter(env, 0.99, 0.1)
-    meter.begin()
+    meter = EffortMeter(env, 0.99, 0.001, 0.1)
+    meter.begin(counted=False)
     meter.update()
     way = (before + after) / 2 * 0.1
     kinetic = armature * (after**2 - before**2) / 2
@@ -92,6 +97,37 @@ def test_the_work_of_a_step_is_torque_times_way_and_the_net_leaves_out_what_the_
     meter.update()
     assert meter.shares().tolist() == [[1.0, 0.0]]
     assert float(meter.gross) == pytest.approx(2 * float((torque * way).abs().sum()))
+
+
+def metered(*torques: float, counted: Sequence[bool] = (True,) * 9) -> list[tuple[float, float]]:
+    """Return RMS torque and sign changes of control steps of two physics steps each; the limit is 10 N·m."""
+    zero = torch.zeros(1, 1)
+    others = dict.fromkeys(("joint_vel", "joint_vel_before", "joint_armature"), zero)
+    env = stub_env(applied_torque=zero, joint_effort_limits=torch.tensor([[10.0]]), **others)
+    meter, found = EffortMeter(env, 0.99, 0.001, 0.1), []
+    for step, pair in enumerate(zip(torques[::2], torques[1::2], strict=True)):
+        meter.begin(counted=step > 0 and counted[step - 1])
+        for torque in pair:
+            env.scene.robot.data.applied_torque = torch.tensor([[torque]])
+            meter.update()
+        found.append((float(meter.torque_rms()), float(meter.sign_changes)))
+    return found
+
+
+def test_torques_count_in_every_physics_step_and_not_in_the_last_of_a_control_step_alone():
+    assert metered(7.0, 1.0, 1.0, -7.0) == [(pytest.approx(5.0), 0.0), (pytest.approx(5.0), 1.0)]
+    assert [changes for _, changes in metered(4.0, -4.0, 4.0, -4.0, -4.0, -4.0)] == [1.0, 2.0, 0.0]
+
+
+def test_torques_within_the_dead_band_keep_the_last_sign():
+    assert [changes for _, changes in metered(5.0, -0.009, 0.009, -0.009)] == [0.0, 0.0]
+    assert [changes for _, changes in metered(5.0, 0.0, 0.0, -5.0, math.nan, 5.0)] == [0.0, 1.0, 1.0]
+
+
+def test_a_sign_from_before_what_counts_is_forgotten():
+    torques = (5.0, 5.0, -5.0, -5.0, 5.0, 5.0)
+    assert [changes for _, changes in metered(*torques)] == [0.0, 1.0, 1.0]
+    assert [changes for _, changes in metered(*torques, counted=(False, True, True))] == [0.0, 0.0, 1.0]
 
 
 @pytest.fixture(scope="module")

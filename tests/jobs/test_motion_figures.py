@@ -78,6 +78,20 @@ def test_torques_by_hand():
     assert found.sign_changes_per_s == pytest.approx({"leg": 2 / (5 * STEP), "wheel": 3 / (5 * STEP)})
 
 
+def test_torques_of_every_physics_step_count():
+    """The first physics step of each control step has -1 N·m, the last has 7 N·m."""
+    env = FakeEnv()
+    meter = MotionMeter(env, settle_s=0.0)
+    for _ in range(3):
+        env.data.applied_torque = torch.full((2, 2), -1.0)
+        for sensor in env.scene.sensors.values():
+            sensor.update()
+        env.step(meter, torque=((7.0, 7.0),) * 2)
+    found = meter.figures()
+    assert found.torque_rms_nm == pytest.approx({"leg": 5.0, "wheel": 5.0})
+    assert found.sign_changes_per_s == pytest.approx({"leg": 5 / (3 * STEP), "wheel": 5 / (3 * STEP)})
+
+
 def test_torques_too_small_to_have_a_sign_keep_the_last():
     env = FakeEnv()
     meter = MotionMeter(env, settle_s=0.0)

@@ -77,7 +77,7 @@ MOTION = {
         "Mean of the joints' mechanical power, sizes summed: (τ − I q̈) q̇ with the armature I, whose swinging takes no "
         "energy in the end, over every physics step.",
     ),
-    "torque_rms_nm": Definition("torque, RMS", "N·m", "Root mean square over joints and steps."),
+    "torque_rms_nm": Definition("torque, RMS", "N·m", "Root mean square over joints and physics steps."),
     "at_limit": Definition("at the effort limit", SHARE, "Of the physics steps: those at 99 % of the limit or more."),
     "sign_changes_per_s": Definition(
         "torque changes its sign",

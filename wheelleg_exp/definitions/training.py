@@ -127,7 +127,9 @@ LISTED = {
     "evaluated": Definition(
         "evaluated", SHARE, "The last evaluation's protocol, and the share of its first test's episodes that survived."
     ),
-    "took": Definition("took", "", "From the run's start to its end by the clock; pauses before a resume count."),
+    "took": Definition(
+        "took", "", "From the run's start to its end; of a resumed run, the time of its iterations, without pauses."
+    ),
 }
 
 # Keys of the manifest; its results hold scalars of the last iteration besides.

@@ -63,6 +63,7 @@ _ALIKE: tuple[tuple[str, str, Reduce, str], ...] = (
     ("height_rmse_m", "m", quadratic, "lower"),
     ("height_mean_m", "m", mean, ""),
     ("pitch_rms_rad", "rad", quadratic, "lower"),
+    ("pitch_std_rad", "rad", quadratic, "lower"),
     ("roll_rms_rad", "rad", quadratic, "lower"),
     ("pitch_rate_rms_rad_s", "rad/s", quadratic, "lower"),
     ("lean_rad", "rad", mean, ""),

@@ -1,4 +1,4 @@
-"""Mechanical power of the joints, summed over the physics steps of each control step."""
+"""Torque and mechanical power of the joints, summed over the physics steps of each control step."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ class EffortMeter(SensorBase):
     Args:
         env: the environment; the meter joins its scene.
         saturation: share of the effort limit from which on an actuator is at it.
+        deadband: share of the effort limit up to which a torque has no sign.
         dt: the physics step, s.
 
     Attributes:
@@ -24,18 +25,21 @@ class EffortMeter(SensorBase):
         net: the same of τ - I_a q̈, J, (N,).
         positive: ∑max(τ q̇, 0) Δt, J, (N,).
         peak: largest sum over the joints of max(τ q̇, 0), W, (N,).
-        saturated: share of the physics steps at the effort limit, (N, J).
+        saturated: number of physics steps at the effort limit, (N, J).
+        squares: ∑τ² over the physics steps, (N·m)², (N, J).
+        sign_changes: how often τ passed from beyond the dead band on one side to beyond it on the other, (N, J).
     """
 
-    def __init__(self, env: Env, saturation: float, dt: float) -> None:
+    def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
         super().__init__()
         self.name, self.body_names, self._dt = "evaluation_effort", [], dt
-        self._data, self._share = env.scene.robot.data, saturation
+        self._data, self._share, self._deadband = env.scene.robot.data, saturation, deadband
         n, joints = self._data.joint_vel.shape
         self._sums = torch.zeros(4, n, device=env.device)
         self.gross, self.net, self.positive, self.peak = self._sums.unbind()
-        self.saturated = torch.zeros(n, joints, device=env.device)
-        self._steps = 0
+        self._of_joints = torch.zeros(4, n, joints, device=env.device)
+        self.saturated, self.squares, self.sign_changes, self._sign = self._of_joints.unbind()
+        self._steps = torch.zeros((), device=env.device)  # a tensor, so that a captured step counts too
         self._armature = self._data.joint_armature
         env.scene.sensors[self.name] = self
 
@@ -43,11 +47,17 @@ class EffortMeter(SensorBase):
         """Begin a rollout: armatures may have been drawn anew."""
         self._armature = self._data.joint_armature
 
-    def begin(self) -> None:
-        """Begin a control step."""
+    def begin(self, counted: torch.Tensor | bool) -> None:
+        """Begin a control step.
+
+        Args:
+            counted: whether the previous control step counts, for all or (N,): a sign change between a step that does
+                not count and one that does is not counted.
+        """
         self._sums.zero_()
-        self.saturated.zero_()
-        self._steps = 0
+        self._of_joints[:3].zero_()
+        self._sign *= counted if isinstance(counted, bool) else counted.unsqueeze(1)
+        self._steps.zero_()
 
     def update(self) -> None:
         """Take up the physics step that has just run."""
@@ -61,12 +71,22 @@ class EffortMeter(SensorBase):
         self.net += net.abs().sum(dim=1)
         self.positive += driven * self._dt
         torch.maximum(self.peak, driven, out=self.peak)
-        self.saturated += torque.abs() >= self._share * data.joint_effort_limits
+        limits, size = data.joint_effort_limits, torque.abs()
+        self.saturated += size >= self._share * limits
+        self.squares += torque.square()
+        has_sign = size > torch.nan_to_num(self._deadband * limits, posinf=0.0)  # NaN has none
+        sign = torch.where(has_sign, torque.sign(), self._sign)
+        self.sign_changes += sign * self._sign < 0.0
+        self._sign.copy_(sign)
         self._steps += 1
 
     def shares(self) -> torch.Tensor:
         """Return the share of the control step's physics steps at the effort limit, (N, J)."""
-        return self.saturated / max(1, self._steps)
+        return self.saturated / self._steps.clamp(min=1)
+
+    def torque_rms(self) -> torch.Tensor:
+        """Return the RMS torque over the control step's physics steps, N·m, (N, J)."""
+        return (self.squares / self._steps.clamp(min=1)).sqrt()
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Do nothing: sums begin with each control step."""

@@ -34,6 +34,8 @@ class Trajectories:
         joint_pos: rad, (T, N, J).
         joint_vel: rad/s, (T, N, J).
         torque: of the actuators in the last physics step, N·m, (T, N, J).
+        torque_rms: of the actuators over the physics steps of the control step, N·m, (T, N, J).
+        sign_changes: how often the torque of each wheel changed its sign during the step, (T, N, W).
         down: whether each wheel was on the ground, (T, N, W) bool.
         work: gross, net and positive mechanical work of the step, J, and the peak of the positive power, W, (T, N, 4).
         saturated: share of the step at the effort limit, (T, N, J).
@@ -55,6 +57,8 @@ class Trajectories:
     joint_pos: torch.Tensor
     joint_vel: torch.Tensor
     torque: torch.Tensor
+    torque_rms: torch.Tensor
+    sign_changes: torch.Tensor
     down: torch.Tensor
     work: torch.Tensor
     saturated: torch.Tensor
@@ -77,8 +81,9 @@ class Trajectories:
             alive=room(dtype=torch.bool),
             **{name: room() for name in ("height", "roll", "pitch", "yaw")},
             **{name: room(3) for name in ("pos", "vel", "ang", "command")},
-            **{name: room(joints) for name in ("joint_pos", "joint_vel", "torque", "saturated")},
+            **{name: room(joints) for name in ("joint_pos", "joint_vel", "torque", "torque_rms", "saturated")},
             action=room(actions),
+            sign_changes=room(wheels),
             down=room(wheels, dtype=torch.bool),
             work=room(4),
             fell_at=row(0),
@@ -107,7 +112,8 @@ class Trajectories:
         self.yaw[step] = data.heading_w
         self.vel[step], self.ang[step] = data.root_lin_vel_b, data.root_ang_vel_b
         self.joint_pos[step], self.joint_vel[step] = data.joint_pos, data.joint_vel
-        self.torque[step] = data.applied_torque
+        self.torque[step], self.torque_rms[step] = data.applied_torque, meter.torque_rms()
+        self.sign_changes[step] = meter.sign_changes[:, parts.wheels]
         forces = env.scene[parts.contacts].data.net_forces_w[:, parts.wheel_bodies]
         self.down[step] = torch.linalg.vector_norm(forces, dim=-1) > force
         self.work[step] = torch.stack((meter.gross, meter.net, meter.positive, meter.peak), dim=1)

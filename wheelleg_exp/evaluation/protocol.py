@@ -67,6 +67,8 @@ class Subject:
             fall_tilt=protocol.fall_tilt,
             contact_force=protocol.contact_force,
             saturation=protocol.saturation,
+            deadband=protocol.torque_deadband,
+            settle_s=protocol.settle_s,
         )
 
     def teller(self, test: str) -> RolloutTell | None:
@@ -216,7 +218,7 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     moments = options.stand.survival_s if test == "stand" and options.stand is not None else []
     columns = standing.survival(made, moments) | standing.posture(made, settle, subject.target)
     columns |= standing.drift(made, settle) | standing.stance(made, parts, settle)
-    columns |= motors.effort(made, parts, settle, options.torque_deadband)
+    columns |= motors.effort(made, parts, settle)
     columns |= motors.energy(made, parts, settle) | motors.smoothness(made, parts, settle)
     if test == "walk" and options.walk is not None:
         columns |= walking.tracking(made, settle, options.walk) | walking.wheel_error(made, parts, settle)

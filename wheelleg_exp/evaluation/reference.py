@@ -29,6 +29,7 @@ Array = np.ndarray[Any, Any]
 _STATES = (200.0, 400.0, 20.0, 4.0)
 _INPUT = 1e-3
 _HEADING = 4.0  # 1/s, of the turning speed on the error of the heading
+_MOST_ERROR = 0.05  # rad, of the lean's error that is integrated: a push or a fall must not wind it up
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,11 @@ class Reference:
     wheels' drive; the difference of left and right turns towards the commanded heading. All other joints are told
     to hold their defaults. The commanded speed is followed by a point that moves at it, so errors do not add up.
 
+    A fifth state is the integrator: the lean at which this robot balances, which its own centre of mass, a wrench and
+    the slope of the ground displace. It integrates the pitch acceleration that the linear model does not explain, with
+    the time constant of the pole. In balance that error is 0, so the position has no offset. Commands do not wind
+    the integrator up, because the model explains what they do.
+
     Args:
         env: the environment.
         command: name of the velocity command.
@@ -193,8 +199,8 @@ class Reference:
         self._up = torch.tensor(anatomy.up, dtype=torch.float32, device=device)
         self._left = torch.linalg.cross(self._up, self._forward)
         self._terms = _terms(env, names)
-        self._place = torch.zeros(env.num_envs, device=device)
-        self._heading = torch.zeros(env.num_envs, device=device)
+        self._place, self._heading, self._lean = torch.zeros(3, env.num_envs, device=device).unbind()
+        self._before = torch.zeros(3, env.num_envs, device=device)  # pitch, pitch rate and wheel speed
 
     def describe(self) -> dict[str, Any]:
         """Return what it was made from, plain."""
@@ -202,6 +208,7 @@ class Reference:
             "pendulum": asdict(self.pendulum),
             "pole_per_s": self.pendulum.pole,
             "gains": self.gains.tolist(),
+            "integrator_per_s": self.pendulum.pole,
             "bandwidth_per_s": self.bandwidth,
         }
 
@@ -217,8 +224,9 @@ class Reference:
         fresh = env.episode_length_buf == 0
         self._place = torch.where(fresh, place, self._place)
         self._heading = torch.where(fresh, yaw, self._heading)
+        lean = self._balance(fresh, torch.stack((pitch, rate, speed)))
         forward, turn = self._command.command[:, 0], self._command.command[:, 2]
-        error = torch.stack((place - self._place, pitch - self.pendulum.lean, velocity - forward, rate), dim=1)
+        error = torch.stack((place - self._place, pitch - lean, velocity - forward, rate), dim=1)
         wheel = speed - (error @ self._k) / self.bandwidth
         off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
         spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
@@ -226,6 +234,23 @@ class Reference:
         self._place = self._place + forward * env.step_dt
         self._heading = self._heading + turn * env.step_dt
         return self._actions(targets)
+
+    def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        """Integrate one control step and return the lean at which each robot balances, rad, (N,).
+
+        Args:
+            fresh: whose episode starts, (N,) bool.
+            state: pitch, pitch rate and wheel speed, (3, N).
+        """
+        a, b = (matrix.tolist() for matrix in self.pendulum.linear())
+        dt = self._env.step_dt
+        _, pitching, rolling = (state - self._before) / dt
+        pitch = (state[0] + self._before[0]) / 2  # halfway, where the differences are
+        apparent = pitch - (pitching - b[3][0] * rolling) / a[3][1] - self.pendulum.lean
+        error = (apparent - self._lean).clamp(-_MOST_ERROR, _MOST_ERROR)
+        self._lean = torch.where(fresh, 0.0, self._lean + self.pendulum.pole * dt * error)
+        self._before = state
+        return self.pendulum.lean + self._lean
 
     def _pitch(self, data: Any) -> torch.Tensor:
         gravity = data.projected_gravity_b

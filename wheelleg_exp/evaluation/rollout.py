@@ -32,6 +32,8 @@ class Rollout:
         fall_tilt: tilt from which on a robot has fallen, rad.
         contact_force: force from which on a wheel is on the ground, N.
         saturation: share of the effort limit from which on an actuator is at it.
+        deadband: share of the effort limit up to which a torque has no sign.
+        settle_s: time at the start of each episode whose torques do not count, s.
 
     Attributes:
         parts: the robot's parts.
@@ -48,12 +50,15 @@ class Rollout:
         fall_tilt: float,
         contact_force: float,
         saturation: float,
+        deadband: float,
+        settle_s: float,
     ) -> None:
         self.env, self.scenarios, self.parts = env, scenarios, parts_of(env)
         self.starts = ""
         self._held = HeldCommand(env, command)
         self._fall_tilt, self._force = fall_tilt, contact_force
-        self._meter = EffortMeter(env, saturation, env.physics_dt)
+        self._meter = EffortMeter(env, saturation, deadband, env.physics_dt)
+        self._settle_steps = round(settle_s / env.step_dt)
         self._commands = scenarios.commands().to(env.device)
         self._begins = [round(moment / env.step_dt) for moment in scenarios.times]
         self.steps = max(1, round(scenarios.horizon_s / env.step_dt))
@@ -103,7 +108,7 @@ class Rollout:
             if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
                 segment += 1
                 self._held.hold(self._commands[:, segment])  # the observation that this step returns shows it
-            self._meter.begin()
+            self._meter.begin(step > self._settle_steps)
             observations, *_ = env.step(actions)
             failed, why = self._failed(numbers)
             alive = alive & ~failed

@@ -116,9 +116,11 @@ def base_link(mjcf: Path) -> str:
 
 def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | None:
     """Return the base height that is asked for, m: the protocol's, else what the task's rewards name, else None."""
-    if protocol.target_height is not None:
-        return float(protocol.target_height)
-    for node in env_cfg["rewards"].values():
-        if isinstance(node, Mapping) and node.get("target_height") is not None:
-            return float(node["target_height"])
-    return None
+    height = rewarded_height(env_cfg) if protocol.target_height is None else protocol.target_height
+    return None if height is None else float(height)
+
+
+def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
+    """Return the ``target_height`` of the first reward that has one, or None."""
+    nodes = (node for node in env_cfg["rewards"].values() if isinstance(node, Mapping))
+    return next((node["target_height"] for node in nodes if node.get("target_height") is not None), None)

@@ -58,17 +58,22 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     else:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
     said = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
+    ratios = [f"{row.second / row.first:.2g} times {_push(kind)}" for kind, row in limits if row.first]
+    said += f" {second[0].upper()}{second[1:]} survives {' and '.join(ratios)} that {first} survives." if ratios else ""
     single = [row for name, row in rows.items() if name.startswith(_LIMIT) and "°" in name]
     counts = [(len([row for row in single if row.outcome == word]), word) for word in ("better", "worse")]
     told = " and ".join(f"{word} in {count}" for count, word in counts if count)
     return said + (f" Of {len(single)} directions and kinds it is {told}." if told else "")
 
 
+def _push(kind: str, article: str = "the") -> str:
+    return f"{article} kick" if kind == "0s" else f"{article} push over {kind.removesuffix('s')} s"
+
+
 def _limit(kind: str, row: Difference) -> str:
-    what = "a kick" if kind == "0s" else f"a push over {kind.removesuffix('s')} s"
     apart = f"{row.interval.value:+.3g}, 95 % interval {row.interval.low:+.3g} to {row.interval.high:+.3g}"
     sure = "" if row.p is None else f", p {row.p:.2g}"
-    return f"{what} of {row.first:.3g} against {row.second:.3g} {row.unit} ({apart}{sure})"
+    return f"{_push(kind, 'a')} of {row.first:.3g} against {row.second:.3g} {row.unit} ({apart}{sure})"
 
 
 def _listed(names: Sequence[str], of: int | None = None) -> str:

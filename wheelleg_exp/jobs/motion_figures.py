@@ -52,8 +52,8 @@ class MotionMeter:
 
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env, self._settle_steps = env, settle_s / env.step_dt
-        self._effort = EffortMeter(env, SATURATION, env.physics_dt)
-        self._effort.begin()
+        self._effort = EffortMeter(env, SATURATION, DEADBAND, env.physics_dt)
+        self._effort.begin(counted=False)
         robot, device, n = env.scene.robot, env.device, env.num_envs
         self._groups = {name: actuator.joint_ids for name, actuator in robot.actuators.items()}
         joints = robot.data.joint_pos.shape[1]
@@ -66,7 +66,7 @@ class MotionMeter:
         self._place, self._heading, self._turned = row(2), row(), row()
         self._drift, self._yaw = row(), row()
         self._steps, self._pairs, self._changed, self._work = row(), row(), row(), row()
-        self._squares, self._limit, self._flips, self._sign = (row(joints) for _ in range(4))
+        self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
 
     def observe(self) -> None:
         """Take up one step, before anything is reset."""
@@ -83,7 +83,7 @@ class MotionMeter:
         self._steps += now
         self._before, self._settled = now, self._settled | now
         self._running = self._running & ~env.termination_manager.dones
-        self._effort.begin()
+        self._effort.begin(now)
 
     def _stray(self, now: torch.Tensor) -> None:
         data = self._env.scene.robot.data
@@ -97,15 +97,11 @@ class MotionMeter:
         self._yaw = torch.where(now, torch.maximum(self._yaw, self._turned.abs()), self._yaw)
 
     def _bear(self, now: torch.Tensor) -> None:
-        data, mask = self._env.scene.robot.data, now.unsqueeze(1)
-        torque = data.applied_torque.double()
-        self._squares += torch.where(mask, torque.square(), 0.0)
+        mask = now.unsqueeze(1)
+        self._squares += torch.where(mask, self._effort.torque_rms().double().square(), 0.0)
         self._limit += torch.where(mask, self._effort.shares().double(), 0.0)
+        self._flips += torch.where(mask, self._effort.sign_changes.double(), 0.0)
         self._work += torch.where(now, self._effort.net.double(), 0.0)
-        least = torch.nan_to_num(DEADBAND * data.joint_effort_limits, posinf=0.0)
-        sign = torch.where(mask & (torque.abs() > least), torque.sign(), 0.0)
-        self._flips += (sign * self._sign < 0.0).double()
-        self._sign = torch.where(sign != 0.0, sign, self._sign)
 
     def figures(self) -> MotionFigures:
         """Return the figures of the episodes so far."""

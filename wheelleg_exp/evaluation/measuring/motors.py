@@ -11,46 +11,27 @@ from wheelleg_exp.evaluation.robot_parts import RobotParts
 _SPEED_HZ = 10.0  # from here on power is chatter: a body of this size moves at a few hertz
 
 
-def effort(made: Trajectories, parts: RobotParts, settle_s: float, deadband: float) -> Columns:
+def effort(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
     """Return torques and saturation of each actuator group, and the wheels' speed and sign changes; (N,) each.
 
-    ``torque_rms_<group>`` is over joints and steps, N·m; ``torque_share_<group>`` the same as a share of each joint's
-    effort limit; ``saturation_<group>`` the share of physics steps at the limit, ``saturation_max_<group>`` that of
-    the joint that is there most. ``wheel_sign_changes_per_s`` counts, per wheel, how often the torque passes from
-    beyond the dead band on one side to beyond it on the other.
+    ``torque_rms_<group>`` is over joints and physics steps, N·m; ``torque_share_<group>`` the same as a share of each
+    joint's effort limit; ``saturation_<group>`` the share of physics steps at the limit, ``saturation_max_<group>``
+    that of the joint that is there most. ``wheel_sign_changes_per_s`` counts, per wheel, how often the torque passes
+    from beyond the dead band on one side to beyond it on the other.
     """
     counted = made.counted(settle_s)
     columns: Columns = {}
     for name, joints in parts.groups.items():
-        torque, limit = made.torque[..., joints], parts.effort_limit[:, joints]
+        torque, limit = made.torque_rms[..., joints], parts.effort_limit[:, joints]
         columns[f"torque_rms_{name}_nm"] = rms(torque, counted)
         columns[f"torque_share_{name}"] = rms(torque / limit, counted)
         columns[f"saturation_{name}"] = mean(made.saturated[..., joints], counted)
         each = [mean(made.saturated[..., joint], counted) for joint in joints.tolist()]
         columns[f"saturation_max_{name}"] = torch.stack(each).amax(dim=0)
     if len(parts.wheels):
-        least = deadband * parts.effort_limit[:, parts.wheels]
-        changes = sign_changes(made.torque[..., parts.wheels], counted, torch.nan_to_num(least, posinf=0.0))
-        columns["wheel_sign_changes_per_s"] = changes / made.dt
+        columns["wheel_sign_changes_per_s"] = mean(made.sign_changes, counted) / made.dt
         columns["wheel_speed_rms_rad_s"] = rms(made.joint_vel[..., parts.wheels], counted)
     return columns
-
-
-def sign_changes(values: torch.Tensor, counted: torch.Tensor, least: torch.Tensor) -> torch.Tensor:
-    """Return how often each value changes its sign per step that counts, the mean over the last axis, (N,).
-
-    Args:
-        values: (T, N, W).
-        counted: (T, N) bool.
-        least: size up to which a value has no sign and keeps the last one, (N, W).
-    """
-    signs = torch.where(values.abs() > least, values.sign(), 0.0) * counted.unsqueeze(-1)
-    steps = torch.arange(len(values), device=values.device).view(-1, 1, 1)
-    last = torch.where(signs != 0, steps, -1).cummax(dim=0).values
-    held = torch.where(last >= 0, signs.gather(0, last.clamp(min=0)), 0.0)
-    changed = (held[1:] * held[:-1] < 0).sum(dim=0).double().mean(dim=-1)
-    count = counted.sum(dim=0)
-    return torch.where(count > 0, changed / count, torch.nan)
 
 
 def energy(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
@@ -82,8 +63,9 @@ def smoothness(made: Trajectories, parts: RobotParts, settle_s: float) -> Column
     """Return how much actions and torques jump from step to step; (N,) each.
 
     ``action_rate_per_s`` is mean|Δa|/Δt, ``action_acceleration_per_s2`` mean|Δ²a|/Δt², over the action's components;
-    ``torque_difference_rms_nm`` the RMS of a step's change of torque; ``fast_power_share`` the share of the driven
-    joints' torque power spectrum, its mean left out, above 10 Hz (of episodes that lived to the end).
+    ``torque_difference_rms_nm`` the RMS of a control step's change of torque; ``fast_power_share`` the share of the
+    driven joints' torque power spectrum, its mean left out, above 10 Hz (of episodes that lived to the end).
+    Both sample the torque at the last physics step of each control step.
     """
     counted, dt = made.counted(settle_s), made.dt
     later, latest = counted[1:] & counted[:-1], counted[2:] & counted[1:-1] & counted[:-2]

@@ -65,8 +65,9 @@ def push_columns(
     ``limit_m_s`` is found by halving [0, highest]: every episode is rolled ``iterations`` times from the same start,
     with the middle of what is left of its interval; 0 where it survived none. ``limit_normalised`` divides it by
     √(g h), h the height before the push. ``recovery_s`` is the time after the reference push from which on tilt and
-    height stay in their bands, at least for ``recovered_s``; ``recovered`` is 1 where it is at most ``within_s`` and
-    the episode lived, else 0.
+    height stay in their bands, at least for ``recovered_s``; NaN where they never left them, because there is nothing
+    to recover from. ``recovered`` is 1 where the bands hold from ``within_s`` on at the latest and the episode lived,
+    else 0.
     """
     pushes, n = Pushes(rollout, options), rollout.scenarios.size
     low = torch.zeros(n, device=rollout.env.device)
@@ -99,7 +100,7 @@ def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns
     time = last_exit(outside, after, made.dt)
     latest = min(options.within_s, options.after_s - options.recovered_s)
     return {
-        "recovery_s": torch.where(made.fell, torch.nan, time),
+        "recovery_s": torch.where(made.fell | ~(outside & after).any(dim=0), torch.nan, time),
         "recovered": (~made.fell & (time <= latest)).double(),
         "push_tilt_rad": largest(tilt, after),
     }

@@ -34,6 +34,7 @@ def posture(made: Trajectories, settle_s: float, target: float | None) -> Column
     return columns | {
         "height_mean_m": mean(made.height, counted),
         "pitch_rms_rad": rms(made.pitch, counted),
+        "pitch_std_rad": rms(made.pitch.double() - mean(made.pitch, counted), counted),
         "roll_rms_rad": rms(made.roll, counted),
         "pitch_rate_rms_rad_s": rms(made.ang[..., 1], counted),
         "lean_rad": mean(made.pitch, counted),
