@@ -152,6 +152,16 @@ def test_a_wrong_override_is_told(override, key):
     assert override in str(caught.value.where)
 
 
+def test_one_override_and_one_config_folder_may_be_texts(tmp_path):
+    (tmp_path / "reward").mkdir()
+    (tmp_path / "reward" / "own.yaml").write_text("own: {_target_: wheelleg_exp.mdp.rewards.is_alive, weight: 3.0}\n")
+    for folder in (str(tmp_path), tmp_path):
+        env = gymnasium.make(ENV_ID, overrides="+reward@env.rewards=own", config_dirs=folder)
+        assert env.unwrapped.env.reward_manager.get_term_cfg("own").fields["weight"] == 3.0
+    with pytest.raises(ConfigError, match=r"env\.num_envs"):
+        gymnasium.make(ENV_ID, overrides="env.num_envs=8")
+
+
 def test_a_number_of_environments_is_not_passed_over():
     with pytest.raises(ConfigError, match=r"env\.num_envs"):
         make(overrides=["env.num_envs=8"])

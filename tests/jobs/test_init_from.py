@@ -155,7 +155,6 @@ def test_it_goes_on_to_the_bit(begun: RunDirectory, trained: Trained, tmp_path, 
     assert "the run has begun from where it has begun" in said.err
 
 
-LEGS = '{_target_: wheelleg_exp.managers.SceneEntityCfg, name: robot, joint_names: [".*0[12]$"]}'
 TERMS = "observation@env.observations.policy.terms"
 
 
@@ -171,8 +170,11 @@ TERMS = "observation@env.observations.policy.terms"
         (["env.observations.policy.history_length=3"], ["env.observations.policy.history_length", "has 5 and this 3"]),
         (["agent.actor.activation=relu"], ["agent.actor.activation", "has elu and this relu"]),
         (
-            [f"+env.observations.policy.terms.joint_pos_rel.asset_cfg={LEGS}"],
-            ["[16, 135] there and [16, 125] here", "note: env.observations.policy.terms.joint_pos_rel.asset_cfg was"],
+            ["env.observations.policy.terms.joint_pos_rel.asset_cfg.joint_names=['.*']"],
+            [
+                "[16, 135] there and [16, 145] here",
+                "note: env.observations.policy.terms.joint_pos_rel.asset_cfg.joint_names was",
+            ],
         ),
         (["action@env.actions=[wheel_vel,leg_pos]"], ["env.actions:", "in the order leg_pos, wheel_vel"]),
     ],

@@ -58,7 +58,7 @@ ISAAC_LAB_KEYS = {
             "base_height_close",
             "action_rate",
             "wheel_torques",
-            "wheel_travel",
+            "travel_error",
         )
     ),
     *(f"Episode_Termination/{term}" for term in ("time_out", "base_contact", "leg_contact", "non_finite_state")),

@@ -20,8 +20,8 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
 
     Args:
         task: a task's name.
-        overrides: Hydra overrides.
-        config_dirs: folders of the user's own configs.
+        overrides: Hydra overrides, or one override as a text.
+        config_dirs: folders of the user's own configs, or one folder.
         action_bound: the largest size of an action, of all or of each (A,): the bound of ``action_space``; None is
             unbounded. Actions beyond it are simulated as they are.
         render_mode: ``rgb_array``, or None.
@@ -38,7 +38,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         self,
         task: str = "stand",
         overrides: Sequence[str] = (),
-        config_dirs: Sequence[str | Path] = (),
+        config_dirs: str | Path | Sequence[str | Path] = (),
         action_bound: float | Sequence[float] | None = None,
         render_mode: str | None = None,
         width: int = 480,

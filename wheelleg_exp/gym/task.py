@@ -12,6 +12,7 @@ import torch
 
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.checking.collect import compose_valid
+from wheelleg_exp.config.composing.compose import override_texts
 from wheelleg_exp.env import ManagerBasedRLEnv, Observations
 from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.errors import ConfigError
@@ -21,18 +22,20 @@ Arrays = dict[str, np.ndarray]
 
 
 def task_env(
-    task: str, num_envs: int, overrides: Sequence[str], config_dirs: Sequence[str | Path]
+    task: str, num_envs: int, overrides: Sequence[str], config_dirs: str | Path | Sequence[str | Path]
 ) -> ManagerBasedRLEnv:
     """Compose, check and build a task.
 
     Raises:
         WheellegError: the task, an override or the robot is wrong.
     """
-    for word in overrides:
+    given = override_texts(overrides)
+    for word in given:
         if word.lstrip("+").startswith("env.num_envs="):
             raise ConfigError("is given by Gymnasium", key="env.num_envs", expected="make_vec(..., num_envs=N)")
-    words = [f"task={task}", *overrides, f"env.num_envs={num_envs}"]
-    composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in config_dirs]))
+    words = [f"task={task}", *given, f"env.num_envs={num_envs}"]
+    folders = [config_dirs] if isinstance(config_dirs, (str, Path)) else config_dirs
+    composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in folders]))
     with composed.placing():
         env = build_env(composed.config, composed.asset_roots)
         _require_concatenated(env)

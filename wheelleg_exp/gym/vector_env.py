@@ -38,8 +38,8 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     Args:
         num_envs: number of environments, N.
         task: a task's name.
-        overrides: Hydra overrides.
-        config_dirs: folders of the user's own configs.
+        overrides: Hydra overrides, or one override as a text.
+        config_dirs: folders of the user's own configs, or one folder.
         action_bound: the largest size of an action, of all or of each (A,): the bound of ``single_action_space``;
             None is unbounded. Actions beyond it are simulated as they are.
         render_mode: ``rgb_array``, or None.
@@ -62,17 +62,17 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         num_envs: int = 1,
         task: str = "stand",
         overrides: Sequence[str] = (),
-        config_dirs: Sequence[str | Path] = (),
+        config_dirs: str | Path | Sequence[str | Path] = (),
         action_bound: float | Sequence[float] | None = None,
         render_mode: str | None = None,
         width: int = 480,
         height: int = 480,
         autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
     ) -> None:
-        self._mode = _autoreset(autoreset_mode)
+        self.autoreset_mode = _autoreset(autoreset_mode)  # where TorchRL and SyncVectorEnv have it
         self.env = task_env(task, num_envs, overrides, config_dirs)
-        self.env.autoreset = self._mode.name.lower()  # type: ignore[assignment]
-        self.env.keep_final_obs = self._mode is AutoresetMode.SAME_STEP
+        self.env.autoreset = self.autoreset_mode.name.lower()  # type: ignore[assignment]
+        self.env.keep_final_obs = self.autoreset_mode is AutoresetMode.SAME_STEP
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.env)
         self.single_action_space = action_space(self.env, action_bound)
@@ -82,7 +82,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         self.metadata = {
             "render_modes": list(RENDER_MODES),
             "render_fps": round(1 / self.env.step_dt),
-            "autoreset_mode": self._mode,
+            "autoreset_mode": self.autoreset_mode,
         }
         self._pictures = Pictures(self.env, render_mode, width, height)
         self._done = np.zeros(num_envs, dtype=np.bool_)
@@ -116,14 +116,14 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         Raises:
             ResetNeeded: without autoreset, an environment that is done was not reset.
         """
-        if self._mode is AutoresetMode.DISABLED and self._done.any():
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             raise ResetNeeded(f"{np.flatnonzero(self._done).tolist()} are done: reset them with options['reset_mask']")
         begun = self._done
         action = torch.as_tensor(np.asarray(actions, dtype=np.float32))
         observations, reward, terminated, truncated, extras = self.env.step(action)
         self._done = host_copy(terminated | truncated)
         infos: dict[str, Any] = {}
-        if self._mode is AutoresetMode.SAME_STEP and self._done.any():
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             begun = self._done
             self._add_final(infos, as_arrays(extras["final_obs"]), extras)
         elif "non_finite" in extras:
