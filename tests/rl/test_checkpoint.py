@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import pickle
 import random
@@ -272,3 +273,15 @@ def test_the_bytes_are_an_archive_without_the_name_of_a_file():
 
 def test_needed_keys_are_those_that_playing_reads():
     assert set(checkpoint._NEEDED) <= set(state())
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@pytest.mark.parametrize("role", ["actor", "critic", "averaged"])
+def test_a_network_that_is_not_finite_is_refused_by_its_parameter_unless_it_is_only_compared(tmp_path, role, bad):
+    weight = torch.ones(2, 3)
+    weight[1, 2] = bad
+    path = written(tmp_path / "model_7.pt", state(**{f"{role}_state_dict": {"mlp.0.weight": weight}}))
+    with pytest.raises(RunDirectoryError, match=f"1 of the 6 numbers of {role}.mlp.0.weight are NaN or inf") as caught:
+        load(path)
+    assert caught.value.key == str(path)
+    assert load(path, finite=False)["iter"] == 7

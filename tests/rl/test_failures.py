@@ -88,7 +88,7 @@ def test_a_single_episode_that_ends_so_is_logged_and_nothing_more(make_trainer, 
 @pytest.mark.train
 def test_more_of_them_may_be_allowed(make_trainer, monkeypatch):
     spoil(monkeypatch, rewards, "is_alive", NAN, calls=range(5, 15))
-    (done,) = run(make_trainer("+agent.max_non_finite=1"), 1)
+    (done,) = run(make_trainer("agent.max_non_finite=1"), 1)
     assert logged(done.scalars) == {"env.rewards.alive": 10}
 
 

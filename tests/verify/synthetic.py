@@ -158,7 +158,7 @@ def edit(run: RunDirectory, change: Callable[[dict[str, Any]], Any]) -> None:
 def edit_state(run: RunDirectory, iteration: int, change: Callable[[dict[str, Any]], Any]) -> None:
     """Change a checkpoint's tree."""
     path = run.checkpoint(iteration)
-    content = checkpoint.load(path)
+    content = checkpoint.load(path, finite=False)
     change(content)
     path.write_bytes(checkpoint.serialize(content))
 
@@ -175,6 +175,14 @@ def edit_params(run: RunDirectory, change: Callable[[dict[str, Any], dict[str, A
     env, agent = (yaml.safe_load((run.params / f"{part}.yaml").read_text()) for part in ("env", "agent"))
     change(env, agent)
     write_params(run.path, {"env": env, "agent": agent})
+
+
+def edit_source(run: RunDirectory, **facts: Any) -> None:
+    """Change the record of the source, and what the manifest says of it."""
+    path = run.source / "git.json"
+    record = {**json.loads(path.read_text()), **facts}
+    path.write_text(json.dumps(record))
+    edit(run, lambda data: data["source"].update({name: record[name] for name in facts if name in data["source"]}))
 
 
 def shorten(run: RunDirectory, iterations: int) -> None:

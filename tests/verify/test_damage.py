@@ -154,6 +154,32 @@ def test_what_a_finished_run_must_have_is_missed_though_its_manifest_never_named
     assert f"B: {name} is missing, and the manifest does not name it" in out.splitlines()
 
 
+SEALED_AGAIN = {
+    "config": (lambda run: synthetic.flip(run.hydra / "config.yaml"), "params/env.yaml is not the config's env"),
+    "patch": (lambda run: synthetic.flip(run.source / "source.patch"), "source/source.patch is not the patch"),
+    "no patch": (lambda run: (run.source / "source.patch").unlink(), "source/source.patch is missing"),
+    "checkpoint": (lambda run: run.checkpoint(4).unlink(), "the last one is model_4.pt"),
+    "recording": (lambda run: synthetic.flip(run.recording), "damaged from byte"),
+}
+
+
+@pytest.mark.parametrize("side", ["A", "B"])
+@pytest.mark.parametrize("change", SEALED_AGAIN)
+def test_files_that_contradict_each_other_are_damage_though_the_manifest_was_rewritten_and_sealed(pair, change, side):
+    alter, words = SEALED_AGAIN[change]
+    run = pair["AB".index(side)]
+    alter(run)
+    synthetic.record(run)
+    status, out, err = wheelleg("verify", pair[0].path, pair[1].path)
+    assert (status, err) == (1, "")
+    last = out.splitlines()[-1]
+    assert last.startswith(f"different: damaged: {side}: "), out
+    assert words in last
+    both = [one.path for one in pair]
+    alone = wheelleg("verify", *both, "--iterations", 1)[1].splitlines()[-1]
+    assert alone.startswith("different" if change in ("config", "patch", "no patch") else "identical"), alone
+
+
 def test_later_files_have_no_part_in_the_first_iterations(pair):
     for name in ("recording.rrd", "exported/policy.pt", "model_4.pt", "play/one/figures.json"):
         (pair[1].path / name).unlink()

@@ -29,8 +29,10 @@ from wheelleg_exp.errors import (
     nearest_name,
 )
 from wheelleg_exp.jobs.stop import stop_signals
+from wheelleg_exp.memory import START_SPACE, require_room
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.trusted_folders import trust
 from wheelleg_exp.user_code import in_words
 
 
@@ -102,6 +104,7 @@ def _collect_seldom() -> None:
 def _answer(words: list[str], debug: bool) -> int:
     try:
         with _interrupts():
+            require_room(START_SPACE)
             status = _dispatch(words)
             sys.stdout.flush()
             return status
@@ -148,9 +151,11 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _enter_project(args: argparse.Namespace) -> None:
-    """Let a command work in the project that one stands in: with its configs, if it composes, and its terms."""
+    """Add the current project's configs and terms; remember the folders that the user names for a training."""
     if hasattr(args, "config_dirs"):
-        args.config_dirs = with_current(args.config_dirs)
+        named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
+        if args.command[1] in ("train", "resume"):
+            trust(args.config_dirs[:named])
         return
     with suppress(ConfigError):  # what a command without configs does not need is no mistake
         with_current([])

@@ -32,11 +32,15 @@ def serialize(state: Mapping[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def load(path: Path) -> dict[str, Any]:
+def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     """Read a checkpoint.
 
+    Args:
+        path: the file.
+        finite: whether to refuse networks whose parameters are NaN or inf.
+
     Raises:
-        RunDirectoryError: the file is missing, damaged, or no checkpoint of this program.
+        RunDirectoryError: the file is missing, damaged, or no checkpoint of this program; or a parameter is not finite.
     """
     if not path.is_file():
         raise RunDirectoryError(
@@ -71,7 +75,23 @@ def load(path: Path) -> dict[str, Any]:
             key=str(path),
             expected=f"version {FORMAT_VERSION}",
         )
+    if finite:
+        _require_finite(state, path)
     return state
+
+
+def _require_finite(state: Mapping[str, Any], path: Path) -> None:
+    """Raise RunDirectoryError, with the parameter, where a network has NaN or inf: its actions would be NaN too."""
+    for key in (*(f"{role}_state_dict" for role in ROLES), STATE):
+        network = state.get(key)
+        for name, value in network.items() if isinstance(network, Mapping) else ():
+            if isinstance(value, torch.Tensor) and (bad := int((~value.isfinite()).sum())):
+                where = f"{key.removesuffix('_state_dict')}.{name}"
+                raise RunDirectoryError(
+                    f"{bad} of the {value.numel()} numbers of {where} are NaN or inf",
+                    key=str(path),
+                    expected="a checkpoint whose parameters are finite; an earlier one of the run may be",
+                )
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:

@@ -71,7 +71,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
 
     iteration = checkpoint_iteration(path)
     try:
-        state = checkpoint.load(path)
+        state = checkpoint.load(path, finite=False)
     except RunDirectoryError as error:
         return [error.message], []
     problems = [] if state["iter"] == iteration else [f"is of iteration {state['iter']}"]

@@ -89,7 +89,7 @@ def _compare_content(iteration: int, a: Path, b: Path) -> Pair:
     from wheelleg_exp.rl import checkpoint
     from wheelleg_exp.verify import tensors
 
-    one, other = checkpoint.load(a), checkpoint.load(b)
+    one, other = (checkpoint.load(path, finite=False) for path in (a, b))  # NaN is compared too
     found = list(tensors.tree_differences(one, other))
     of = tensors.count_leaves(one)
     if not found:

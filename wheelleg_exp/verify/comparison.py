@@ -24,9 +24,11 @@ from wheelleg_exp.verify.made_with import (
     run_differences,
 )
 from wheelleg_exp.verify.parts import Part, Parting
+from wheelleg_exp.verify.self_check import verify_run
 from wheelleg_exp.verify.settings import as_dict, decides, recording_changes, robot_changes, setting_changes
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
+_OF_THE_SNAPSHOT = ("params", "source", "asset")  # checks of what decides every iteration
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
@@ -138,6 +140,9 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
     allowed = allowing(environment) and not forbidding(environment)
     tolerance = _tolerance(ones, others, parted, checkpoints, span) if allowed else None
     verdict, reason = _verdict(parts, span, (a, b), environment, tolerance)
+    if verdict == "identical" and any((wrong := _contradictions(a, b, span)).values()):
+        parts["files"] = _damage_part(wrong)
+        verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"
     return Comparison(
         a=a,
         b=b,
@@ -160,10 +165,25 @@ def _files_part(a: Measured, b: Measured, span: Span) -> Part:
         side: [f"{name} {what}" for name, what in run.damage.items() if span.covers(name)]
         for side, run in (("A", a), ("B", b))
     }
-    if any(wrong.values()):
-        told = [f"{side}: {part.some(files, 1)}" for side, files in wrong.items() if files]
-        return Part("different", "; ".join(told), {"damaged": wrong})
-    return Part("equal", "all as their manifests recorded them")
+    return _damage_part(wrong) if any(wrong.values()) else Part("equal", "all as their manifests recorded them")
+
+
+def _damage_part(wrong: dict[str, list[str]]) -> Part:
+    told = [f"{side}: {part.some(files, 1)}" for side, files in wrong.items() if files]
+    return Part("different", "; ".join(told), {"damaged": wrong})
+
+
+def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]]:
+    """Return by side which files contradict the run's other files, where the manifest was rewritten to hide it."""
+    return {
+        side: [
+            failure
+            for check in verify_run(measured.run).checks
+            if span.whole or check.name in _OF_THE_SNAPSHOT
+            for failure in check.failures
+        ]
+        for side, measured in (("A", a), ("B", b))
+    }
 
 
 def _settings(a: RunDirectory, b: RunDirectory) -> tuple[list[Change], Part]:

@@ -18,6 +18,7 @@ from wheelleg_exp.run.recorded import ROBOT, written_config
 _HARMLESS = (
     ("agent", "max_iterations"),
     ("agent", "save_interval"),
+    ("agent", "max_non_finite"),
     ("agent", "torch_threads"),
     ("agent", "logger"),
     ("env", "sim", "nthread"),

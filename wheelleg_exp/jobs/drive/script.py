@@ -201,5 +201,5 @@ def _is_number(value: Any) -> bool:
 
 
 def _example(axes: Sequence[Axis]) -> str:
-    shown = f"{axes[0].name}: {axes[0].high:g}" if axes else "push: 0.3"
+    shown = f"{axes[0].name}: {axes[0].high:g}" if axes else "push: 0.1"
     return f"entries such as '- {{at: 1.0, {shown}, for: 2.0}}'"
