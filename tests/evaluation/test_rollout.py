@@ -33,7 +33,8 @@ def rollout(task, scenarios, cfg=None) -> Rollout:
 
 
 def test_commands_come_when_the_table_says_and_every_observation_shows_them(task):
-    cells = (((0.1, 0.0, 0.0), (-0.2, 0.0, 0.3)), ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0)))
+    # Binary fractions: the term adds the difference to the old command, which rounds other numbers.
+    cells = (((0.125, 0.0, 0.0), (-0.25, 0.0, 0.25)), ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0)))
     made = rollout(task, Scenarios("steps", 0.2, (0.0, 0.1), cells, ("a", "b"), 1))
     term = made.env.command_manager.get_term("base_velocity")
     seen, standing = [], []
@@ -45,8 +46,8 @@ def test_commands_come_when_the_table_says_and_every_observation_shows_them(task
 
     found = made.roll(policy, 3)
     expected = torch.tensor(cells)[:, [0] * 6 + [1] * 6].transpose(0, 1)
-    torch.testing.assert_close(torch.stack(seen), expected)
-    torch.testing.assert_close(found.command, expected)
+    assert torch.equal(torch.stack(seen), expected)
+    assert torch.equal(found.command, expected)
     assert (standing[0], standing[-1]) == ([False, False], [False, True])
 
 

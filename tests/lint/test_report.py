@@ -16,6 +16,7 @@ from wheelleg_exp.config.schema import PHYSICS_RULES
 from wheelleg_exp.lint.examine import RULES
 from wheelleg_exp.paths import configs_dir
 
+TERMS = "[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel,last_action]"
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 # What an expert would say of the Isaac Lab project's numbers, and where.
 AT_LEAST = {
@@ -57,6 +58,13 @@ def test_without_its_silences_the_stock_task_has_what_an_expert_would_say(capsys
     traction = found["effort_against_traction", "env.robot.actuators.wheels.effort_limit"]["figures"]
     assert traction["slip"] == pytest.approx(0.85 * 0.5 * 9.81 * 0.02 / 2, rel=1e-3)
     assert all(finding["where"] for finding in report["findings"])
+
+
+def test_wheel_angles_in_an_observation_are_found_unbounded(capsys):
+    every_joint = [f"observation@env.observations.{group}.terms={TERMS}" for group in ("policy", "critic")]
+    _, report = physics(capsys, "robot=article", "task=stand", "~check", *every_joint)
+    found = {f["key"]: f["figures"]["largest_rad"] for f in report["findings"] if f["rule"] == "unbounded_observation"}
+    assert found == {f"env.observations.{group}.terms.joint_pos_rel": 225 for group in ("policy", "critic")}
 
 
 def test_driving_with_the_wide_std_is_found_as_what_standing_still_earns(capsys):

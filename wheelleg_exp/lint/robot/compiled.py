@@ -45,10 +45,13 @@ class CompiledRobot:
 
 
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
-    """Return a copy of a model with the limits that its URDF writes at continuous joints, which never act."""
+    """Return a copy of a model with the limits that its URDF writes at continuous joints, which never act.
+
+    The last joint of a chain has none: it may be a wheel.
+    """
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
-        if item.kind == "limits_ignored":
+        if item.kind == "limits_ignored" and model.joint(item.subject).dofadr[0] in model.dof_parentid:
             joint = model.joint(item.subject).id
             model.jnt_limited[joint], model.jnt_range[joint] = True, (item.numbers["lower"], item.numbers["upper"])
     return model
