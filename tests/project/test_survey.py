@@ -140,6 +140,16 @@ def test_hips_that_yaw_without_limits_do_not_make_casters_of_the_wheels(limits, 
     assert not [note for note in found.notes if "parallel" in note]
 
 
+def test_a_wheel_with_written_limits_stays_a_wheel(tmp_path):
+    """URDF says that the limits of a continuous joint do not act, and nothing hangs on a wheel."""
+    path = urdf(tmp_path)
+    text = path.read_text()
+    path.write_text(
+        re.sub(r'(_axle" type="continuous">.*?)(</joint>)', r'\1<limit lower="-1" upper="1"/>\2', text, flags=re.DOTALL)
+    )
+    assert surveyed(path).wheels == ["l_axle", "r_axle"]
+
+
 @pytest.mark.parametrize("front", [LEG, 0.26, 0.14])
 def test_all_four_wheels_touch_the_ground(front, tmp_path):
     """Front legs as long as the hind ones, 60 mm longer, and 60 mm shorter."""
@@ -320,6 +330,15 @@ def test_wheels_whose_meshes_are_missing_make_no_project_unless_allowed(content,
         assert [finding.message for finding in report.open] == [refused.value.message]
     assert main(["doctor", str(source), "--json"]) == 1
     assert refused.value.message in capsys.readouterr().out
+
+
+def test_a_robot_that_lost_all_its_meshes_is_refused_with_their_names(tmp_path):
+    source = with_lost_meshes(tmp_path, None)
+    source.write_text(re.sub(r'<box size="[^"]*"/>', '<mesh filename="body.stl"/>', source.read_text()))
+    with pytest.raises(AssetError, match=r"body\.stl.*'l_axle', 'r_axle' turn without limits"):
+        surveyed(source)
+    with pytest.raises(AssetError, match="no shape of the robot collides"):
+        survey(source, compose(["task=stand"]).config["env"], {}, allow_missing=True)
 
 
 @pytest.mark.parametrize("arc", ["payload", "references"])

@@ -16,7 +16,7 @@ TOO_MUCH = {
     "agent.actor.hidden_dims=[10000000,10000000]": ("agent.actor.hidden_dims", "weights and what trains them take"),
     "agent.critic.hidden_dims=[3000000,1000000]": ("agent.critic.hidden_dims", "weights and what trains them take"),
     "env.observations.policy.history_length=1000000000": (
-        "env.observations.policy.terms.base_ang_vel",
+        "env.observations.policy.history_length",
         "histories of 1000000000 steps",
     ),
     "env.scene.sensors.contact_forces.history_length=1000000000": (

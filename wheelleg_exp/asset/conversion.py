@@ -136,7 +136,12 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
     rule = "the root link has no mass: the first link with mass is the root"
     report = replace(report, assumptions=(*report.assumptions, Assumption(root.path, rule, path[-1].name)))
     others = (body for body in robot.bodies if body not in path)
-    return replace(robot, bodies=(*reversed(turned), *others)), report
+    robot = replace(robot, bodies=(*reversed(turned), *others))
+    left, ordered = list(robot.children(None))[::-1], list[Body]()
+    while left:  # depth first, as the compiled model
+        ordered.append(left.pop())
+        left += list(robot.children(ordered[-1].name))[::-1]
+    return replace(robot, bodies=tuple(ordered)), report
 
 
 def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:

@@ -197,7 +197,8 @@ class ObservationManager(Kept):
                 length = term.fields.get("history_length", 0)
                 flatten = term.fields.get("flatten_history_dim", True)
             self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
-        _require_memory(list(self._groups[group].values()), env, by_time=options.history_order == "time")
+        key = f"{path}.history_length" if options.history_length else ""
+        _require_memory(list(self._groups[group].values()), env, key, by_time=options.history_order == "time")
         self._layouts[group] = GroupLayout(self._groups[group], options, path)
         self._add_histories(group, env)
         others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
@@ -285,12 +286,12 @@ class ObservationManager(Kept):
         return "\n".join(parts)
 
 
-def _require_memory(terms: list[ObservationTerm], env: Env, *, by_time: bool) -> None:
-    """Refuse a group whose histories do not fit into memory; one message for all terms, at the longest."""
+def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:
+    """Refuse a group whose histories do not fit into memory, at the ``key`` or, if "", at the longest term."""
     longest = max(terms, key=lambda term: term.history_length)
     lengths = [max(1, term.history_length) for term in terms]
     numbers = sum(term.width * length for term, length in zip(terms, lengths, strict=True))
     # float32, and a copy in each step; RowHistory has an int64 index for each number and copies it once.
     need = numbers * (8 * env.num_envs + 16) + (_SLICE * sum(lengths) if by_time else 0)
     what = f"histories of {longest.history_length} steps of {env.num_envs} environments"
-    require_memory(need, longest.term.path, what)
+    require_memory(need, key or longest.term.path, what)

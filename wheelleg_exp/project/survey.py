@@ -32,6 +32,7 @@ _INSIDE = 0.25  # share of a joint's range between a default position and the li
 _OFF = 0.02  # the same between a position of the file's and the limits
 _GROUND = 0.05  # of the standing height: a body this near to the ground stands on it
 _LEVEL = 0.99  # cosine of the tilt up to which a root link counts as upright
+_EXPECTED = "a robot with joints to drive and colliders to stand on"
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,9 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
         lost = missing_colliders(conversion.report, model)
         if lost and not allow_missing:
             raise AssetError(lost, where=str(source), expected="these files (git lfs pull), or --allow-missing")
+        if not conversion.description.colliders:
+            message = "no shape of the robot collides, so it would fall through the ground"
+            raise AssetError(message, where=str(source), expected=_EXPECTED)
         standing = None
         if not pose:
             data = _at(model, scene.robot, chosen)
@@ -126,15 +130,12 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
 
 
 def _require_robot(robot: RobotDescription, source: Path) -> None:
-    expected = "a robot with joints to drive and colliders to stand on"
     if not robot.dofs:
-        raise AssetError("the robot has no joints", where=str(source), expected=expected)
+        raise AssetError("the robot has no joints", where=str(source), expected=_EXPECTED)
     balls = [dof.name for dof in robot.dofs if dof.kind == "ball"]
     if balls:
         message = f"joint '{balls[0]}' is a ball joint, which no actuator drives"
         raise AssetError(message, where=str(source), expected="hinges and slides")
-    if not robot.colliders:
-        raise AssetError("no shape of the robot collides, so it would fall through the ground", where=str(source))
 
 
 def _require_floating(robot: Robot, source: Path) -> None:

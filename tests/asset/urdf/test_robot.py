@@ -275,8 +275,9 @@ def test_the_first_link_with_mass_is_the_root(tmp_path, links):
     """As below ROS's base_footprint: the free joint and the root's height are those of the body, and nothing moves."""
     above = ("footprint", *links)
     origin = f'<origin xyz="0.1 0 0.3" rpy="0 0 {math.pi / 2}"/>'
-    text = "".join(link(name, inertial="") for name in above[:-1]) + link("body") + link("wheel")
+    text = "".join(link(name, inertial="") for name in above[:-1]) + link("body") + link("wheel") + link("arm")
     text += "".join(joint(f"f{i}", above[i], above[i + 1], "fixed", origin) for i in range(len(links)))
+    text += joint("k", "body", "arm", "continuous")
     text += joint("j", "footprint", "wheel", "continuous", '<origin xyz="0 0.2 0"/>')
     model, conversion = made(tmp_path, text)
     (tmp_path / "fixed").mkdir()
@@ -284,7 +285,8 @@ def test_the_first_link_with_mass_is_the_root(tmp_path, links):
     data, expected = at_zero(model), at_zero(fixed)
     assert model.body("body").parentid == 0
     assert model.jnt_type[model.body("body").jntadr[0]] == mujoco.mjtJoint.mjJNT_FREE
-    for name in (*above, "wheel"):
+    assert [dof.name for dof in conversion.description.dofs] == [model.joint(i).name for i in range(1, model.njnt)]
+    for name in (*above, "wheel", "arm"):
         np.testing.assert_allclose(data.body(name).xpos, expected.body(name).xpos, atol=1e-12)
         np.testing.assert_allclose(data.body(name).xmat, expected.body(name).xmat, atol=1e-12)
     assert assumed(conversion, "has no mass: the first link with mass") == [("/robot/link[footprint]", "body")]
