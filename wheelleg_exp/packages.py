@@ -252,7 +252,7 @@ def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
     """Return the recorded config folders that are not among those found, each with the reason."""
     used = {real(folder) for folder in found}
     others = [folder for folder in recorded if real(folder) not in used]
-    return {folder: "is not used unasked" if is_there(folder) else "is gone" for folder in others}
+    return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}
 
 
 def is_there(folder: str | Path) -> bool:

@@ -74,7 +74,7 @@ def test_a_project_in_the_run_is_not_used(asking, name, command):
 def test_what_to_write_is_said(asking):
     configs = project(asking.root / "theirs", asking.canary)
     asking.manifest(config_dirs=[str(configs)])
-    told = f"what the run was made with is not used unasked: {configs}"
+    told = f"what the run was made with is not one of your trusted folders: {configs}"
     asking.try_("resume", 2, told, "--config-dir with the place where that folder is now, if it is yours")
 
 
@@ -82,7 +82,7 @@ def test_a_project_beside_the_run_that_its_command_line_names_is_not_used(asking
     configs = project(asking.root / "theirs", asking.canary)
     command = ["wheelleg", "train", "--config-dir", str(configs), f"--config-dir={configs.parent}"]
     asking.manifest(config_dirs=None, command=command, working_directory=str(asking.root))
-    asking.try_("resume", 2, "is not used unasked")
+    asking.try_("resume", 2, "is not one of your trusted folders")
 
 
 @pytest.mark.parametrize("folder", ["gone", "\0", "x" * 5000, "", "/dev/null", "\n"])
@@ -101,7 +101,7 @@ def test_a_link_into_the_run_is_as_the_run(asking):
     link.unlink()
     link.symlink_to(configs)
     asking.manifest(config_dirs=[str(link)])
-    asking.try_("resume", 2, "is not used unasked")
+    asking.try_("resume", 2, "is not one of your trusted folders")
 
 
 def test_the_users_own_project_is_found_again_and_may_be_named(asking):

@@ -128,7 +128,7 @@ LISTED = {
         "evaluated", SHARE, "The last evaluation's protocol, and the share of its first test's episodes that survived."
     ),
     "took": Definition(
-        "took", "", "From the run's start to its end; of a resumed run, the time of its iterations, without pauses."
+        "took", "", "From the run's start to its end. If it was resumed: the sum of its iterations, without the pauses."
     ),
 }
 

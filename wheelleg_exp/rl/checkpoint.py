@@ -90,7 +90,7 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
                 raise RunDirectoryError(
                     f"{bad} of the {value.numel()} numbers of {where} are NaN or inf",
                     key=str(path),
-                    expected="a checkpoint whose parameters are finite; an earlier one of the run may be",
+                    expected="a checkpoint with finite parameters, perhaps an earlier one of this run",
                 )
 
 

@@ -61,7 +61,7 @@ class RunSummary:
         played: results of the last play.
         evaluated: results of the last evaluation.
         bundles: folders in it that were exported for deployment.
-        seconds: how long it took, or has taken up to its last iteration; of a resumed run, the time of its iterations.
+        seconds: how long it took, or has taken up to its last iteration, without the pauses before a resume.
         bytes: size of the files in its folder's top, without later additions.
     """
 

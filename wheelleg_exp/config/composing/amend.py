@@ -64,7 +64,7 @@ def require_read(
         if read(after) == read(tree) == read(other):
             key = dotted(keys)
             expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))
-            errors.append(UnreadKey("nothing reads this here", key=key, where=f"override {text}", expected=expected))
+            errors.append(UnreadKey("this command ignores it", key=key, where=f"override {text}", expected=expected))
         tree = after
     if errors:
         raise_all(errors)
@@ -134,6 +134,6 @@ def _unknown(tree: dict[str, Any], keys: Sequence[str], text: str) -> ConfigErro
         "there is no such key in the run's parameters",
         key=name,
         where=f"override {text}",
-        expected="a key that is there; group options need a new run",
+        expected="a key that is there; a config group is chosen when a run begins",
         nearest=nearest_path(name, known),
     )

@@ -82,7 +82,7 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
     folders = join_recorded(config_dirs, recorded)
     for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
         expected = "--config-dir with the place where that folder is now, if it is yours"
-        raise ConfigError(f"the pipeline was begun with {folder}, which {why}", key=str(index.path), expected=expected)
+        raise ConfigError(f"the pipeline needs {folder}, which {why}", key=str(index.path), expected=expected)
     return folders
 
 

@@ -198,6 +198,8 @@ class Policy:
         """Advance histories by a step's readings and return the observation of the network."""
         found = {name: np.asarray(value, F) for name, value in readings.items()}
         if "projected_gravity" not in found and "base_quat" in found:
+            if found["base_quat"].shape != (4,) or not np.isfinite(found["base_quat"]).all():
+                raise ValueError("reading 'base_quat' must be 4 finite numbers: w, x, y, z")
             found["projected_gravity"] = projected_gravity(found["base_quat"])
         for name, known in self.spec["readings"].items():
             if name not in found or found[name].shape != (known["width"],):
