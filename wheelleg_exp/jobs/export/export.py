@@ -25,7 +25,7 @@ from wheelleg_exp.files import (
 )
 from wheelleg_exp.jobs.export import bundle
 from wheelleg_exp.jobs.export.c_header import c_header
-from wheelleg_exp.jobs.export.comparison import TOLERANCE, TOLERANCE_FLOAT32, compare
+from wheelleg_exp.jobs.export.policy_comparison import TOLERANCE, TOLERANCE_FLOAT32, compare
 from wheelleg_exp.jobs.export.deployment import as_checked, as_configured, as_simulated
 from wheelleg_exp.jobs.export.drives import law
 from wheelleg_exp.jobs.export.network import ROLES, in_float64, network_arrays, require_perceptron
