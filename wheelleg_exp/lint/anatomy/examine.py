@@ -52,11 +52,7 @@ def anatomy_of(
     found, near = find_wheels(tree)
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    casters = [
-        joint is not None and joint not in motors and _trails(tree, wheel, joint)
-        for wheel, joint in zip(found, steering, strict=True)
-    ]
-    casters = [caster and not all(casters) for caster in casters]
+    casters = _casters(tree, found, [None if joint in motors else joint for joint in steering])
     forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
     left = np.cross(tree.up, forward) if forward is not None else None
     size = _size(tree)
@@ -149,6 +145,12 @@ def _steering_joint(tree: Tree, wheel: int) -> int | None:
         if upright and tree.is_hinge(joint) and tree.turns(joint) > TURNS:
             return joint
     return None
+
+
+def _casters(tree: Tree, wheels: Sequence[Found], hinges: Sequence[int | None]) -> list[bool]:
+    """Return which wheels trail their passive steering hinge; none of them if all do."""
+    casters = [hinge is not None and _trails(tree, wheel, hinge) for wheel, hinge in zip(wheels, hinges, strict=True)]
+    return [caster and not all(casters) for caster in casters]
 
 
 def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
