@@ -75,8 +75,8 @@ def test_an_episode_is_one_piece_of_motion(recorded: RunDirectory):
         assert len(pose) == len(episode["actions"]) == len(episode["obs"])
         assert episode["initial_state/articulation/robot/root_pose"].shape == (1, 7)
         np.testing.assert_allclose(np.diff(pose[:, :2], axis=0), velocity[1:, :2] / 60, atol=0.02)
-        # The last action stands at the end of each observation's newest frame: that of the step before.
-        np.testing.assert_allclose(episode["obs"][1:, -6:], episode["actions"][:-1])
+        # Columns 95 to 125 are the last five actions, the newest one last: that of the step before.
+        np.testing.assert_allclose(episode["obs"][1:, 119:125], episode["actions"][:-1])
 
 
 @pytest.mark.train
