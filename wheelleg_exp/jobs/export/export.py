@@ -25,11 +25,11 @@ from wheelleg_exp.files import (
 )
 from wheelleg_exp.jobs.export import bundle
 from wheelleg_exp.jobs.export.c_header import c_header
-from wheelleg_exp.jobs.export.policy_comparison import TOLERANCE, TOLERANCE_FLOAT32, compare
 from wheelleg_exp.jobs.export.deployment import as_checked, as_configured, as_simulated
 from wheelleg_exp.jobs.export.drives import law
 from wheelleg_exp.jobs.export.network import ROLES, in_float64, network_arrays, require_perceptron
 from wheelleg_exp.jobs.export.onnx_metadata import with_metadata
+from wheelleg_exp.jobs.export.policy_comparison import TOLERANCE, TOLERANCE_FLOAT32, compare
 from wheelleg_exp.jobs.export.readme import readme
 from wheelleg_exp.jobs.export.recorded import recorded_episodes
 from wheelleg_exp.jobs.export.specification import specification
