@@ -22,6 +22,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
     if not robot.colliders:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
+        return
     for group in _ends(robot):
         if not any(geom.collides for body in group for geom in body.geoms):
             mass = sum(body.inertial.mass for body in group)

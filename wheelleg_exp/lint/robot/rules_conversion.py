@@ -40,6 +40,9 @@ def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
     """
     files = {match[1]: match[2] for text in report.warnings if (match := _LOST_MESH.search(text))}
     bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]
+    if any(item.kind == "no_colliders" for item in report.findings):
+        ends = zip(model.jnt_bodyid, model.jnt_dofadr, strict=True)
+        bare = [model.body(int(body)).name for body, dof in ends if dof not in model.dof_parentid]
     layers = [item for item in report.findings if item.kind == "layer_not_found" and not item.numbers["looks"]]
     files |= {item.subject: "the layer is not there" for item in layers if bare}
     if not files:
