@@ -15,7 +15,7 @@ demo: setup
 
 # Everything that continuous integration runs.
 test: setup
-	$(BIN)/nox --sessions lint typecheck repro
+	$(BIN)/nox --sessions lint typecheck docs repro
 	$(BIN)/nox --sessions tests
 
 # Lint, types, and all tests that take no training, picture, browser or corpus of robots: for while one works.

@@ -48,6 +48,13 @@ def lint(session: nox.Session) -> None:
 
 
 @nox.session
+def docs(session: nox.Session) -> None:
+    """Build the manual as one static site in build/site, and fail on a broken link or anchor."""
+    _python(session, "mkdocs", "build", "--strict", "--quiet", *session.posargs)
+    session.log("open build/site/index.html, or run `.venv/bin/mkdocs serve`")
+
+
+@nox.session
 def typecheck(session: nox.Session) -> None:
     """Check types."""
     _python(session, "mypy", "--num-workers", "2")

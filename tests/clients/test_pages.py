@@ -1,4 +1,4 @@
-"""The pages for users of other tools: every snippet is run, one after the other, as a reader would."""
+"""Run every snippet of the page about other tools, in the order of the page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NEEDS = {"stable_baselines3": "stable_baselines3", "RecordVideo": "moviepy"}
-PAGES = ("gymnasium", "stable_baselines3", "cleanrl")
+PAGES = ("clients",)
 # What these libraries warn of, about themselves and about spaces without bounds.
 pytestmark = [pytest.mark.filterwarnings("default"), pytest.mark.slow]
 
