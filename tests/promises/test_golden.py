@@ -1,0 +1,234 @@
+"""What the commands answered before the restructuring, they answer now: see golden.py. A run of the old code works."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .golden import (
+    CORPUS_VARIABLE,
+    REPOSITORY,
+    SECTIONS,
+    TASKS,
+    command,
+    cpu,
+    differences,
+    load,
+    mjcf,
+    training,
+)
+
+OLD_RUN = Path(__file__).with_name("old_run.tar.xz")
+OLD_COMMIT = "c696ebe458de39180ff37073a8111d40e05309f5"
+
+# --- golden values ---
+
+
+def assert_as_recorded(section: str, found: dict[str, Any]) -> None:
+    """Compare entries with those of the same names in golden.json."""
+    golden = {name: value for name, value in load()[section].items() if name in found}
+    lines = differences(golden, json.loads(json.dumps(found)), section)
+    assert not lines, "\n".join(lines)
+
+
+def test_the_stock_robot_converts_to_the_recorded_mjcf():
+    assert_as_recorded("mjcf", mjcf("stock"))
+
+
+@pytest.mark.corpus
+def test_the_corpus_converts_to_the_recorded_mjcf(request, monkeypatch):
+    folder = request.config.getoption("--corpus") or os.environ.get(CORPUS_VARIABLE)
+    if not folder:
+        pytest.skip(f"no corpus of USD robots: set {CORPUS_VARIABLE} or pass --corpus DIR")
+    monkeypatch.setenv(CORPUS_VARIABLE, str(Path(folder).resolve()))
+    found = mjcf("corpus")
+    assert len(found) == 44
+    assert_as_recorded("mjcf", found)
+
+
+@pytest.mark.parametrize("section", ["compose", "explain"])
+def test_a_command_answers_what_was_recorded(section):
+    assert_section_as_recorded(section)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("section", ["check", "doctor"])
+def test_a_slow_command_answers_what_was_recorded(section):
+    assert_section_as_recorded(section)
+
+
+def assert_section_as_recorded(section: str) -> None:
+    found = SECTIONS[section]()
+    assert list(found) == list(load()[section])
+    assert_as_recorded(section, found)
+
+
+@pytest.mark.train
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASKS)
+def test_a_training_computes_what_was_recorded(task):
+    if cpu() not in load()["training"]:
+        pytest.skip(f"no digests for this CPU: {cpu()} (golden.py record on the old commit adds them)")
+    recorded = {name: value for name, value in load()["training"][cpu()].items() if name.startswith(f"{task},")}
+    found = training(task)[cpu()]
+    assert list(found) == list(recorded)
+    lines = differences({cpu(): recorded}, {cpu(): found}, "training")
+    assert not lines, "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("section", "path", "value"),
+    [
+        ("mjcf", ("stock", "robot.xml"), "0" * 64),
+        ("compose", ("task=walk", "(order)"), "other"),
+        ("explain", ("env.sim.dt", "answer", "value"), 0.1),
+        ("check", ("env.num_envs=0", "status"), 0),
+        ("doctor", ("sound", "answer", "facts", "mass"), 2.601),
+        ("training", (None, "stand, seed 1, threads 1", "learner"), "0" * 32),
+        ("training", (None, "stand, seed 1, threads 1", "state", "/scene/sim/state"), "0" * 12),
+    ],
+)
+def test_a_changed_value_is_a_difference(section, path, value):
+    golden, found = load()[section], load()[section]
+    path = [next(iter(found)) if name is None else name for name in path]
+    node = found
+    for name in path[:-1]:
+        node = node[name]
+    node[path[-1]] = value
+    assert differences(golden, golden, section) == []
+    (line,) = differences(golden, found, section)
+    assert path[-2] in line
+
+
+def test_a_missing_and_an_added_entry_are_differences():
+    golden = load()["explain"]
+    changed = {**golden, "new": {"status": 0}}
+    del changed["env.sim.dt"]
+    lines = differences(golden, changed, "explain")
+    assert [line.partition(": was")[0] for line in lines] == ["explain: env.sim.dt", "explain: new"]
+
+
+# --- a run of the old code ---
+
+
+@pytest.fixture
+def old_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The run directory, unpacked below ``runs`` of the current folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path / "cache"))
+    with tarfile.open(OLD_RUN) as archive:
+        archive.extractall(tmp_path / "runs", filter="data")
+    (run,) = (tmp_path / "runs" / "stand").iterdir()
+    return run
+
+
+@pytest.fixture
+def answered() -> Callable[..., Any]:
+    """Run a command with ``--json`` that must succeed, and return its answer."""
+
+    def run(*words: str | Path) -> Any:
+        status, out, err = command(*words, "--json")
+        assert status == 0, err
+        return json.loads(out)
+
+    return run
+
+
+def of_this_cpu(run: Path) -> bool:
+    hardware = json.loads((run / "manifest.json").read_text())["hardware"]
+    return cpu() == " ".join(hardware[name] for name in ("cpu", "cpu_family", "cpu_model", "cpu_stepping"))
+
+
+def test_the_old_run_is_listed(old_run, answered):
+    (row,) = answered("list", "runs")
+    assert row["id"] == old_run.name
+    assert (row["task"], row["status"], row["name"], row["seeds"]) == ("stand", "finished", "old", [3])
+    assert (row["iterations"], row["checkpoint"], row["max_iterations"]) == (4, 3, 4)
+    assert row["results"]["Train/mean_reward"] == -3.070594117976725
+
+
+def test_the_old_run_is_verified(old_run, answered):
+    checks = {check["name"]: check for check in answered("verify", "latest")["checks"]}
+    assert {"manifest", "files", "params", "asset", "iterations", "checkpoints", "recording", "exported"} <= set(checks)
+    assert {name for name, check in checks.items() if check["state"] != "ok"} <= {"source"}
+    assert not any(check["failures"] for check in checks.values())
+
+
+def test_a_damaged_checkpoint_of_the_old_run_is_reported(old_run):
+    content = bytearray((old_run / "model_3.pt").read_bytes())
+    content[len(content) // 2] ^= 1
+    (old_run / "model_3.pt").write_bytes(content)
+    status, out, err = command("verify", "latest")
+    assert status == 1
+    assert "model_3.pt" in out + err
+
+
+def test_the_old_recording_is_read(old_run, answered):
+    stats = answered("inspect", old_run.name, "--stats", "--term", "base.pitch")["stats"]["base.pitch"]
+    assert (stats["count"], stats["nan"], stats["unit"]) == (48, 0, "rad")
+    assert stats["mean"] == pytest.approx(-0.2860326001142734, rel=1e-12)
+    assert stats["minimum_at"]["step"] == 41
+    summary = answered("inspect", "latest")
+    assert [sample["episodes"] for sample in summary["summary"]["samples"]] == [2, 0]
+
+
+def test_the_old_policy_is_exported(old_run, answered, tmp_path):
+    done = answered("export", "latest", "-o", tmp_path / "bundle")
+    assert Path(done["checkpoint"]).name == "model_3.pt"
+    assert max(done["largest_difference"].values()) < 1e-5
+    assert done["lacks"] == []
+
+
+@pytest.mark.slow
+def test_the_old_run_is_reported(old_run, answered):
+    report = Path(answered("report", "latest", "--no-pictures")["report"])
+    assert report == old_run / "report.html"
+    assert old_run.name in report.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_old_policy_is_played(old_run, answered):
+    figures = answered("play", "latest", "env.num_envs=4")["figures"]
+    assert (figures["episodes"], figures["survival"]) == (4, 0.0)
+    if of_this_cpu(old_run):
+        assert figures["mean_return"] == -4.322476863861084
+        assert figures["ended_by"] == {"time_out": 0, "base_contact": 3, "leg_contact": 1, "non_finite_state": 0}
+    (folder,) = (old_run / "play").iterdir()
+    assert (folder / "recording.rrd").is_file()
+
+
+@pytest.mark.train
+@pytest.mark.slow
+def test_the_old_run_is_resumed_as_if_it_had_never_stopped(old_run, answered):
+    resumed = answered("resume", "latest", "agent.max_iterations=6")
+    assert (resumed["status"], resumed["results"]["iterations"], resumed["resume"]["iteration"]) == ("finished", 6, 4)
+    words = [word for word in json.loads((old_run / "manifest.json").read_text())["command"] if "=" in word]
+    kept = [word for word in words if not word.startswith(("agent.max_iterations=", "run."))]
+    through = answered("train", *kept, "agent.max_iterations=6", "run.root=other")
+    parts = json.loads(command("verify", old_run, through["run"], "--json")[1])["parts"]
+    if of_this_cpu(old_run):
+        assert parts["scalars"]["state"] == "equal", parts["scalars"]
+        assert parts["scalars"]["iterations"] == 6
+        assert not {"parameters", "optimizer"} & set(parts["digests"]["first_difference"])
+    assert parts["settings"]["state"] == "equal"
+
+
+@pytest.mark.train
+@pytest.mark.slow
+def test_the_old_run_is_replayed(old_run, answered):
+    if subprocess.run(["git", "-C", REPOSITORY, "cat-file", "-e", OLD_COMMIT], capture_output=True).returncode:
+        pytest.skip(f"the commit of the old run, {OLD_COMMIT[:10]}, is not in this clone")
+    status, out, err = command("replay", "latest", "--repository", REPOSITORY, "--json")
+    assert status in (0, 1), err
+    states = {name: part["state"] for name, part in json.loads(out)["comparison"]["parts"].items()}
+    assert {states["files"], states["settings"], states["robot"]} == {"equal"}
+    if of_this_cpu(old_run):
+        assert status == 0
+        assert set(states.values()) == {"equal"}
