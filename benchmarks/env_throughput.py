@@ -15,8 +15,8 @@ import json
 import time
 from typing import Any
 
-from wheelleg_exp.sim.batch import BatchEngine
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.machine import prepare_threads
+from wheelleg_exp.sim.batch_engine import BatchEngine
 
 prepare_threads()
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.machine import prepare_threads
 
 prepare_threads()
 
@@ -23,7 +23,7 @@ from gpu_sorted import fill_the_sorts  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
-from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
+from wheelleg_exp.sim.warp_engine import WarpEngine  # noqa: E402
 
 LOOKS = (1, 2, 10, 100)
 RUNS = 3

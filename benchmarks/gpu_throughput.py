@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.machine import prepare_threads
 
 prepare_threads()
 
@@ -30,7 +30,7 @@ from step_parts import time_parts  # noqa: E402
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
 from wheelleg_exp.env import ManagerBasedRLEnv  # noqa: E402
-from wheelleg_exp.sim.warp.engine import WarpEngine  # noqa: E402
+from wheelleg_exp.sim.warp_engine import WarpEngine  # noqa: E402
 
 BLOCK = 20  # steps between the two
 WARM_UP, MOST_WARM_UP = 30, 3000  # a number of environments that end together is captured when it has come up often

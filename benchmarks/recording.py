@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.machine import prepare_threads
 
 prepare_threads()
 
@@ -30,10 +30,10 @@ import torch  # noqa: E402
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording  # noqa: E402
-from wheelleg_exp.recording.options import RecordingOptions  # noqa: E402
+from wheelleg_exp.recording.recording_options import RecordingOptions  # noqa: E402
 from wheelleg_exp.rl.trainer import Iteration, Trainer  # noqa: E402
 from wheelleg_exp.rl.vec_env import RslRlVecEnv  # noqa: E402
-from wheelleg_exp.run.directory import RunDirectory  # noqa: E402
+from wheelleg_exp.run.run_directory import RunDirectory  # noqa: E402
 
 BLOCK = 5  # iterations between the two trainings
 SMALL = ["agent.actor.hidden_dims=[64,64]", "agent.critic.hidden_dims=[64,64]", "recording.interval=20"]

@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
-from wheelleg_exp.threads import PORTABLE_KERNELS, WIDE_KERNELS, prepare_threads
+from wheelleg_exp.machine import PORTABLE_KERNELS, WIDE_KERNELS, prepare_threads
 
 prepare_threads()
 
@@ -37,7 +37,7 @@ from rsl_rl.algorithms import PPO  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
-from wheelleg_exp.jobs.threads import mkl_in_force  # noqa: E402
+from wheelleg_exp.jobs.torch_threads import mkl_in_force  # noqa: E402
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul  # noqa: E402
 
 SECTIONS = ("num_steps_per_env", "obs_groups", "algorithm", "actor", "critic")

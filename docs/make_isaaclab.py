@@ -18,7 +18,7 @@ from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.isaaclab.envs import mdp
 from wheelleg_exp.isaaclab.utils import math
-from wheelleg_exp.sim.absent import absent_members
+from wheelleg_exp.sim.class_members import unsupported_members
 
 FOLDER = Path(__file__).resolve().parent
 HEAD = """# Isaac Lab's names
@@ -60,7 +60,7 @@ def holders() -> dict[str, Any]:
 
 def rows(section: str, holder: Any, reasons: dict[str, str], listed: list[str]) -> Iterator[tuple[str, str]]:
     """Yield each name and what is said of it; an empty text where nobody says why it is absent."""
-    absent = absent_members(type(holder))
+    absent = unsupported_members(type(holder))
     for name in listed:
         if name in absent:
             yield name, f"absent: {absent[name]}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from wheelleg_exp.threads import prepare_threads, share_cores
+from wheelleg_exp.machine import prepare_threads, share_cores
 
 if TYPE_CHECKING:
     from wheelleg_exp.env import ManagerBasedRLEnv
@@ -74,8 +74,8 @@ def graphics() -> str:
     """The backend that draws on this machine; without one the test is skipped."""
     from wheelleg_exp.errors import WheellegError
     from wheelleg_exp.rendering.render_job import Order
+    from wheelleg_exp.rendering.render_scene import Scene
     from wheelleg_exp.rendering.renderer import drawing
-    from wheelleg_exp.rendering.scene import Scene
 
     try:
         with drawing(Order(Scene({}, (), None, 0, 1.0), 32, 32, 0)) as process:
@@ -87,7 +87,7 @@ def graphics() -> str:
 @pytest.fixture
 def allow_test_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let configs name terms that stand beside the tests."""
-    from wheelleg_exp.terms import allowed_targets
+    from wheelleg_exp.terms import term_binding
 
-    packages = allowed_targets.allowed_packages()
-    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: (*packages, "managers", "mdp", "env", "sim"))
+    packages = term_binding.allowed_packages()
+    monkeypatch.setattr(term_binding, "allowed_packages", lambda: (*packages, "managers", "mdp", "env", "sim"))

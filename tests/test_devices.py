@@ -10,8 +10,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "wheelleg_exp"
 FILES = sorted(path for part in ("sim", "managers", "mdp", "env") for path in (PACKAGE / part).rglob("*.py"))
-WARP = {f"sim/warp/{name}.py" for name in ("engine", "fields", "graphs", "library", "room")}
-ENGINES = {"sim/batch.py", "sim/rays/reach.py", "sim/rays/still_geoms.py", *WARP}  # an engine knows its own device
+WARP = {"sim/warp_engine.py", "sim/warp_fields.py", "sim/warp_runtime.py"}
+ENGINES = {"sim/batch_engine.py", "sim/static_rays.py", *WARP}  # an engine knows its own device
 
 FACTORIES = frozenset(
     """arange as_tensor empty eye full linspace logspace normal ones rand randint randn randperm tensor
@@ -29,30 +29,20 @@ NOT_IN_A_STEP = frozenset(
     _require_order _judge _on_host rolling_signs _endings _finish_episodes in_world_convention opengl_quat""".split()  # noqa: SIM905
 )
 HOST = {
-    "env/host.py": "the door out",
-    "managers/returned.py": "tells of an array in place of a tensor",
+    "state/tensor_trees.py": "the door out",
+    "managers/return_checks.py": "tells of an array in place of a tensor",
     "sim/engine.py": "reads the compiled model",
-    "sim/robot_spec.py": "edits the robot before it is compiled",
+    "sim/robot_model.py": "edits the robot before it is compiled",
     "sim/root_frame.py": "edits the robot before it is compiled",
     "sim/scene.py": "digests the compiled model",
-    "managers/asking.py": "looks at masks that have come to the host",
+    "managers/async_queries.py": "looks at masks that have come to the host",
     "managers/recorded_rows.py": "what recorders note leaves the device",
     "managers/recorder_manager.py": "the same",
     "managers/curriculum_manager.py": "takes what a user's term returned",
 }
 GROUNDS = {
     f"sim/terrain/{name}.py": "makes the ground before it is compiled"
-    for name in (
-        "cache",
-        "flat_patches",
-        "geoms",
-        "height_map",
-        "from_file",
-        "relief",
-        "smooth",
-        "stepped",
-        "sub_terrain",
-    )
+    for name in ("cache", "geoms", "height_map", "relief", "sub_terrains", "terrain_files")
 }
 
 

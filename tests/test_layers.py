@@ -13,12 +13,13 @@ PACKAGE = Path(__file__).parents[1] / "wheelleg_exp"
 NAME = PACKAGE.name
 # From the ground up; those of one line may import one another.
 LAYERS = (
-    ("errors", "paths", "files", "plain_yaml", "constraints", "memory", "threads", "torchrun", "reading", "progress"),
-    ("user_code", "trusted_folders"),
+    ("errors", "paths", "files", "plain_data", "constraints", "machine", "torchrun", "progress", "stop_request"),
+    ("user_exceptions",),
     ("packages", "definitions"),
     ("terms",),
     ("asset", "state", "rendering"),
     ("sim",),
+    ("anatomy",),
     ("managers",),
     ("mdp", "env"),
     ("isaaclab",),

@@ -9,7 +9,7 @@ from typing import Any, Literal, Optional
 
 import pytest
 
-from wheelleg_exp.terms.values import describe, fits
+from wheelleg_exp.terms.config_values import describe, fits
 
 
 @dataclass

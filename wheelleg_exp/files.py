@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
-from wheelleg_exp.plain_yaml import dump_yaml
-from wheelleg_exp.reading import Unreadable, json_value, yaml_value
+from wheelleg_exp.plain_data import Unreadable, dump_yaml, json_value, yaml_value
 
 _DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 TEMPORARY_SUFFIX = ".tmp"

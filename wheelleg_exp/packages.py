@@ -1,9 +1,13 @@
-"""Users' own projects: a folder whose ``pyproject.toml`` declares its packages for configs.
+"""User projects: folders whose ``pyproject.toml`` declares packages for configs; and folders that the user trusts.
 
-The declaration is the entry-point group ``wheelleg_exp.packages``. Installed, it is read from the distribution. Without
-installing, a project counts while one stands in its folder, or names it with ``--config-dir``: its ``configs/`` is on
-the search path, and the packages that it declares may be called. Nothing of it is imported before a config names a
-target in it, and then the declared packages alone can be found there, never another module of that folder.
+The declaration is the entry-point group ``wheelleg_exp.packages``. It is read from the distribution of an installed
+project. Without installation, a project counts while the current folder is in it, or while ``--config-dir`` names
+it: its ``configs/`` is on the search path, and its declared packages can be imported. Nothing is imported before a
+config names a target in it, and then only the declared packages can be found there.
+
+Anybody may have written a record (of a run, a pipeline, a result), so its paths are not trusted. A recorded path is
+used only if it leads to a folder that the user has named with ``--config-dir``, or to the current project. Only
+``cli/main.py`` adds folders: it knows what the user typed.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import importlib.util
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
@@ -20,7 +25,44 @@ from types import ModuleType
 from typing import Any
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.trusted_folders import is_trusted, real
+from wheelleg_exp.paths import cache_dir
+
+
+def trust(folders: Iterable[Path]) -> None:
+    """Record existing folders that the user has typed; if the file cannot be written, a later command asks again."""
+    known = _trusted()
+    existing = map(os.path.realpath, filter(Path.is_dir, folders))
+    new = [place for place in dict.fromkeys(existing) if place not in known]
+    with suppress(OSError):
+        if new:
+            _trust_file().parent.mkdir(parents=True, exist_ok=True)
+            with _trust_file().open("a", encoding="utf-8", errors="surrogateescape") as lines:
+                lines.writelines(f"{place}\n" for place in new if "\n" not in place)
+
+
+def is_trusted(path: str | Path) -> bool:
+    """Return whether a path leads to a trusted folder."""
+    return real_path(path) in _trusted() - {""}
+
+
+def real_path(path: str | Path) -> str:
+    """Return what a path leads to, absolute and without links; nothing for a text that is no path."""
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # a zero in it
+        return ""
+
+
+def _trusted() -> set[str]:
+    try:
+        return set(_trust_file().read_text(encoding="utf-8", errors="surrogateescape").split("\n"))
+    except OSError:
+        return set()
+
+
+def _trust_file() -> Path:
+    return cache_dir() / "trusted_folders.txt"
+
 
 ENTRY_POINT_GROUP = "wheelleg_exp.packages"
 FILE = "pyproject.toml"
@@ -243,15 +285,15 @@ def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path
 
 def own_folders(recorded: Iterable[str]) -> list[Path]:
     """Return which of the config folders that a run has recorded are in use now, or known as the user's own."""
-    in_use = {real(project.configs) for project in _joined.values()}
-    own = (folder for folder in recorded if real(folder) in in_use or is_trusted(folder))
+    in_use = {real_path(project.configs) for project in _joined.values()}
+    own = (folder for folder in recorded if real_path(folder) in in_use or is_trusted(folder))
     return [Path(folder) for folder in own if Path(folder).is_dir()]
 
 
 def left_out(recorded: Iterable[str], found: Sequence[Path]) -> dict[str, str]:
     """Return the recorded config folders that are not among those found, each with the reason."""
-    used = {real(folder) for folder in found}
-    others = [folder for folder in recorded if real(folder) not in used]
+    used = {real_path(folder) for folder in found}
+    others = [folder for folder in recorded if real_path(folder) not in used]
     return {folder: "is not one of your trusted folders" if is_there(folder) else "is gone" for folder in others}
 
 

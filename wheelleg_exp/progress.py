@@ -1,4 +1,4 @@
-"""How far work is that takes long where nothing may be printed: it tells, and whoever shows it listens."""
+"""Progress of long work in parts of the program that may not print: workers report, and a listener shows it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _listener: ContextVar[Listener | None] = ContextVar("_listener", default=None)
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
+def progress_to(listener: Listener) -> Iterator[None]:
     """Let ``listener(what, done, total)`` hear of the work that is done inside."""
     token = _listener.set(listener)
     try:
@@ -23,7 +23,7 @@ def listening(listener: Listener) -> Iterator[None]:
         _listener.reset(token)
 
 
-def told(what: str, items: Sequence[_Item]) -> Iterable[_Item]:
+def with_progress(what: str, items: Sequence[_Item]) -> Iterable[_Item]:
     """Yield items, and tell behind each one how many of them are done.
 
     Args:

@@ -20,11 +20,10 @@ from typing import Any
 
 from PIL import Image
 
-from wheelleg_exp.jobs.drive.controls import Finish
-from wheelleg_exp.jobs.drive.drive import Wish, drive
-from wheelleg_exp.jobs.drive.ground import scenes
-from wheelleg_exp.jobs.drive.page import DrivePage
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.jobs.drive.drive_controls import Finish
+from wheelleg_exp.jobs.drive.drive_page import DrivePage
+from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive, scenes
+from wheelleg_exp.run.run_directory import RunDirectory
 
 HERE = Path(__file__).parent
 WIDTH, HEIGHT = 1100, 640
@@ -56,7 +55,7 @@ class Silent:
 def main(run: RunDirectory) -> None:
     """Write drive.png and drive.webp beside this file."""
     with DrivePage(0, scenes(), run.checkpoints()) as page:
-        thread = threading.Thread(target=drive, args=(Wish(run), Silent(), page))
+        thread = threading.Thread(target=drive, args=(DriveRequest(run), Silent(), page))
         thread.start()
         browser = opened(page.url)
         try:

@@ -19,13 +19,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from wheelleg_exp.inspection.pictures import captions, pictures
-from wheelleg_exp.inspection.plots import plots
-from wheelleg_exp.inspection.plots.plot_data import Source
-from wheelleg_exp.inspection.plots.style import Panel, figure_bytes, page
-from wheelleg_exp.inspection.viewer.viewer import viewer_screenshot
-from wheelleg_exp.inspection.viewer.web import WebViewer
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection import recorded_scene, recording_pictures, recording_plots
+from wheelleg_exp.inspection.plot_data import Source
+from wheelleg_exp.inspection.plot_style import Panel, figure_bytes, page
+from wheelleg_exp.inspection.rerun_viewer import WebViewer, viewer_screenshot
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 HERE = Path(__file__).parent
 LARGEST = 300_000  # bytes of a picture
@@ -46,18 +44,21 @@ def main(run: Path) -> None:
 
 def robot(recording: Recording) -> Image.Image:
     """Return the robot while it is played."""
-    shown = pictures.scenery(recording)
-    row = pictures.row_at(shown, time_s=SHOWN_S)
-    return Image.fromarray(pictures.picture(shown, row, 1200, 675))
+    shown = recording_pictures.scenery(recording)
+    row = recording_pictures.row_at(shown, time_s=SHOWN_S)
+    return Image.fromarray(recording_pictures.picture(shown, row, 1200, 675))
 
 
 def samples(recording: Recording) -> Image.Image:
     """Return three moments, side by side, of each of the first and the last sample of a training."""
-    shown = pictures.scenery(recording)
+    shown = recording_pictures.scenery(recording)
     first, last = (shown.samples[i].first for i in (0, -1))
     rows = [int(np.searchsorted(shown.motion.step, s + offset)) for s in (first, last) for offset in (10, 30, 44)]
-    drawn = pictures.pictures(shown, rows, 360, 270)
-    told = [captions.write(p, captions.lines(shown.motion, r), {}) for p, r in zip(drawn, rows, strict=True)]
+    drawn = recording_pictures.pictures(shown, rows, 360, 270)
+    told = [
+        recorded_scene.write_caption(p, recorded_scene.caption_lines(shown.motion, r), {})
+        for p, r in zip(drawn, rows, strict=True)
+    ]
     return Image.fromarray(np.vstack([np.hstack(told[:3]), np.hstack(told[3:])]))
 
 
@@ -65,7 +66,8 @@ def panels(recording: Recording, wanted: dict[str, int]) -> Image.Image:
     """Return the first panels of some default figures."""
     source = Source(recording)
     sections: list[tuple[str, list[Panel]]] = [
-        (plots.PLOTS[name].title, plots.PLOTS[name].panels(source)[:count]) for name, count in wanted.items()
+        (recording_plots.PLOTS[name].title, recording_plots.PLOTS[name].panels(source)[:count])
+        for name, count in wanted.items()
     ]
     return Image.open(io.BytesIO(figure_bytes(page([s for s in sections if s[1]]), "png")))
 

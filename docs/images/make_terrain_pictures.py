@@ -17,7 +17,7 @@ from matplotlib import pyplot as plt
 from matplotlib.colors import LightSource
 
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.managers.term import build
+from wheelleg_exp.managers.manager_base import build
 from wheelleg_exp.sim.terrain import (
     Box,
     DiscreteObstacles,

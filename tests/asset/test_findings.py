@@ -7,7 +7,7 @@ import json
 import pytest
 
 from wheelleg_exp.asset import Conversion, Report
-from wheelleg_exp.asset.findings import KINDS, Finding, Verdict, is_placeholder, verdict_of
+from wheelleg_exp.asset.conversion_report import KINDS, Finding, Verdict, is_placeholder, verdict_of
 from wheelleg_exp.cli.main import main
 
 from . import small_urdf as urdf

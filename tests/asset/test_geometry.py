@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset.geometry import quaternion, rotation_matrix, rounded, single, split_scale
+from wheelleg_exp.asset.rigid_geometry import quaternion, rotation_matrix, rounded, single, split_scale
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset.geometry import Frame, rotation_matrix
+from wheelleg_exp.asset.rigid_geometry import Frame, rotation_matrix
 from wheelleg_exp.asset.solids import mesh_solid, primitive
 
 SHAPES = {

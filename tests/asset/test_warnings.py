@@ -7,7 +7,7 @@ import math
 import mujoco
 
 from wheelleg_exp.asset import conversion
-from wheelleg_exp.asset.mjcf import verify
+from wheelleg_exp.asset.mjcf import compile_mjcf
 
 from .small_usd import link, write
 
@@ -23,7 +23,7 @@ def _provoke() -> None:
 
 def test_a_warning_of_mujoco_stands_in_the_report_and_in_no_log_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    load = verify.load
+    load = compile_mjcf.load
 
     def odd(path, source):
         _provoke()

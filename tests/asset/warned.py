@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wheelleg_exp.asset import Conversion
-from wheelleg_exp.asset.shape_findings import FALLS
+from wheelleg_exp.asset.report_writer import FALLS
 
 
 def warned(conversion: Conversion) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import pytest
 from jobs.small import cache_of, copied, trained_once, wheelleg
 
 from browser.chrome import Chrome, programs
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 
 @pytest.fixture(scope="module")

@@ -16,11 +16,10 @@ from patience import PATIENCE_S, wait_until
 
 from browser.chrome import Chrome
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.jobs.drive.controls import Finish, Push, Reset
-from wheelleg_exp.jobs.drive.drive import Drive, Wish, drive
-from wheelleg_exp.jobs.drive.hands import SLOW
-from wheelleg_exp.jobs.drive.page import DrivePage
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.jobs.drive.drive_controls import Finish, Push, Reset
+from wheelleg_exp.jobs.drive.drive_page import SLOW, DrivePage
+from wheelleg_exp.jobs.drive.run_drive import Drive, DriveRequest, drive
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.browser
 pytest.importorskip("viser", reason="the extra 'drive' is not installed")
@@ -65,7 +64,7 @@ class Driving:
 def driving(chrome: Chrome, played: RunDirectory) -> Iterator[Driving]:
     with DrivePage(0, ["own", "rough"], played.checkpoints()) as page:
         found = Driving(page, chrome)
-        wish = Wish(played, overrides=[*_RANGES, "drive.fall_shown_s=0.1"])
+        wish = DriveRequest(played, overrides=[*_RANGES, "drive.fall_shown_s=0.1"])
         thread = threading.Thread(target=lambda: found.made.extend(drive(wish, Silent(), page)))
         thread.start()
         try:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from patience import wait_until
 
 from browser.chrome import Chrome
-from wheelleg_exp.inspection.viewer.web import WebViewer
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.inspection.rerun_viewer import WebViewer
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.browser
 

@@ -6,10 +6,9 @@ from dataclasses import fields, replace
 
 import pytest
 
-from wheelleg_exp.cli.printing.figures import print_contacts, print_figures
-from wheelleg_exp.definitions.rollout import CONTACTS, FIGURES
-from wheelleg_exp.jobs.figures import ContactFigures, StandFigures
-from wheelleg_exp.jobs.motion_figures import MotionFigures
+from wheelleg_exp.cli.printing.figures_table import print_contacts, print_figures
+from wheelleg_exp.definitions import CONTACTS, ROLLOUT
+from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
 PLAYED = StandFigures(
     episodes=8,
@@ -92,5 +91,5 @@ def test_contacts_say_of_which_steps_they_are(capsys):
 
 
 def test_every_key_has_a_definition():
-    assert {field.name for field in fields(StandFigures)} == set(FIGURES)
+    assert {field.name for field in fields(StandFigures)} == set(ROLLOUT)
     assert {field.name for field in fields(ContactFigures)} - {"body"} == set(CONTACTS)

@@ -15,9 +15,9 @@ from inspection.test_summary import late
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.recording.reading import messages
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.lock import RunLock
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_lock import RunLock
 
 
 def spoil(path, entity=b"base/height"):

@@ -9,9 +9,9 @@ import pytest
 import yaml
 from jobs.small import wheelleg
 
-from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.sweep_index import SweepIndex
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_index import SweepIndex
 
 # seed, gamma, return; of the last there is no figure
 RUNS = ((1, 0.9, 3.0), (2, 0.9, 5.0), (1, 0.99, 10.0), (2, 0.99, None))

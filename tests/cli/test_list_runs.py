@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 import pytest
 from jobs.small import wheelleg
 
-from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.run_directory import RunDirectory
 
 LONG = "a_rather_long_name_that_somebody_gave_to_a_run_so_that_nobody_forgets_what_it_was_about"
 

@@ -16,8 +16,8 @@ from wheelleg_exp.cli import main as script
 from wheelleg_exp.cli.common import add_overrides
 from wheelleg_exp.cli.main import Command, main
 from wheelleg_exp.errors import ConfigError, SimulationFailure
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.threads import VARIABLES, prepare_threads
+from wheelleg_exp.machine import VARIABLES, prepare_threads
+from wheelleg_exp.stop_request import StopRequest
 
 
 @pytest.fixture
@@ -283,7 +283,7 @@ def test_only_the_chosen_command_is_imported_and_it_stays_light():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = [f"wheelleg_exp.cli.{name}" for name in ("common", "list", "main")]
-    loaded += [f"wheelleg_exp.cli.printing{name}" for name in ("", ".streams", ".tables")]
+    loaded += [f"wheelleg_exp.cli.printing{name}" for name in ("", ".terminal")]
     assert done.stdout.splitlines()[-1] == f"{loaded} False False"
 
 

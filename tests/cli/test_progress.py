@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from wheelleg_exp import progress
-from wheelleg_exp.cli.printing import display as module
-from wheelleg_exp.cli.printing.display import ConsoleDisplay
+from wheelleg_exp.cli.printing import progress_display as module
+from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
 
 
 def work():
-    assert list(progress.told("making tiles", ["a", "b", "c"])) == ["a", "b", "c"]
+    assert list(progress.with_progress("making tiles", ["a", "b", "c"])) == ["a", "b", "c"]
 
 
 @pytest.mark.parametrize(

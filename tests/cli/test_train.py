@@ -83,14 +83,14 @@ def test_a_taken_name_is_never_shared(tmp_path, monkeypatch):
     """Two runs of the same second stand side by side."""
     from datetime import datetime
 
-    from wheelleg_exp.run import directory
+    from wheelleg_exp.run import run_directory
 
     class Frozen(datetime):
         @classmethod
         def now(cls, tz=None):
             return datetime(2030, 1, 2, 3, 4, 5, tzinfo=tz)
 
-    monkeypatch.setattr(directory, "datetime", Frozen)
+    monkeypatch.setattr(run_directory, "datetime", Frozen)
     words = [*SMALL, "agent.max_iterations=1", "recording.enabled=false", f"run.root={tmp_path}"]
     taken = tmp_path / "stand" / "2030-01-02_03-04-05_0"
     taken.mkdir(parents=True)

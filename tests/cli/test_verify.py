@@ -9,7 +9,7 @@ import pytest
 from jobs.replays import change_manifest
 from jobs.small import SMALL, Trained, cache_of, copied, trained_once, wheelleg
 
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 
@@ -78,7 +78,7 @@ def test_a_changed_byte_is_exit_status_1(run):
 def test_a_recording_that_could_not_be_put_together_is_told_and_the_run_is_sound(tmp_path, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
-        patch.setattr("wheelleg_exp.recording.writing.finishing.rerun_program", lambda: str(tmp_path / "none"))
+        patch.setattr("wheelleg_exp.recording.rerun_program.rerun_program", lambda: str(tmp_path / "none"))
         said = wheelleg("train", *SHORT, f"run.root={tmp_path / 'runs'}")
     assert said.status == 0
     (warning,) = [line for line in (said.out + said.err).splitlines() if line.startswith("warning: the recording")]

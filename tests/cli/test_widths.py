@@ -7,8 +7,8 @@ import re
 import pytest
 
 from wheelleg_exp.cli.main import COMMANDS, main
-from wheelleg_exp.cli.printing import tables
-from wheelleg_exp.cli.printing.tables import hanging, print_blocks, print_table, wrapped
+from wheelleg_exp.cli.printing import terminal as tables
+from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table, wrapped
 
 COMMANDS_THAT_LIST = (
     ["list", "tasks"],

@@ -10,11 +10,11 @@ import small_tree
 from options_stand_in import RobotOptions, RunOptions, SceneOptions, SimOptions
 
 from wheelleg_exp.config import schema
-from wheelleg_exp.config.checking import check
-from wheelleg_exp.config.checking.robot_names import RobotNames
-from wheelleg_exp.config.composing import loader
+from wheelleg_exp.config.checking import find_mistakes
+from wheelleg_exp.config.checking.check_robot_names import RobotNames
+from wheelleg_exp.config.composing import config_loader
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.terms import allowed_targets
+from wheelleg_exp.terms import term_binding
 
 ROBOT = RobotNames(["a", "b", "left_hip", "wheel"], ["base", "foot"])
 STAND_INS = {"env.sim": SimOptions, "env.scene": SceneOptions, "env.robot": RobotOptions, "run": RunOptions}
@@ -27,9 +27,9 @@ def stock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "shelf_terms.py").write_text(small_tree.TARGETS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(loader, "configs_dir", lambda: folder)
-    monkeypatch.setattr(check, "read_names", lambda robot, roots: ROBOT)
-    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms"))
+    monkeypatch.setattr(config_loader, "configs_dir", lambda: folder)
+    monkeypatch.setattr(find_mistakes, "read_names", lambda robot, roots: ROBOT)
+    monkeypatch.setattr(term_binding, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms"))
     monkeypatch.setattr(schema, "OPTIONS", {path: f"options_stand_in.{o.__name__}" for path, o in STAND_INS.items()})
     return folder
 

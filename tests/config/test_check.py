@@ -6,9 +6,9 @@ import dataclasses
 
 import pytest
 
-from wheelleg_exp.config.checking.check import check, require_valid
+from wheelleg_exp.config.checking.find_mistakes import check, require_valid
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.terms.sections import keys_of
+from wheelleg_exp.terms.config_sections import keys_of
 
 
 def test_a_right_config_has_no_mistakes(composed, user):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wheelleg_exp.config.explaining.docstrings import comment_at, file_comment
+from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment
 
 SECTION = """\
 # @package env.thing

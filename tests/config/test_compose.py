@@ -177,7 +177,7 @@ def test_a_path_with_blanks_and_quotes_can_be_a_config_folder(composed, user):
 def test_neither_torch_nor_mujoco_is_imported_to_compose():
     code = (
         "import sys; import wheelleg_exp.cli.main, wheelleg_exp.cli.configs.compose, wheelleg_exp.cli.list;"
-        "import wheelleg_exp.config.composing.compose, wheelleg_exp.config.checking.check;"
+        "import wheelleg_exp.config.composing.compose, wheelleg_exp.config.checking.find_mistakes;"
         "import wheelleg_exp.config.explaining.catalog;"
         "print(sorted({'torch', 'mujoco', 'rsl_rl', 'rerun', 'pxr'} & set(sys.modules)))"
     )

@@ -9,14 +9,13 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.changes import same
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.explaining.difference import Side, compare
+from wheelleg_exp.config.explaining.config_diff import Side, compare, same
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import read_json, write_json, write_text
 from wheelleg_exp.jobs.diff_inputs import load_sides
-from wheelleg_exp.run.begin import begin
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.start_run import start_run
 
 
 @pytest.fixture
@@ -36,7 +35,7 @@ def make_run(stock, tmp_path):
     def make(*overrides, minute=0, task="stand"):
         composed = compose(overrides)
         directory = RunDirectory.create(tmp_path / "runs", task, 1, now=datetime(2026, 1, 1, 1, minute))
-        begin(
+        start_run(
             directory,
             command=["wheelleg", "train", *overrides],
             params={"env": composed.config["env"], "agent": composed.config["agent"]},

@@ -62,10 +62,10 @@ bend:
 @pytest.fixture
 def documented(stock, edit, tmp_path, monkeypatch):
     """A task whose reward ``bend`` has a documented target."""
-    from wheelleg_exp.terms import allowed_targets
+    from wheelleg_exp.terms import term_binding
 
     (tmp_path / "documented.py").write_text(DOCUMENTED, encoding="utf-8")
-    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "documented"))
+    monkeypatch.setattr(term_binding, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "documented"))
     edit("reward/bend.yaml", BEND)
     edit("task/stand.yaml", "[alive, height]", "[alive, height, bend]")
 

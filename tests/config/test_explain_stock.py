@@ -6,17 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from wheelleg_exp.config import keys as known
+from wheelleg_exp.config import key_slots as known
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.config.explaining import fixed_keys as fixed
-from wheelleg_exp.config.explaining.docstrings import parameters_in, unit_in
+from wheelleg_exp.config.config_tree import leaves
+from wheelleg_exp.config.explaining import key_documentation as fixed
 from wheelleg_exp.config.explaining.explanation import explain_key
-from wheelleg_exp.config.tree import dotted, leaves
+from wheelleg_exp.config.explaining.key_documentation import parameters_in, unit_in
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl.options import Agent
-from wheelleg_exp.terms.binding import RESERVED
-from wheelleg_exp.terms.sections import Env, keys_of
+from wheelleg_exp.terms.config_sections import Env, keys_of
+from wheelleg_exp.terms.key_syntax import dotted
+from wheelleg_exp.terms.term_binding import RESERVED
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ import pytest
 
 from wheelleg_exp.cli import main as script
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.terms import allowed_targets
+from wheelleg_exp.terms import term_binding
 
 # words of the command line -> what the message must hold
 OVERRIDES = {
@@ -535,7 +535,7 @@ FILES = {
 @pytest.fixture
 def command(stock: object, monkeypatch: pytest.MonkeyPatch) -> Callable[[list[str]], int]:
     """Run ``wheelleg check``, with the words that come after it."""
-    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
+    monkeypatch.setattr(term_binding, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
     return lambda words: main(["check", *words])
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.checking.check_robot import check_robot, match_all
-from wheelleg_exp.config.checking.robot_names import RobotNames, names_in_mjcf
+from wheelleg_exp.config.checking.check_robot_names import RobotNames, check_robot, match_all, names_in_mjcf
 
 # Overrides that a single check tells together -> key, part of the message, and the nearest name where there is one.
 WRONG = {

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.terms import allowed_targets
+from wheelleg_exp.terms import term_binding
 
 STAND, HEIGHT, ALIVE = "task/stand.yaml", "reward/height.yaml", "reward/alive.yaml"
 SPEED, PUSH, EFFORT = "observation/speed.yaml", "event/push.yaml", "action/effort.yaml"
@@ -247,7 +247,7 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
 @pytest.fixture
 def command(stock: object, monkeypatch: pytest.MonkeyPatch) -> Callable[[list[str]], int]:
     """Run ``wheelleg check``, with the words that come after it."""
-    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
+    monkeypatch.setattr(term_binding, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms", "shelf_broken"))
     monkeypatch.delitem(__import__("sys").modules, "shelf_broken", raising=False)
     return lambda words: main(["check", *words])
 

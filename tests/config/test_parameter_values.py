@@ -10,19 +10,18 @@ import pytest
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config import schema
-from wheelleg_exp.config.checking.check import check, check_tree
-from wheelleg_exp.config.composing.amend import amend
-from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.checking.find_mistakes import check, check_tree
+from wheelleg_exp.config.composing.compose import apply_overrides, compose
 from wheelleg_exp.config.explaining.catalog import library
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.options import require_agent
-from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.params import write_params
-from wheelleg_exp.terms.binding import resolve_target, signature_parameters
+from wheelleg_exp.run.run_config import write_params
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.terms.config_values import fits
+from wheelleg_exp.terms.term_binding import resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
-from wheelleg_exp.terms.values import fits
 
 pytestmark = pytest.mark.slow
 
@@ -131,7 +130,7 @@ WRONG: dict[str, str | tuple[str, str]] = {
         "env.rewards.fast.soft_ratio",
     ),
     f"+env.rewards.effort={{{TERM}rewards.joint_torques_l2, weight: -1, asset_cfg: {{name: robot}}}}": (
-        "_target_: wheelleg_exp.managers.entity.SceneEntityCfg",
+        "_target_: wheelleg_exp.managers.term_interface.SceneEntityCfg",
         "env.rewards.effort.asset_cfg",
     ),
     "env.curriculum.lin_vel_z_weight.num_steps=-5": "at least 0",
@@ -300,7 +299,7 @@ def stand() -> tuple[dict[str, Any], Path]:
 @pytest.mark.parametrize("override", [word for word in WRONG if word.lstrip("+").startswith("env.")])
 def test_whatever_builds_the_environment_refuses_it_in_the_same_words(override, stand):
     config, mjcf = stand
-    tree = amend(config, [override])
+    tree = apply_overrides(config, [override])
     checked = {str(error.key): str(error) for error in check_tree(tree, schema.Root)}
     with pytest.raises(ConfigError) as caught:
         ManagerBasedRLEnv(tree["env"], mjcf, 0)
@@ -309,7 +308,7 @@ def test_whatever_builds_the_environment_refuses_it_in_the_same_words(override, 
 
 @pytest.mark.parametrize("override", [word for word in WRONG if word.lstrip("+").startswith("agent.")])
 def test_whatever_builds_the_agent_refuses_it_in_the_same_words(override, stand):
-    tree = amend(stand[0], [override])
+    tree = apply_overrides(stand[0], [override])
     checked = [str(error) for error in check_tree(tree, schema.Root)]
     with pytest.raises(ConfigError) as caught:
         require_agent(tree["agent"], 2)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from omegaconf import OmegaConf
 
-from wheelleg_exp.config.tree import dotted, leaves
+from wheelleg_exp.config.config_tree import leaves
+from wheelleg_exp.terms.key_syntax import dotted
 
 RECIPES = {
     "nothing": [],

@@ -11,7 +11,7 @@ from hydra import initialize_config_dir
 from omegaconf import OmegaConf, open_dict
 
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.tree import leaves
+from wheelleg_exp.config.config_tree import leaves
 from wheelleg_exp.paths import configs_dir
 
 pytestmark = pytest.mark.slow

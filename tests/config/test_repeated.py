@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 

@@ -8,7 +8,7 @@ import pytest
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.explaining.shapes import shapes
+from wheelleg_exp.config.explaining.term_shapes import shapes
 from wheelleg_exp.paths import configs_dir
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
@@ -56,7 +56,7 @@ def test_the_layout_is_that_of_the_built_environments_tensors(task, variant):
 
 
 def test_the_layout_of_the_main_task_by_hand_and_without_a_step(monkeypatch):
-    from wheelleg_exp.sim.batch import BatchEngine
+    from wheelleg_exp.sim.batch_engine import BatchEngine
 
     def step(self):
         raise AssertionError("a physics step")

@@ -6,11 +6,11 @@ import pytest
 from omegaconf import OmegaConf
 
 from wheelleg_exp.config import schema
-from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.terms.sections import keys_of
+from wheelleg_exp.terms.config_sections import keys_of
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 PRIMARIES = sorted(path.stem for path in configs_dir().glob("*.yaml"))

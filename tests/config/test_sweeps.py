@@ -16,11 +16,11 @@ from hydra._internal.utils import create_config_search_path
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import HydraContext, RunMode
 
-from wheelleg_exp.config.composing import sweep
+from wheelleg_exp.config.composing import compose_sweep as sweep
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.composing.loader import hydra_globals
-from wheelleg_exp.config.composing.sweep import compose_sweep, digest_of
-from wheelleg_exp.config.problems import parts
+from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
+from wheelleg_exp.config.composing.config_loader import hydra_globals
+from wheelleg_exp.config.config_errors import parts
 from wheelleg_exp.errors import ConfigError
 
 pytestmark = pytest.mark.slow

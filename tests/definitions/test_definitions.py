@@ -6,12 +6,11 @@ from dataclasses import fields
 
 import pytest
 
-from wheelleg_exp.definitions import recorded, rollout, training
-from wheelleg_exp.definitions.definition import ending, percent, share
-from wheelleg_exp.inspection.questions.measures import EffortUse, ForceExtreme, RewardShare, TrackingError
-from wheelleg_exp.inspection.questions.statistics import Statistics
-from wheelleg_exp.inspection.questions.summary import EpisodeFigures
-from wheelleg_exp.inspection.questions.trends import Sample, Trend
+from wheelleg_exp import definitions
+from wheelleg_exp.definitions import ending, percent, share
+from wheelleg_exp.inspection.episode_measures import EffortUse, ForceExtreme, RewardShare, TrackingError
+from wheelleg_exp.inspection.recorded_numbers import Statistics
+from wheelleg_exp.inspection.recording_summary import EpisodeFigures, Sample, Trend
 
 MADE = {
     "samples": Sample,
@@ -24,17 +23,17 @@ MADE = {
     "training": Trend,
 }
 TABLES = {
-    **recorded.TABLES,
-    "play": {**rollout.FIGURES, **rollout.MOTION},
-    "contacts": rollout.CONTACTS,
-    "scalars": training.SCALARS,
+    **definitions.RECORDED,
+    "play": {**definitions.ROLLOUT, **definitions.MOTION},
+    "contacts": definitions.CONTACTS,
+    "scalars": definitions.SCALARS,
 }
 
 
 @pytest.mark.parametrize("table", MADE)
 def test_a_table_s_figures_are_those_that_are_computed(table):
     made = {field.name for field in fields(MADE[table])} | {"iterations"}
-    assert set(recorded.TABLES[table]) <= made
+    assert set(definitions.RECORDED[table]) <= made
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -60,19 +59,21 @@ def test_within_a_table_a_label_says_one_thing(table):
     ],
 )
 def test_a_scalar_s_label_has_the_names_of_its_key(key, label, unit):
-    found = training.scalar(key)
+    found = definitions.scalar_definition(key)
     assert found is not None
     assert (found.label, found.unit) == (label, unit)
 
 
 def test_a_scalar_of_another_program_has_no_definition():
-    assert training.scalar("rollout/ep_rew_mean") is None
+    assert definitions.scalar_definition("rollout/ep_rew_mean") is None
 
 
 def test_what_height_and_pitch_leave_out_stands_in_their_labels():
-    assert rollout.label("pitch_rms_deg", 1.0) == "pitch, RMS, after 1 s"
-    assert rollout.label("pitch_rms_deg", 0.0) == "pitch, RMS, from the start"
-    assert rollout.label("mean_return", 1.0) == rollout.label("mean_return", 0.0) == "return, mean"
+    assert definitions.rollout_label("pitch_rms_deg", 1.0) == "pitch, RMS, after 1 s"
+    assert definitions.rollout_label("pitch_rms_deg", 0.0) == "pitch, RMS, from the start"
+    assert (
+        definitions.rollout_label("mean_return", 1.0) == definitions.rollout_label("mean_return", 0.0) == "return, mean"
+    )
 
 
 def test_a_share_of_few_says_of_how_many():

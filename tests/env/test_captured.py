@@ -16,7 +16,9 @@ def _taped(monkeypatch):
     monkeypatch.setattr("wheelleg_exp.env.captured_step._OFTEN", 2)
     soon = lambda timers, least, dt: bool((timers <= dt).any())  # noqa: E731  # what is known of a GPU beforehand
     monkeypatch.setattr("wheelleg_exp.managers.command_manager.may_be_due", soon)
-    monkeypatch.setattr("wheelleg_exp.managers.finite.is_finite", lambda total: True)  # on a CPU it asks for the number
+    monkeypatch.setattr(
+        "wheelleg_exp.managers.non_finite.is_finite", lambda total: True
+    )  # on a CPU it asks for the number
 
 
 def test_a_recorded_step_is_the_step_to_the_bit_through_resets_and_a_changed_weight():

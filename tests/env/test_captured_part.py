@@ -11,7 +11,7 @@ import torch
 from env.taping import Tape
 from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.variants import Memory
-from wheelleg_exp.managers.term import Term, TermBase
+from wheelleg_exp.managers.manager_base import Term, TermBase
 
 
 class Counts:

@@ -19,7 +19,7 @@ from env.test_state import DERIVED as KNOWN
 from env.test_state import act, equal
 from wheelleg_exp.build import build_env
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.rl.determinism import no_global_draws
 
 MOUNTS = {
     "command": "env.commands",

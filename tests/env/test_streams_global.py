@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.rl.determinism import no_global_draws
 
 E = "wheelleg_exp.mdp.events."
 O = "wheelleg_exp.mdp.observations."

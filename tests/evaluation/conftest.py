@@ -11,7 +11,7 @@ import torch
 
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.evaluation.reference import Reference
+from wheelleg_exp.evaluation.lqr_balancer import Reference
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from wheelleg_exp.evaluation.over_time import Trajectories
-from wheelleg_exp.evaluation.robot_parts import RobotParts
+from wheelleg_exp.evaluation.evaluation_env import RobotParts
+from wheelleg_exp.evaluation.trajectories import Trajectories
 
 DT = 1 / 60
 

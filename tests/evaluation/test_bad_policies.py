@@ -10,8 +10,7 @@ import pytest
 from evaluation.conftest import balancer, noise, protocol, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.evaluation import Evaluation, evaluate
-from wheelleg_exp.jobs.pipeline.gate import judge
-from wheelleg_exp.jobs.pipeline.options import Gate
+from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 
 PHASES = compose(["pipeline=stand_to_terrain"], primary="pipeline").config["pipeline"]["phases"]
 SMALL = {

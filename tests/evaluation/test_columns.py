@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from evaluation.synthetic import DT, fall, parts, still, times
-from wheelleg_exp.evaluation.measuring import motors, standing, stepping, walking
-from wheelleg_exp.evaluation.measuring.pushing import recovery
-from wheelleg_exp.evaluation.options import Push, Steps, Walk
-from wheelleg_exp.evaluation.over_time import last_exit, slope
+from wheelleg_exp.evaluation import motion_columns
+from wheelleg_exp.evaluation.disturbance_tests import recovery
+from wheelleg_exp.evaluation.protocol_options import Push, Steps, Walk
+from wheelleg_exp.evaluation.trajectories import last_exit, slope
 
 WALK = Walk(
     episodes=1,
@@ -34,7 +34,7 @@ def test_a_sine_has_its_amplitude_over_root_two_and_a_mean_of_its_middle():
     t = times(made)
     made.pitch[:, 0] = 0.1 + 0.2 * torch.sin(2 * math.pi * t)
     made.height[:, 0] = 0.07 + 0.01 * torch.sin(2 * math.pi * t)
-    columns = standing.posture(made, 1.0, 0.07)
+    columns = motion_columns.posture(made, 1.0, 0.07)
     assert one(columns, "pitch_rms_rad") == pytest.approx(math.sqrt(0.1**2 + 0.2**2 / 2), rel=1e-5)
     assert one(columns, "lean_rad") == pytest.approx(0.1, rel=1e-5)
     assert one(columns, "pitch_std_rad") == pytest.approx(0.2 / math.sqrt(2), rel=1e-5)
@@ -47,20 +47,20 @@ def test_what_happens_while_settling_or_after_a_fall_counts_for_nothing():
     made.pitch[:60] = 1.0
     fall(made, 1, 3.0)
     made.pitch[180:, 1] = 1.0
-    assert standing.posture(made, 1.0, None)["pitch_rms_rad"].tolist() == [0.0, 0.0]
+    assert motion_columns.posture(made, 1.0, None)["pitch_rms_rad"].tolist() == [0.0, 0.0]
 
 
 def test_an_episode_that_ends_while_settling_has_no_posture():
     made = still(5.0)
     fall(made, 0, 0.5)
-    assert math.isnan(one(standing.posture(made, 1.0, 0.07), "height_rmse_m"))
-    assert math.isnan(one(standing.drift(made, 1.0), "drift_max_m"))
+    assert math.isnan(one(motion_columns.posture(made, 1.0, 0.07), "height_rmse_m"))
+    assert math.isnan(one(motion_columns.drift(made, 1.0), "drift_max_m"))
 
 
 def test_a_fall_is_told_at_the_moments_after_it():
     made = still(20.0, 2)
     fall(made, 1, 7.0)
-    columns = standing.survival(made, [5.0, 20.0, 60.0])
+    columns = motion_columns.survival(made, [5.0, 20.0, 60.0])
     assert columns["survived_5s"].tolist() == [1.0, 1.0]
     assert columns["survived_20s"].tolist() == [1.0, 0.0]
     assert "survived_60s" not in columns  # beyond the horizon nothing is known
@@ -71,7 +71,7 @@ def test_a_constant_drift_has_its_speed_and_its_way_since_settling():
     made = still(11.0)
     made.pos[:, 0, 0], made.pos[:, 0, 1] = 0.03 * times(made), 0.04 * times(made)
     made.yaw[:, 0] = torch.remainder(3.0 + 0.1 * times(made) + math.pi, 2 * math.pi) - math.pi  # wraps on its way
-    columns = standing.drift(made, 1.0)
+    columns = motion_columns.drift(made, 1.0)
     assert one(columns, "drift_speed_m_s") == pytest.approx(0.05, rel=1e-5)
     assert one(columns, "drift_max_m") == pytest.approx(0.5, rel=1e-4)
     assert one(columns, "yaw_drift_rad") == pytest.approx(1.0, rel=1e-3)
@@ -81,7 +81,7 @@ def test_a_constant_drift_has_its_speed_and_its_way_since_settling():
 def test_who_goes_and_comes_back_has_drifted():
     made = still(11.0)
     made.pos[:, 0, 0] = 0.2 * torch.sin(math.pi * (times(made) - 1.0) / 10.0)
-    assert one(standing.drift(made, 1.0), "drift_max_m") == pytest.approx(0.2, rel=1e-3)
+    assert one(motion_columns.drift(made, 1.0), "drift_max_m") == pytest.approx(0.2, rel=1e-3)
 
 
 def test_the_slope_of_a_line_is_its_slope_whatever_the_window():
@@ -94,15 +94,15 @@ def test_the_slope_of_a_line_is_its_slope_whatever_the_window():
 def test_mirrored_legs_are_alike_by_the_sign_of_their_mirror():
     made = still(3.0)
     made.joint_pos[..., 0], made.joint_pos[..., 1] = 0.5, -0.5
-    assert one(standing.stance(made, parts(), 1.0), "leg_symmetry_rms_rad") == 0.0
+    assert one(motion_columns.stance(made, parts(), 1.0), "leg_symmetry_rms_rad") == 0.0
     made.joint_pos[..., 1] = 0.5
-    assert one(standing.stance(made, parts(), 1.0), "leg_symmetry_rms_rad") == pytest.approx(1.0)
+    assert one(motion_columns.stance(made, parts(), 1.0), "leg_symmetry_rms_rad") == pytest.approx(1.0)
 
 
 def test_a_wheel_that_is_up_half_the_time():
     made = still(3.0)
     made.down[::2, 0, 1] = False
-    assert one(standing.stance(made, parts(), 1.0), "wheels_down_share") == pytest.approx(0.5)
+    assert one(motion_columns.stance(made, parts(), 1.0), "wheels_down_share") == pytest.approx(0.5)
 
 
 def test_torques_are_root_mean_squares_over_joints_and_sign_changes_are_per_wheel_and_second():
@@ -110,7 +110,7 @@ def test_torques_are_root_mean_squares_over_joints_and_sign_changes_are_per_whee
     made.torque_rms[:, 0, 2], made.torque_rms[:, 0, 3] = 3.0, 5.0
     made.torque_rms[:60], made.sign_changes[:60] = 9.0, 9.0  # while it settles
     made.sign_changes[60::6, 0, 1] = 2.0  # one wheel of two
-    columns = motors.effort(made, parts(), 1.0)
+    columns = motion_columns.effort(made, parts(), 1.0)
     assert one(columns, "wheel_sign_changes_per_s") == pytest.approx(10.0)
     assert one(columns, "torque_rms_wheels_nm") == pytest.approx(math.sqrt((9.0 + 25.0) / 2))
     assert one(columns, "torque_share_wheels") == pytest.approx(math.sqrt((9.0 + 25.0) / 2) / 10.0)
@@ -120,7 +120,7 @@ def test_torques_are_root_mean_squares_over_joints_and_sign_changes_are_per_whee
 def test_saturation_is_a_share_and_its_worst_joint_is_told():
     made = still(3.0)
     made.saturated[..., 3] = 1.0
-    columns = motors.effort(made, parts(), 1.0)
+    columns = motion_columns.effort(made, parts(), 1.0)
     assert one(columns, "saturation_wheels") == pytest.approx(0.5)
     assert one(columns, "saturation_max_wheels") == pytest.approx(1.0)
     assert one(columns, "saturation_hips") == 0.0
@@ -132,7 +132,7 @@ def test_the_cost_of_transport_is_energy_over_weight_and_way():
     made.command[:, 0, 0] = 0.3
     made.work[..., 0], made.work[..., 1], made.work[..., 2] = 2.0 * DT, 0.5 * DT, 1.0 * DT
     made.work[..., 3] = 3.0
-    columns = motors.energy(made, parts(2), 1.0)
+    columns = motion_columns.energy(made, parts(2), 1.0)
     assert columns["power_gross_w"].tolist() == pytest.approx([2.0, 2.0], rel=1e-5)
     assert columns["positive_work_j"].tolist() == pytest.approx([10.0, 10.0], rel=1e-5)
     assert columns["peak_power_w"].tolist() == [3.0, 3.0]
@@ -144,7 +144,7 @@ def test_the_cost_of_transport_is_energy_over_weight_and_way():
 def test_alternating_actions_have_the_greatest_rate_and_acceleration():
     made = still(3.0)
     made.action[:] = torch.where(torch.arange(made.steps) % 2 == 0, 1.0, -1.0).view(-1, 1, 1)
-    columns = motors.smoothness(made, parts(), 1.0)
+    columns = motion_columns.smoothness(made, parts(), 1.0)
     assert one(columns, "action_rate_per_s") == pytest.approx(2.0 / DT)
     assert one(columns, "action_acceleration_per_s2") == pytest.approx(4.0 / DT**2)
 
@@ -153,7 +153,7 @@ def test_alternating_actions_have_the_greatest_rate_and_acceleration():
 def test_power_above_ten_hertz_is_told_from_power_below(hertz, share):
     made = still(11.0)
     made.torque[..., 2] = 1.0 + torch.sin(2 * math.pi * hertz * times(made)).unsqueeze(1)  # the mean is no power
-    assert one(motors.smoothness(made, parts(), 1.0), "fast_power_share") == pytest.approx(share, abs=1e-4)
+    assert one(motion_columns.smoothness(made, parts(), 1.0), "fast_power_share") == pytest.approx(share, abs=1e-4)
 
 
 def test_both_errors_come_together_at_the_wheels():
@@ -163,7 +163,7 @@ def test_both_errors_come_together_at_the_wheels():
     made.vel[..., 0], made.ang[..., 2] = 0.3, 0.5
     made.vel[:, 1, 0], made.ang[:, 2, 2] = 0.33, 0.9
     made.vel[:, 3, 0], made.ang[:, 3, 2] = 0.33, 0.9
-    columns = walking.wheel_error(made, parts(4), 1.0)
+    columns = motion_columns.wheel_error(made, parts(4), 1.0)
     assert columns["error_wheels_m_s"].tolist() == pytest.approx([0.0, 0.03, 0.04, 0.05], abs=1e-6)
 
 
@@ -171,8 +171,8 @@ def test_standing_still_earns_the_score_of_standing_still_and_tracking_all():
     made = still(11.0, 3)
     made.command[..., 0] = 0.3
     made.vel[:, 1, 0], made.vel[:, 2, 0] = 0.3, -0.3
-    columns = walking.tracking(made, 1.0, WALK)
-    columns |= walking.within_band(made, columns, WALK)
+    columns = motion_columns.tracking(made, 1.0, WALK)
+    columns |= motion_columns.within_band(made, columns, WALK)
     lone = math.exp(-9.0)
     assert columns["score_vx"].tolist() == pytest.approx([lone, 1.0, math.exp(-36.0)], rel=1e-5)
     assert columns["still_vx"].tolist() == pytest.approx([lone] * 3, rel=1e-5)
@@ -185,17 +185,19 @@ def test_a_fall_costs_the_score_of_the_rest_and_no_less_error_than_standing():
     made = still(11.0, 2)
     made.command[..., 0], made.vel[..., 0] = 0.3, 0.3
     fall(made, 1, 6.0 + DT)
-    columns = walking.tracking(made, 1.0, WALK)
+    columns = motion_columns.tracking(made, 1.0, WALK)
     assert columns["score_vx"].tolist() == pytest.approx([1.0, 0.5])
     assert columns["error_vx_with_falls"].tolist() == pytest.approx([0.0, 0.3])
-    assert walking.within_band(made, columns, WALK)["off_vx"].tolist() == pytest.approx([0.0, math.inf], abs=1e-6)
+    assert motion_columns.within_band(made, columns, WALK)["off_vx"].tolist() == pytest.approx(
+        [0.0, math.inf], abs=1e-6
+    )
 
 
 def test_where_nothing_is_asked_the_band_is_that_of_the_least_command():
     made = still(11.0, 2)
     made.vel[:, 0, 0], made.vel[:, 1, 0] = 0.02, 0.04
-    columns = walking.tracking(made, 1.0, WALK)
-    assert walking.within_band(made, columns, WALK)["in_band"].tolist() == [1.0, 0.0]  # 10 % of 0.3 m/s
+    columns = motion_columns.tracking(made, 1.0, WALK)
+    assert motion_columns.within_band(made, columns, WALK)["in_band"].tolist() == [1.0, 0.0]  # 10 % of 0.3 m/s
 
 
 STEPS = Steps(episodes=1, stand_s=2.0, drive_s=4.0, lin_vel_x=[0.3], ang_vel_z=[], band=0.1)
@@ -216,7 +218,7 @@ def steps_of_a_first_order_lag(tau: float):
 
 
 def test_a_first_order_lag_settles_after_its_logarithms():
-    columns = stepping.responses(steps_of_a_first_order_lag(0.4), STEPS, FORWARDS)
+    columns = motion_columns.responses(steps_of_a_first_order_lag(0.4), STEPS, FORWARDS)
     assert one(columns, "settle_s_vx") == pytest.approx(0.4 * math.log(10), abs=2 * DT)
     assert one(columns, "reversal_s_vx") == pytest.approx(0.4 * math.log(20), abs=2 * DT)
     assert one(columns, "stop_s_vx") == pytest.approx(0.4 * math.log(10), abs=2 * DT)
@@ -226,7 +228,7 @@ def test_a_first_order_lag_settles_after_its_logarithms():
 
 
 def test_who_never_reaches_the_band_has_not_settled():
-    columns = stepping.responses(steps_of_a_first_order_lag(3.0), STEPS, FORWARDS)
+    columns = motion_columns.responses(steps_of_a_first_order_lag(3.0), STEPS, FORWARDS)
     assert math.isnan(one(columns, "settle_s_vx"))
     assert (one(columns, "settle_did_vx"), one(columns, "stop_did_vx")) == (0.0, 0.0)
 

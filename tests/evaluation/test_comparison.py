@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.evaluation.catalogue import metrics_of
-from wheelleg_exp.evaluation.comparison import differences, over_seeds
-from wheelleg_exp.evaluation.metrics import figure
+from wheelleg_exp.evaluation.method_comparison import differences, over_seeds, push_verdict, verdict
+from wheelleg_exp.evaluation.metric_catalogue import figure, metrics_of
 from wheelleg_exp.evaluation.result import Evaluation
-from wheelleg_exp.evaluation.verdicts import push_verdict, verdict
 
 N = 64
 

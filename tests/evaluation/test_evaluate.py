@@ -9,8 +9,8 @@ import torch
 from evaluation.conftest import balancer, noise, not_numbers, protocol, zeros
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation import Evaluation, evaluate
-from wheelleg_exp.evaluation.options import Protocol
-from wheelleg_exp.terms.sections import read_section
+from wheelleg_exp.evaluation.protocol_options import Protocol
+from wheelleg_exp.terms.config_sections import read_section
 
 STAND = ("protocol.stand.episodes=4", "protocol.stand.horizon_s=3.0", "protocol.stand.survival_s=[1.0,3.0]")
 WALK = (

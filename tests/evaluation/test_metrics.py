@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from wheelleg_exp.evaluation.metrics import (
+from wheelleg_exp.evaluation.metric_catalogue import (
     Metric,
     area,
     figure,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from evaluation.conftest import protocol
-from wheelleg_exp.evaluation.measuring.on_terrain import tiles
-from wheelleg_exp.evaluation.options import Terrain
+from wheelleg_exp.evaluation.protocol_options import Terrain
+from wheelleg_exp.evaluation.terrain_tests import tiles
 from wheelleg_exp.sim.terrain import PyramidSlope
 from wheelleg_exp.sim.terrain.relief import Layout, make_relief
 

@@ -10,7 +10,7 @@ from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.evaluation.reference import Pendulum, Reference, pendulum_of
+from wheelleg_exp.evaluation.lqr_balancer import Pendulum, Reference, pendulum_of
 
 SECONDS, STEP_AT, KICK_AT = 9.0, 3.0, 4.0
 COMMANDS = (0.0, 0.1, 0.3, 0.8, 0.3, 0.0, 0.0, 0.0)  # m/s, from STEP_AT on

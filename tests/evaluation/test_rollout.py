@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from evaluation.conftest import protocol, stub_env, zeros
-from wheelleg_exp.evaluation.effort_meter import EffortMeter
-from wheelleg_exp.evaluation.measuring.changed_world import Late, worlds
-from wheelleg_exp.evaluation.options import Protocol
-from wheelleg_exp.evaluation.rollout import Rollout
+from wheelleg_exp.evaluation.disturbance_tests import Late, worlds
+from wheelleg_exp.evaluation.evaluation_env import base_link, build, evaluation_cfg
+from wheelleg_exp.evaluation.policy_rollout import Rollout
+from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios
-from wheelleg_exp.evaluation.task import base_link, build, evaluation_cfg
+from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.managers import Env
-from wheelleg_exp.terms.sections import read_section
+from wheelleg_exp.terms.config_sections import read_section
 
 SETTINGS = {"command": "base_velocity", "fall_tilt": 3.2, "contact_force": 0.3, "saturation": 0.99} | {
     "deadband": 0.001,

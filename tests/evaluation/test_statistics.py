@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wheelleg_exp.evaluation.statistics import (
+from wheelleg_exp.evaluation.significance import (
     clustered,
     holm,
     interquartile_mean,

@@ -12,12 +12,11 @@ import torch
 from evaluation.conftest import balancer, protocol, zeros
 from evaluation.synthetic import DT, fall, still, times
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.evaluation import evaluate
-from wheelleg_exp.evaluation.measuring import strip
-from wheelleg_exp.evaluation.options import Protocol, Strip
-from wheelleg_exp.evaluation.over_time import Trajectories
+from wheelleg_exp.evaluation import evaluate, terrain_tests
+from wheelleg_exp.evaluation.protocol_options import Protocol, Strip
+from wheelleg_exp.evaluation.trajectories import Trajectories
 from wheelleg_exp.sim.terrain import TerrainGenerator, UniformNoise
-from wheelleg_exp.terms.sections import read_section
+from wheelleg_exp.terms.config_sections import read_section
 
 ALONE = "protocol.terrain=null"
 FRICTION = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
@@ -29,7 +28,7 @@ def options(**changes: Any) -> Strip:
 
 
 def made_ground(asked: Strip) -> TerrainGenerator:
-    node = strip.ground(asked, FRICTION, seed=3)
+    node = terrain_tests.strip_ground(asked, FRICTION, seed=3)
     kinds = {
         name: UniformNoise(**{key: value for key, value in kind.items() if key != "_target_"})
         for name, kind in node.pop("sub_terrains").items()
@@ -46,7 +45,7 @@ def test_the_strips_lie_where_the_config_says_and_are_as_rough():
         env=SimpleNamespace(scene=SimpleNamespace(terrain=ground), device=torch.device("cpu")),
         scenarios=SimpleNamespace(cell_of=lambda: cell),
     )
-    strip.place(rollout, asked)
+    terrain_tests.place_before_strip(rollout, asked)
     x = torch.linspace(-0.5, 3.2, 3701)
     for amplitude, origin in zip(asked.amplitudes, ground.env_origins, strict=True):
         assert origin[2] == 0.0
@@ -58,7 +57,7 @@ def test_the_strips_lie_where_the_config_says_and_are_as_rough():
         flat = heights[:, inside].square().mean().sqrt()  # straight between the points: below a / sqrt(3)
         assert 0.6 * amplitude / math.sqrt(3) < flat < amplitude / math.sqrt(3)
         assert heights[:, (x < 0.88 - 1e-3) | (x > 1.52 + 1e-3)].max() == 0.0
-    node = strip.ground(asked, FRICTION, seed=3)
+    node = terrain_tests.strip_ground(asked, FRICTION, seed=3)
     assert node["border_width"] >= asked.lin_vel_x * asked.horizon_s - asked.before - asked.length  # nobody falls off
 
 
@@ -80,7 +79,7 @@ def test_what_is_measured_where():
         time < 2.0, 0.5, parts
     )  # it leans; who starts is not quiet yet, and does not count
     made.vel[:, 0, 0] += parts
-    found = strip.crossing(made, asked, settle_s=1.0)
+    found = terrain_tests.crossing(made, asked, settle_s=1.0)
     for name, size in (("before", 0.01), ("on", 0.2), ("behind", 0.03)):
         assert float(found[f"swing_rad_{name}"]) == pytest.approx(size, rel=0.05), name
         assert float(found[f"error_vx_{name}"]) == pytest.approx(size, rel=0.05), name
@@ -95,7 +94,7 @@ def test_recovery_is_when_it_is_as_quiet_as_before(swings_s, recovered):
     time = times(made)
     lean = 0.05  # about which it is quiet: what it leans to drive is no swing
     made.pitch[:, 0] = lean + torch.where((time > 3.0) & (time < 5.0 + swings_s), 0.1, 0.0)
-    found = strip.crossing(made, asked, settle_s=1.0)
+    found = terrain_tests.crossing(made, asked, settle_s=1.0)
     assert float(found["recovery_s"]) == pytest.approx(swings_s, abs=3 * DT)
     assert float(found["recovered"]) == recovered
 
@@ -106,7 +105,7 @@ def test_who_falls_stops_or_comes_late_has_not_recovered():
     made.pos[:, 1, 0] = made.pos[:, 1, 0].clamp(max=0.5)  # never comes to it
     made.pos[:, 2, 0] *= 0.25 / 0.3  # leaves it at 6 s, and has the time
     made.pos[:, 3, 0] *= 0.2 / 0.3  # leaves it at 7.5 s, and has not
-    found = strip.crossing(made, asked, settle_s=1.0)
+    found = terrain_tests.crossing(made, asked, settle_s=1.0)
     assert found["recovered"].tolist() == [0.0, 0.0, 1.0, 0.0]
     assert found["success"].tolist() == [0.0, 0.0, 1.0, 0.0]
     assert found["distance_ratio"].tolist() == pytest.approx([4 / 9, 0.5 / 2.7, 0.25 / 0.3, 0.2 / 0.3], abs=0.01)

@@ -13,10 +13,10 @@ from asset.corpus import ABSENT, VARIABLE, corpus_folder
 from jobs.small import TINY, cache_of, wheelleg
 
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.slow
 

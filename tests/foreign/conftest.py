@@ -14,11 +14,11 @@ from jobs.small import Trained, cache_of, trained_once
 
 from foreign.trial import SECRET, VARIABLE, Trial
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.jobs import run_policy
-from wheelleg_exp.jobs.train import training
-from wheelleg_exp.report import drawings
-from wheelleg_exp.report.blocks import Plot
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.jobs import play_policy
+from wheelleg_exp.jobs.train import run_training
+from wheelleg_exp.report import inline_svg
+from wheelleg_exp.report.page_blocks import Plot
+from wheelleg_exp.run.run_directory import RunDirectory
 
 _LIMIT_S = 240
 
@@ -54,8 +54,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     def once(overrides=(), *, primary="train", config_dirs=()):
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
-    monkeypatch.setattr(drawings, "_plot", lambda panel, prefix: Plot("", panel.title))
-    monkeypatch.setattr(run_policy, "compose", once)
+    monkeypatch.setattr(inline_svg, "_plot", lambda panel, prefix: Plot("", panel.title))
+    monkeypatch.setattr(play_policy, "compose", once)
     monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
 
 
@@ -79,5 +79,5 @@ def trial(
     shutil.copytree(trained.run.path, run)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    assert training  # imported before anything is watched
+    assert run_training  # imported before anything is watched
     return Trial(tmp_path, RunDirectory(run.resolve()), trained.run)

@@ -21,10 +21,9 @@ from foreign.trial import Trial
 from wheelleg_exp import packages as projects
 from wheelleg_exp.cli.main import COMMANDS
 from wheelleg_exp.files import write_json, write_text, write_yaml
-from wheelleg_exp.jobs.results.page import page
-from wheelleg_exp.jobs.results.record import manifest_of
+from wheelleg_exp.jobs.result_record import result_manifest, result_page
+from wheelleg_exp.packages import _trust_file
 from wheelleg_exp.run.timestamps import utc_now, utc_text
-from wheelleg_exp.trusted_folders import _file
 
 pytestmark = pytest.mark.train
 
@@ -134,7 +133,7 @@ class Archive:
         return folder
 
     def plant_result(self, words: list[Any], again: list[Any], *, begun: bool = False) -> Path:
-        folder, manifest = self.root / "docs" / "results", manifest_of(self.trial.healthy)
+        folder, manifest = self.root / "docs" / "results", result_manifest(self.trial.healthy)
         made = {"overrides": words, "begins_with": None, "iteration": None}
         if begun:
             made = {"overrides": ["task=stand"], "begins_with": made, "iteration": 2}
@@ -147,7 +146,7 @@ class Archive:
         }  # fmt: skip
         write_json(folder / "evil" / f"{manifest['id']}.json", manifest)
         write_json(folder / "evil.json", record)
-        write_text(folder / "evil.md", page(record, [manifest]))
+        write_text(folder / "evil.md", result_page(record, [manifest]))
         return folder
 
     def plant_sweep(self) -> Path:
@@ -201,7 +200,7 @@ def archive(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> Iterator[Archive]:
 
 def trusted() -> str:
     with suppress(OSError):
-        return _file().read_text()
+        return _trust_file().read_text()
     return ""
 
 

@@ -177,7 +177,7 @@ def test_what_a_training_failed_with_may_be_anything(trial, make):
 
 def test_events_of_any_length_are_cut(trial):
     """As a resume does, which takes its time."""
-    from wheelleg_exp.jobs.train.event_files import cut_events
+    from wheelleg_exp.jobs.train.scalar_logs import cut_events
 
     kept = [json.loads(text) for text in trial.run.iterations.read_text().splitlines()]
     for content in (struct.pack("<QI", 1 << 63, 0) * 9, b"\xff" * 99, b"", np.arange(99).tobytes()):

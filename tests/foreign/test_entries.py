@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from foreign.trial import Trial
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 
@@ -89,7 +89,7 @@ def test_a_manifest_that_is_no_file(trial, make):
 def test_a_lock_empties_nothing_that_it_leads_to(trial):
     """Whoever takes it, also where the run is not looked at before."""
     from wheelleg_exp.errors import RunDirectoryError
-    from wheelleg_exp.run.lock import RunLock
+    from wheelleg_exp.run.run_lock import RunLock
 
     precious = trial.outside()
     trial.replace(".lock", lambda path: path.symlink_to(precious))

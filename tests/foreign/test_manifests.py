@@ -212,11 +212,11 @@ def test_a_record_of_the_source_may_hold_anything(trial, change):
 
 def test_no_repository_that_a_run_names_is_asked_at_a_resume(trial):
     """As one that lies in the run, whose settings name programs."""
-    from wheelleg_exp.jobs.resume.differences import _roots
+    from wheelleg_exp.jobs.train.source_roots import _run_roots
 
     for place in (trial.run.path / "evil", trial.root / "here" / "theirs"):
         place.mkdir()
         record = json.loads((trial.run.path / GIT).read_text())
         named = [{**record, "root": str(place), "folders": ["."], "others": []} for _ in range(2)]
         trial.write(GIT, json.dumps({**named[0], "others": named[1:]}))
-        assert place not in _roots(trial.run, [])
+        assert place not in _run_roots(trial.run, [])

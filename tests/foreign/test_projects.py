@@ -13,7 +13,7 @@ from jobs.small import wheelleg
 
 from foreign.trial import Trial
 from wheelleg_exp import packages as projects
-from wheelleg_exp.trusted_folders import trust
+from wheelleg_exp.packages import trust
 
 pytestmark = pytest.mark.train
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from wheelleg_exp.run.source.git import run_git
-from wheelleg_exp.run.source.snapshot import snapshot_source
+from wheelleg_exp.run.git_commands import run_git
+from wheelleg_exp.run.source_snapshot import snapshot_source
 
 pytestmark = pytest.mark.train
 

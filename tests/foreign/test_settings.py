@@ -182,7 +182,7 @@ def test_a_resolver_of_this_process_is_not_called(trial):
 
 
 def test_interpolations_that_double_each_other_come_to_an_end(trial, monkeypatch):
-    monkeypatch.setattr("wheelleg_exp.run.recorded._STEPS", 1000)  # a tenth, for the time it takes
+    monkeypatch.setattr("wheelleg_exp.run.run_config._STEPS", 1000)  # a tenth, for the time it takes
     bomb = {"x0": "0123456789", **{f"x{i}": f"${{run.x{i - 1}}}" * 2 for i in range(1, 16)}, "name": "${run.x15}"}
     trial.yaml(CONFIG, lambda config: config["run"].update(bomb))
     trial.record()

@@ -14,9 +14,9 @@ import yaml
 from jobs.small import Words, wheelleg
 
 from wheelleg_exp.files import write_text
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.inventory import inventory
-from wheelleg_exp.run.seal import sealed_text
+from wheelleg_exp.run.file_inventory import inventory
+from wheelleg_exp.run.manifest import text_with_digest
+from wheelleg_exp.run.run_directory import RunDirectory
 
 VARIABLE, SECRET = "TRIAL_VARIABLE", "hunter2-of-this-machine"
 _LOCKS = (".lock", ".manifest.lock")
@@ -88,7 +88,7 @@ class Trial:
     def manifest(self, **changes: Any) -> None:
         """Write the healthy run's manifest with changes, sealed; the files are those that are here now."""
         data = {**self.healthy.manifest().data, "files": inventory(self.run.path)}
-        write_text(self.run.path / "manifest.json", sealed_text({**data, **changes}))
+        write_text(self.run.path / "manifest.json", text_with_digest({**data, **changes}))
 
     def replace(self, name: str, make: Callable[[Path], Any]) -> None:
         """Put something else where a file or folder of the run stands."""

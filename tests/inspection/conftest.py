@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from inspection.written import write_recording
 
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from inspection.synthetic import Writer, drive, pitch, play, training
 
-from wheelleg_exp.inspection.questions.compare import compare
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection.compare_recordings import compare
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
 def written(path, **changed):

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.axes import Axes
 
 from wheelleg_exp.evaluation.result import Evaluation
-from wheelleg_exp.inspection.plots.evaluation import draw, panels
-from wheelleg_exp.inspection.plots.style import tile
+from wheelleg_exp.inspection.evaluation_plots import draw, panels
+from wheelleg_exp.inspection.plot_style import tile
 
 pytestmark = pytest.mark.pictures
 

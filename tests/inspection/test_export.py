@@ -13,10 +13,9 @@ import pytest
 from inspection.written import DT, ITERATIONS, STEPS, numbers, scalar_values, steps_of
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.questions.export import encoded, export, units
-from wheelleg_exp.inspection.questions.selection import Selection
-from wheelleg_exp.inspection.questions.spans import Length
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection.export_numbers import encoded, export, units
+from wheelleg_exp.inspection.row_selection import Length, Selection
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 GROUPS = {"base", "commands", "contacts", "joints", "rewards", "terminations"}
 
@@ -117,7 +116,7 @@ def test_nothing_is_overwritten(played: Recording, tmp_path: Path, terms: tuple[
 
 
 def test_a_folder_appears_whole_or_not_at_all(played: Recording, tmp_path: Path, monkeypatch) -> None:
-    from wheelleg_exp.inspection.questions import export as module
+    from wheelleg_exp.inspection import export_numbers as module
 
     written = []
 

@@ -14,14 +14,12 @@ from inspection.written import CONTACT, DT, FELL_AT, HEIGHT, base_x, write_recor
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.pictures import captions, pictures
-from wheelleg_exp.inspection.pictures.camera import Camera, follow
-from wheelleg_exp.inspection.pictures.pictures import Scenery, row_at, scenery
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection import recorded_scene, recording_pictures
+from wheelleg_exp.inspection.recorded_scene import Camera, follow_robot
+from wheelleg_exp.inspection.recording_pictures import Scenery, row_at, scenery
+from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.rendering import renderer
-from wheelleg_exp.rendering.scene import points
-from wheelleg_exp.rendering.shapes import Shape
-from wheelleg_exp.rendering.viewpoint import axes
+from wheelleg_exp.rendering.render_scene import Shape, camera_axes, points
 
 pytestmark = pytest.mark.pictures
 
@@ -35,13 +33,13 @@ def shown(played: Recording) -> Scenery:
 
 
 def camera_of(shown: Scenery, row: int) -> tuple[Camera, np.ndarray]:
-    camera = follow(shown.scene, shown.motion, np.arange(len(shown.motion.step)), WIDTH / HEIGHT_PX)
+    camera = follow_robot(shown.scene, shown.motion, np.arange(len(shown.motion.step)), WIDTH / HEIGHT_PX)
     return camera, camera.lookat[row]
 
 
 def pixel(point: np.ndarray, camera: Camera, lookat: np.ndarray) -> tuple[int, int]:
     """Return where a point is seen (column, row), by a pinhole of 30 degrees."""
-    right, up, back = axes()
+    right, up, back = camera_axes()
     seen = point - lookat
     depth = camera.distance - seen @ back
     scale = HEIGHT_PX / 2 / TAN / depth
@@ -77,7 +75,7 @@ def test_points_of_a_scene_are_the_corners_of_the_robot(shown: Scenery) -> None:
 
 def test_the_robot_is_drawn_where_a_camera_sees_it(shown: Scenery, graphics: str) -> None:
     row = 10
-    image = pictures.picture(shown, row, WIDTH, HEIGHT_PX, caption=False)
+    image = recording_pictures.picture(shown, row, WIDTH, HEIGHT_PX, caption=False)
     camera, lookat = camera_of(shown, row)
     centre = np.array([base_x(shown.motion.step[row : row + 1])[0], 0.0, HEIGHT])
     corners = [
@@ -91,12 +89,12 @@ def test_the_robot_is_drawn_where_a_camera_sees_it(shown: Scenery, graphics: str
 
 
 def test_a_picture_is_filled_and_not_overfilled(shown: Scenery, graphics: str) -> None:
-    share = is_orange(pictures.picture(shown, 0, WIDTH, HEIGHT_PX, caption=False)).mean()
+    share = is_orange(recording_pictures.picture(shown, 0, WIDTH, HEIGHT_PX, caption=False)).mean()
     assert 0.03 < share < 0.5
 
 
 def test_the_robot_moves_over_the_ground_between_two_times(shown: Scenery, graphics: str) -> None:
-    early, late = pictures.pictures(shown, [0, 33], WIDTH, HEIGHT_PX)
+    early, late = recording_pictures.pictures(shown, [0, 33], WIDTH, HEIGHT_PX)
     assert np.abs(early.astype(int) - late).mean() > 2.0
     # The camera follows: the robot itself stays where it is in the picture.
     centres = [np.argwhere(is_orange(image)).mean(axis=0) for image in (early, late)]
@@ -104,7 +102,7 @@ def test_the_robot_moves_over_the_ground_between_two_times(shown: Scenery, graph
 
 
 def test_a_contact_force_is_an_arrow_of_its_length(shown: Scenery, graphics: str) -> None:
-    touching, free = pictures.pictures(shown, [10, 11], WIDTH, HEIGHT_PX)
+    touching, free = recording_pictures.pictures(shown, [10, 11], WIDTH, HEIGHT_PX)
     assert not is_magenta(free).any()
     rows, columns = np.nonzero(is_magenta(touching))
     camera, lookat = camera_of(shown, 10)
@@ -116,18 +114,18 @@ def test_a_contact_force_is_an_arrow_of_its_length(shown: Scenery, graphics: str
 
 
 def test_the_same_moment_gives_the_same_picture(shown: Scenery, graphics: str) -> None:
-    first, second = (pictures.picture(shown, 5, WIDTH, HEIGHT_PX) for _ in range(2))
+    first, second = (recording_pictures.picture(shown, 5, WIDTH, HEIGHT_PX) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
 def test_a_screenshot_is_a_file_of_the_asked_size(played: Recording, tmp_path: Path, graphics: str) -> None:
     path = tmp_path / "shots" / "robot.png"
-    assert pictures.screenshot(played, path, time_s=0.5, width=200, height=120) == pytest.approx(0.5)
+    assert recording_pictures.screenshot(played, path, time_s=0.5, width=200, height=120) == pytest.approx(0.5)
     with Image.open(path) as image:
         assert image.size == (200, 120)
     assert [p.name for p in path.parent.iterdir()] == ["robot.png"]
     with pytest.raises(WheellegError, match="not overwritten"):
-        pictures.screenshot(played, path)
+        recording_pictures.screenshot(played, path)
 
 
 @pytest.mark.parametrize(
@@ -185,20 +183,20 @@ def test_another_environment_has_its_own_motion(several: Recording) -> None:
 @pytest.mark.parametrize(("width", "height"), [(0, 100), (100, 5000), (-3, 10)])
 def test_a_size_that_cannot_be_drawn_is_refused(shown: Scenery, width: int, height: int) -> None:
     with pytest.raises(WheellegError, match="16 to 4096"):
-        pictures.picture(shown, 0, width, height)
+        recording_pictures.picture(shown, 0, width, height)
 
 
 def test_a_caption_says_when_and_what_was_commanded(trained: Recording) -> None:
     found = scenery(trained)
-    assert captions.lines(found.motion, row_at(found, iteration=5, at="0s")) == [
+    assert recorded_scene.caption_lines(found.motion, row_at(found, iteration=5, at="0s")) == [
         f"iteration 5 · t = {121 * DT:.2f} s",
         "command: forward +0.50 m/s",
     ]
-    assert list(captions.legend(found.motion)) == ["contact force"]
+    assert list(recorded_scene.arrow_legend(found.motion)) == ["contact force"]
 
 
 def test_a_pose_that_is_not_finite_is_the_last_that_was(tmp_path: Path) -> None:
-    from wheelleg_exp.inspection.pictures.recorded_scene import _last_finite
+    from wheelleg_exp.inspection.recorded_scene import _last_finite
 
     rows = np.array([[np.nan, 0], [1, 2], [np.inf, 0], [3, 4]], dtype=float)
     np.testing.assert_array_equal(_last_finite(rows), [[1, 2], [1, 2], [1, 2], [3, 4]])
@@ -221,7 +219,7 @@ def test_without_graphics_the_message_says_what_to_install(shown: Scenery, monke
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(WheellegError) as caught:
-        pictures.save(shown, 0, tmp_path / "a.png", 64, 64)
+        recording_pictures.save(shown, 0, tmp_path / "a.png", 64, 64)
     assert "apt install libegl1" in str(caught.value)
     assert "libosmesa6" in str(caught.value)
     assert not list(tmp_path.iterdir())
@@ -233,7 +231,7 @@ def test_a_driver_that_aborts_takes_nothing_with_it(shown: Scenery, monkeypatch)
     real = subprocess.Popen
     monkeypatch.setattr(renderer.subprocess, "Popen", lambda _, **options: real(crashing, **options))
     with pytest.raises(WheellegError, match="driver: cannot"):
-        pictures.picture(shown, 0, 64, 64)
+        recording_pictures.picture(shown, 0, 64, 64)
 
 
 def test_the_wanted_backend_comes_first(monkeypatch) -> None:
@@ -250,7 +248,7 @@ def test_drawing_leaves_no_process_and_no_log_behind(
     real = subprocess.Popen
     monkeypatch.setattr(renderer.subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
     monkeypatch.chdir(tmp_path)
-    pictures.picture(shown, 0, 64, 64)
+    recording_pictures.picture(shown, 0, 64, 64)
     assert [process.returncode for process in started] == [0]
     assert not list(tmp_path.iterdir())
 
@@ -258,11 +256,11 @@ def test_drawing_leaves_no_process_and_no_log_behind(
 def test_looking_needs_neither_torch_nor_mujoco_in_this_process(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "r.rrd")
     code = (
-        "import sys; from pathlib import Path; from wheelleg_exp.recording.reading.reader import Recording\n"
-        "from wheelleg_exp.inspection.pictures import pictures, video\n"
-        "from wheelleg_exp.inspection.plots import plots\n"
-        "from wheelleg_exp.inspection.questions import export\n"
-        "from wheelleg_exp.inspection.viewer import viewer\n"
+        "import sys; from pathlib import Path; from wheelleg_exp.recording.reading.recording_reader import Recording\n"
+        "from wheelleg_exp.inspection import pictures, video\n"
+        "from wheelleg_exp.inspection import plots\n"
+        "from wheelleg_exp.inspection import export\n"
+        "from wheelleg_exp.inspection import viewer\n"
         f"pictures.scenery(Recording(Path({str(path)!r})))\n"
         "print([m for m in ('torch', 'mujoco', 'matplotlib.pyplot') if m in sys.modules])"
     )
@@ -279,7 +277,7 @@ def test_a_terrain_and_meshes_without_an_area_are_no_trouble(shown: Scenery, gra
     terrain = Shape("mesh", (), place, upright, green, flat, faces)
     point = Shape("mesh", (), place, upright, green, np.zeros((4, 3)), np.array([[0, 1, 2], [1, 2, 3]]))
     scene = replace(shown.scene, fixed=[terrain, point], ground=None)
-    image = pictures.picture(replace(shown, scene=scene), 5, WIDTH, HEIGHT_PX, caption=False).astype(int)
+    image = recording_pictures.picture(replace(shown, scene=scene), 5, WIDTH, HEIGHT_PX, caption=False).astype(int)
     assert ((image[..., 1] > 1.5 * image[..., 0]) & (image[..., 1] > 1.5 * image[..., 2])).mean() > 0.3
     assert is_orange(image).mean() > 0.03
 
@@ -290,21 +288,23 @@ def test_the_moment_of_a_term_is_looked_for_in_every_environment(tmp_path: Path)
         fired = np.arange(1, 61) == fell_at
         writer.numbers(f"env_{env_id}/terminations/fell", fired, None, None, np.arange(60) // 30)
     recording = Recording(writer.close())
-    assert pictures.first_env(recording, "terminations.fell") == 3
-    assert pictures.first_env(recording, "terminations.fell", iteration=1) == 0
-    assert pictures.first_env(recording, "1.5s") is None
-    assert pictures.first_env(recording, "terminations.never") is None
+    assert recording_pictures.first_env(recording, "terminations.fell") == 3
+    assert recording_pictures.first_env(recording, "terminations.fell", iteration=1) == 0
+    assert recording_pictures.first_env(recording, "1.5s") is None
+    assert recording_pictures.first_env(recording, "terminations.never") is None
 
 
 def test_moments_are_said_in_seconds_milliseconds_and_steps(played: Recording, trained: Recording) -> None:
-    shown = pictures.scenery(played)
-    assert {pictures.row_at(shown, at=word) for word in ("0.4s", "400ms", "0.4", "20steps")} == {19}
-    shown = pictures.scenery(trained)
-    assert pictures.row_at(shown, at="5steps", iteration=5) == pictures.row_at(shown, at="0.1s", iteration=5)
+    shown = recording_pictures.scenery(played)
+    assert {recording_pictures.row_at(shown, at=word) for word in ("0.4s", "400ms", "0.4", "20steps")} == {19}
+    shown = recording_pictures.scenery(trained)
+    assert recording_pictures.row_at(shown, at="5steps", iteration=5) == recording_pictures.row_at(
+        shown, at="0.1s", iteration=5
+    )
 
 
 def test_the_caption_names_the_environment_where_there_are_several(several: Recording, played: Recording) -> None:
-    shown = pictures.scenery(several, 3)
-    assert captions.lines(shown.motion, 0, shown.env_id)[0] == "environment 3 · t = 0.02 s"
-    shown = pictures.scenery(played)
-    assert captions.lines(shown.motion, 0, shown.env_id)[0] == "t = 0.02 s"
+    shown = recording_pictures.scenery(several, 3)
+    assert recorded_scene.caption_lines(shown.motion, 0, shown.env_id)[0] == "environment 3 · t = 0.02 s"
+    shown = recording_pictures.scenery(played)
+    assert recorded_scene.caption_lines(shown.motion, 0, shown.env_id)[0] == "t = 0.02 s"

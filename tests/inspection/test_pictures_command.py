@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.inspection.viewer import viewer
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection import rerun_viewer
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 pytestmark = pytest.mark.pictures
 
@@ -82,6 +82,6 @@ def test_mistakes_are_one_message_and_leave_nothing(played, tmp_path, monkeypatc
 
 
 def test_a_window_without_a_display_is_a_mistake(played, monkeypatch, capsys) -> None:
-    monkeypatch.setattr(viewer, "has_display", lambda: False)
+    monkeypatch.setattr(rerun_viewer, "has_display", lambda: False)
     assert inspect(played, "--open") == 2
     assert "--web" in capsys.readouterr().err

@@ -15,13 +15,12 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.plots import plots
-from wheelleg_exp.inspection.plots import training_curves as plots_training
-from wheelleg_exp.inspection.plots.plot_data import Source
-from wheelleg_exp.inspection.plots.style import PALETTE, figure_bytes, tile
-from wheelleg_exp.inspection.questions.selection import Selection
-from wheelleg_exp.inspection.questions.spans import Length
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection import recording_plots
+from wheelleg_exp.inspection import training_curves as plots_training
+from wheelleg_exp.inspection.plot_data import Source
+from wheelleg_exp.inspection.plot_style import PALETTE, figure_bytes, tile
+from wheelleg_exp.inspection.row_selection import Length, Selection
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 pytestmark = pytest.mark.pictures
 
@@ -51,20 +50,20 @@ def line(figure: Figure, title: str, label: str | None = None) -> tuple[np.ndarr
     ],
 )
 def test_tracking_shows_what_was_recorded_and_commanded(played: Recording, title, label, entity) -> None:
-    time, values = line(plots.make(played, "tracking"), title, label)
+    time, values = line(recording_plots.make(played, "tracking"), title, label)
     np.testing.assert_allclose(time, steps_of(training=False) * DT)
     np.testing.assert_allclose(values, numbers(steps_of(training=False))[entity])
 
 
 def test_a_line_has_a_gap_where_the_robot_was_reset(played: Recording) -> None:
-    drawn = panel(plots.make(played, "tracking"), "Height of the base (m)").get_lines()
+    drawn = panel(recording_plots.make(played, "tracking"), "Height of the base (m)").get_lines()
     values = next(np.asarray(one.get_ydata()) for one in drawn if one.get_label() == "actual")
     assert np.flatnonzero(np.isnan(values)).tolist() == [FELL_AT]
     assert len(values) == STEPS + 1
 
 
 def test_a_held_joint_shows_positions_and_a_driven_one_velocities(played: Recording) -> None:
-    figure = plots.make(played, "joints")
+    figure = recording_plots.make(played, "joints")
     expected = numbers(steps_of(training=False))
     np.testing.assert_allclose(
         line(figure, "knee: position and target (rad)", "actual")[1], expected["joints/knee/position"]
@@ -75,14 +74,14 @@ def test_a_held_joint_shows_positions_and_a_driven_one_velocities(played: Record
 
 
 def test_an_effort_shows_its_limits_on_both_sides(played: Recording) -> None:
-    axes = panel(plots.make(played, "joints"), "knee: effort (N·m)")
+    axes = panel(recording_plots.make(played, "joints"), "knee: effort (N·m)")
     bounds = {float(one.get_ydata()[0]) for one in axes.get_lines() if len(set(one.get_ydata())) == 1}
     assert bounds == {-2.0, 2.0}
     assert axes.get_ylim()[0] < -2.0 < 2.0 < axes.get_ylim()[1]
 
 
 def test_contact_forces_are_drawn_of_the_bodies_that_were_touched(played: Recording) -> None:
-    figure = plots.make(played, "contact_forces")
+    figure = recording_plots.make(played, "contact_forces")
     force = line(figure, "wheel: contact force (N)")[1]
     np.testing.assert_allclose(force, 20.0 * (steps_of(training=False) % 2))
     words = [text.get_text() for text in panel(figure, "Never touched (feet)").texts]
@@ -90,7 +89,7 @@ def test_contact_forces_are_drawn_of_the_bodies_that_were_touched(played: Record
 
 
 def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) -> None:
-    axes = panel(plots.make(played, "reward_shares"), f"Mean reward by term over {STEPS} recorded steps")
+    axes = panel(recording_plots.make(played, "reward_shares"), f"Mean reward by term over {STEPS} recorded steps")
     expected = numbers(steps_of(training=False))
     shown = dict(
         zip([t.get_text() for t in axes.get_yticklabels()], (bar.get_width() for bar in axes.patches), strict=True)
@@ -101,27 +100,27 @@ def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) ->
 
 
 def test_what_a_training_says_of_its_terms_is_not_called_per_second(trained: Recording) -> None:
-    titles = [axes.get_title("left") for axes in plots.make(trained, "reward_shares").get_axes()]
+    titles = [axes.get_title("left") for axes in recording_plots.make(trained, "reward_shares").get_axes()]
     assert len(titles) == 2
     for title in titles:
         assert title.endswith("sum of an episode / longest episode's seconds")
-    assert not any("1/s" in axes.get_xlabel() for axes in plots.make(trained, "reward_shares").get_axes())
+    assert not any("1/s" in axes.get_xlabel() for axes in recording_plots.make(trained, "reward_shares").get_axes())
 
 
 def test_of_several_environments_the_page_names_the_one_that_it_shows(several: Recording, played: Recording) -> None:
     def words(recording: Recording, **options) -> list[str]:
-        figure = plots.default_page(recording, **options)
+        figure = recording_plots.default_page(recording, **options)
         return [part.get_suptitle() for part in figure.subfigs]
 
     assert "Contact forces, environment 0" in words(several)
     assert "Contact forces, environment 3" in words(several, selection=Selection(env_id=3))
     assert "Contact forces" in words(played)
-    assert plots.terms_figure(several, ["base.height"]).get_suptitle() == "Environment 0"
-    assert plots.terms_figure(played, ["base.height"]).get_suptitle() == ""
+    assert recording_plots.terms_figure(several, ["base.height"]).get_suptitle() == "Environment 0"
+    assert recording_plots.terms_figure(played, ["base.height"]).get_suptitle() == ""
 
 
 def test_terms_are_drawn_with_their_units(played: Recording) -> None:
-    figure = plots.terms_figure(played, ["rewards.effort", "base.height"])
+    figure = recording_plots.terms_figure(played, ["rewards.effort", "base.height"])
     assert [axes.get_title("left") for axes in figure.get_axes()] == ["rewards.effort (1/s)", "base.height (m)"]
 
 
@@ -130,7 +129,7 @@ def test_the_largest_force_of_the_history_is_drawn_beside_that_at_its_end(tmp_pa
     writer.numbers("base/height", [1.0, 1.0])
     writer.numbers("contacts/feet", [[1.0, 0.0], [3.0, 0.0]], names=["l", "r"])
     writer.numbers("contacts/feet/peak", [[9.0, 0.0], [3.0, 8.0]], names=["l", "r"])
-    figure = plots.make(Recording(writer.close()), "contact_forces")
+    figure = recording_plots.make(Recording(writer.close()), "contact_forces")
     end, largest = panel(figure, "l: contact force (N)").get_lines()
     assert (end.get_label(), end.get_ydata().tolist()) == ("end of the step", [1.0, 3.0])
     assert (largest.get_label(), largest.get_ydata().tolist()) == ("largest in the history", [9.0, 3.0])
@@ -138,7 +137,7 @@ def test_the_largest_force_of_the_history_is_drawn_beside_that_at_its_end(tmp_pa
 
 
 def test_terminations_are_marked_when_they_fired(played: Recording) -> None:
-    axes = panel(plots.make(played, "terminations"), "When terminations fired, and how often")
+    axes = panel(recording_plots.make(played, "terminations"), "When terminations fired, and how often")
     assert [t.get_text() for t in axes.get_yticklabels()] == ["fell  1×", "time_out  0×"]
     np.testing.assert_allclose(axes.get_lines()[0].get_xdata(), [FELL_AT * DT])
 
@@ -152,7 +151,7 @@ def test_terminations_are_marked_when_they_fired(played: Recording) -> None:
     ],
 )
 def test_learning_curves_are_the_recorded_scalars(trained: Recording, title, key) -> None:
-    iterations, values = line(plots.make(trained, "learning_curves"), title)
+    iterations, values = line(recording_plots.make(trained, "learning_curves"), title)
     np.testing.assert_array_equal(iterations, np.arange(ITERATIONS))
     np.testing.assert_allclose(values, scalar_values()[key])
 
@@ -184,12 +183,12 @@ def test_shares_of_endings_are_lines_because_two_may_end_an_episode() -> None:
 
 
 def test_what_is_of_the_last_sample_says_so(trained: Recording, played: Recording) -> None:
-    assert plots.PLOTS["joints"].heading(Source(trained)) == "Joints, last sample, from iteration 10 on"
-    assert plots.PLOTS["joints"].heading(Source(played)) == "Joints"
+    assert recording_plots.PLOTS["joints"].heading(Source(trained)) == "Joints, last sample, from iteration 10 on"
+    assert recording_plots.PLOTS["joints"].heading(Source(played)) == "Joints"
 
 
 def test_a_training_shows_its_samples_from_pale_to_dark(trained: Recording) -> None:
-    axes = panel(plots.make(trained, "tracking"), "Height of the base (m)")
+    axes = panel(recording_plots.make(trained, "tracking"), "Height of the base (m)")
     lines = [one for one in axes.get_lines() if one.get_label().startswith("iteration")]
     assert [one.get_label() for one in lines] == ["iteration 0", "iteration 5", "iteration 10"]
     lightness = [sum(mpl.colors.to_rgb(one.get_color())) for one in lines]
@@ -214,14 +213,16 @@ def test_smoothing_leaves_out_what_is_not_a_number() -> None:
 @pytest.mark.parametrize("kind", ["played", "trained", "several"])
 def test_the_default_page_shows_what_matters_for_the_purpose(kind: str, request: pytest.FixtureRequest) -> None:
     recording = request.getfixturevalue(kind)
-    titles = {axes.get_title("left") for axes in plots.default_page(recording).get_axes()}
+    titles = {axes.get_title("left") for axes in recording_plots.default_page(recording).get_axes()}
     assert "Height of the base (m)" in titles
     assert (RETURN in titles) == (kind == "trained")
 
 
 def test_a_chosen_environment_is_the_one_that_is_drawn(several: Recording) -> None:
     heights = [
-        line(plots.make(several, "tracking", selection=Selection(env_id=i)), "Height of the base (m)", "actual")[1]
+        line(
+            recording_plots.make(several, "tracking", selection=Selection(env_id=i)), "Height of the base (m)", "actual"
+        )[1]
         for i in (0, 3)
     ]
     np.testing.assert_allclose(heights[1] - heights[0], 0.001)
@@ -229,24 +230,24 @@ def test_a_chosen_environment_is_the_one_that_is_drawn(several: Recording) -> No
 
 def test_a_chosen_span_of_time_is_what_is_drawn(played: Recording) -> None:
     chosen = Selection(begin=Length(0.2, False), end=Length(0.4, False))
-    time, _ = line(plots.make(played, "tracking", selection=chosen), "Height of the base (m)", "actual")
+    time, _ = line(recording_plots.make(played, "tracking", selection=chosen), "Height of the base (m)", "actual")
     np.testing.assert_allclose(time, np.arange(10, 21) * DT)
 
 
 def test_nothing_chosen_is_an_error(played: Recording) -> None:
     with pytest.raises(WheellegError, match="holds nothing"):
-        plots.default_page(played, selection=Selection(begin=Length(99.0, False)))
+        recording_plots.default_page(played, selection=Selection(begin=Length(99.0, False)))
 
 
 def test_terms_are_found_by_their_dotted_names(played: Recording, trained: Recording) -> None:
-    _, values = line(plots.terms_figure(played, ["rewards.effort"]), "rewards.effort (1/s)")
+    _, values = line(recording_plots.terms_figure(played, ["rewards.effort"]), "rewards.effort (1/s)")
     np.testing.assert_allclose(values, numbers(steps_of(training=False))["rewards/effort"])
-    _, values = line(plots.terms_figure(trained, ["Loss.value"]), "Loss.value")
+    _, values = line(recording_plots.terms_figure(trained, ["Loss.value"]), "Loss.value")
     np.testing.assert_allclose(values, scalar_values()["Loss/value"])
 
 
 def test_every_number_of_a_term_gets_a_panel(played: Recording) -> None:
-    figure = plots.terms_figure(played, ["contacts.feet"])
+    figure = recording_plots.terms_figure(played, ["contacts.feet"])
     assert [axes.get_title("left") for axes in figure.get_axes()] == [
         "contacts.feet: base (N)",
         "contacts.feet: wheel (N)",
@@ -255,12 +256,12 @@ def test_every_number_of_a_term_gets_a_panel(played: Recording) -> None:
 
 def test_an_unknown_term_is_told_with_the_nearest(played: Recording) -> None:
     with pytest.raises(WheellegError) as caught:
-        plots.terms_figure(played, ["rewards.efort"])
+        recording_plots.terms_figure(played, ["rewards.efort"])
     assert "rewards/effort" in str(caught.value)
 
 
 def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording) -> None:
-    figure = plots.overlay({"one": played, "two": several}, "base.height", selection=None)
+    figure = recording_plots.overlay({"one": played, "two": several}, "base.height", selection=None)
     first, second = (line(figure, "base.height (m)", label)[1] for label in ("one", "two, environment 0"))
     np.testing.assert_allclose(first, second)
     styles = {one.get_linestyle() for one in panel(figure, "base.height (m)").get_lines()}
@@ -268,19 +269,19 @@ def test_an_overlay_has_a_line_a_recording(played: Recording, several: Recording
 
 
 def test_an_overlay_of_trainings_shows_learning_curves(trained: Recording) -> None:
-    figure = plots.overlay({"a": trained, "b": trained}, ())
+    figure = recording_plots.overlay({"a": trained, "b": trained}, ())
     np.testing.assert_allclose(line(figure, RETURN, "b")[1], scalar_values()["Train/mean_reward"])
 
 
 @pytest.mark.parametrize("name", ["reward_shares", "tracking"])
 def test_a_figure_is_the_same_text_every_time(trained: Recording, name: str) -> None:
-    first, second = (plots.figure_svg(plots.make(trained, name)) for _ in range(2))
+    first, second = (recording_plots.figure_svg(recording_plots.make(trained, name)) for _ in range(2))
     assert first == second
     assert "<dc:date>" not in first
 
 
 def test_an_svg_is_one_scalable_element_whose_words_are_text(played: Recording) -> None:
-    root = ET.fromstring(plots.figure_svg(plots.make(played, "tracking")))
+    root = ET.fromstring(recording_plots.figure_svg(recording_plots.make(played, "tracking")))
     assert root.tag.endswith("svg")
     assert root.get("viewBox")
     words = {"".join(text.itertext()).strip() for text in root.iter("{http://www.w3.org/2000/svg}text")}
@@ -288,7 +289,7 @@ def test_an_svg_is_one_scalable_element_whose_words_are_text(played: Recording) 
 
 
 def test_panels_stay_legible_when_small(played: Recording) -> None:
-    for one in plots.PLOTS["tracking"].each(played):
+    for one in recording_plots.PLOTS["tracking"].each(played):
         figure = tile([one], size=(3.8, 2.6))
         figure.draw_without_rendering()
         box = figure.get_axes()[0].get_window_extent()
@@ -298,7 +299,7 @@ def test_panels_stay_legible_when_small(played: Recording) -> None:
 
 def test_drawing_changes_nothing_of_the_process(played: Recording) -> None:
     before = dict(mpl.rcParams)
-    figure_bytes(plots.make(played, "terminations"), "png")
+    figure_bytes(recording_plots.make(played, "terminations"), "png")
     assert dict(mpl.rcParams) == before
 
 
@@ -312,10 +313,10 @@ def test_no_two_colours_of_the_palette_are_near_for_the_colour_blind() -> None:
     assert apart.min() > 0.12
 
 
-@pytest.mark.parametrize("kind", plots.KINDS)
+@pytest.mark.parametrize("kind", recording_plots.KINDS)
 def test_a_figure_is_saved_by_its_ending(played: Recording, tmp_path: Path, kind: str) -> None:
     path = tmp_path / "new" / f"figure.{kind}"
-    plots.save(plots.make(played, "terminations"), path)
+    recording_plots.save(recording_plots.make(played, "terminations"), path)
     head = path.read_bytes()[:64]
     assert {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}[kind] in head
     if kind == "png":
@@ -327,19 +328,19 @@ def test_a_figure_is_never_written_over_a_file(played: Recording, tmp_path: Path
     path = tmp_path / "figure.svg"
     path.write_text("mine")
     with pytest.raises(WheellegError, match="not overwritten"):
-        plots.save(plots.make(played, "terminations"), path)
+        recording_plots.save(recording_plots.make(played, "terminations"), path)
     assert path.read_text() == "mine"
 
 
 @pytest.mark.parametrize("name", ["figure", "figure.gif"])
 def test_a_name_that_says_no_kind_is_refused(name: str) -> None:
     with pytest.raises(WheellegError, match=r"\.png, \.svg or \.pdf"):
-        plots.require_path(Path(name))
+        recording_plots.require_path(Path(name))
 
 
 def test_an_unknown_plot_is_told_with_the_nearest(played: Recording) -> None:
     with pytest.raises(WheellegError, match="did you mean 'tracking'"):
-        plots.make(played, "trackin")
+        recording_plots.make(played, "trackin")
 
 
 def test_a_source_knows_its_samples(trained: Recording) -> None:

@@ -7,12 +7,10 @@ import pytest
 from inspection.synthetic import AMPLITUDE, Writer, pitch, play, training
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.questions.columns import term_statistics
-from wheelleg_exp.inspection.questions.conditions import Condition
-from wheelleg_exp.inspection.questions.query import find_hits
-from wheelleg_exp.inspection.questions.selection import Selection, parse_iterations
-from wheelleg_exp.inspection.questions.spans import Length, parse_length
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection.condition_query import Condition, find_hits
+from wheelleg_exp.inspection.recorded_numbers import term_statistics
+from wheelleg_exp.inspection.row_selection import Length, Selection, parse_iterations, parse_length
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 A, B = np.array([-1.0, 0.0, 2.0, np.nan]), np.array([1.0, 1.0, 1.0, 1.0])
 

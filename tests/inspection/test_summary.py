@@ -10,10 +10,9 @@ import rerun as rr
 from inspection.synthetic import AMPLITUDE, STEP_DT, Writer, drive, play, training
 
 from wheelleg_exp.files import dump_json
-from wheelleg_exp.inspection.questions.selection import Selection
-from wheelleg_exp.inspection.questions.spans import Length
-from wheelleg_exp.inspection.questions.summary import summarize
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection.recording_summary import summarize
+from wheelleg_exp.inspection.row_selection import Length, Selection
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import pytest
 from inspection.synthetic import play
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
-from wheelleg_exp.inspection.questions.target import find_target, recordings_of
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.manifest_format import FORMAT
+from wheelleg_exp.inspection.recording_target import find_target, recordings_of
+from wheelleg_exp.run.manifest import FORMAT
+from wheelleg_exp.run.run_directory import RunDirectory
 
 
 @pytest.fixture

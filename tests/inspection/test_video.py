@@ -10,12 +10,11 @@ import pytest
 from inspection.written import DT, STEPS
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.pictures import video as video_module
-from wheelleg_exp.inspection.pictures.pictures import scenery
-from wheelleg_exp.inspection.pictures.video import video
-from wheelleg_exp.inspection.questions.selection import Selection
-from wheelleg_exp.inspection.questions.spans import Length
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection import recording_video as video_module
+from wheelleg_exp.inspection.recording_pictures import scenery
+from wheelleg_exp.inspection.recording_video import video
+from wheelleg_exp.inspection.row_selection import Length, Selection
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 pytestmark = pytest.mark.pictures
 

@@ -19,10 +19,10 @@ from patience import PATIENCE_S, wait_until
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.viewer import viewer, viewer_process, web
-from wheelleg_exp.inspection.viewer.web import WebViewer
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.recording.writing.feed import free_port
+from wheelleg_exp.inspection import rerun_viewer
+from wheelleg_exp.inspection.rerun_viewer import WebViewer
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.writing.live_view import free_port
 from wheelleg_exp.rendering.renderer import NoGraphics
 
 pytestmark = pytest.mark.pictures
@@ -31,13 +31,13 @@ psutil = pytest.importorskip("psutil", reason="psutil looks at what a process li
 
 
 @pytest.fixture(scope="module")
-def files() -> web.Files:
-    return web.viewer_files()
+def files() -> rerun_viewer.Files:
+    return rerun_viewer.viewer_files()
 
 
 @pytest.fixture
-def served(played: Recording, files: web.Files, monkeypatch) -> Iterator[WebViewer]:
-    monkeypatch.setattr(web, "viewer_files", lambda: files)
+def served(played: Recording, files: rerun_viewer.Files, monkeypatch) -> Iterator[WebViewer]:
+    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
     with WebViewer(played.path) as running:
         yield running
 
@@ -89,7 +89,7 @@ def test_the_recording_is_served_as_it_is(served: WebViewer, played: Recording) 
 
 
 def test_a_recording_that_grows_is_served_up_to_where_it_is(files, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
     path = write_recording(tmp_path / "growing.rrd")
     with WebViewer(path) as running:
         before = len(ask(running.port, "/recording.rrd")[2])
@@ -116,7 +116,7 @@ def test_only_the_loopback_address_is_listened_on(served: WebViewer) -> None:
 
 
 def test_a_port_that_is_taken_is_told(files, played: Recording, monkeypatch) -> None:
-    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
@@ -127,21 +127,21 @@ def test_a_port_that_is_taken_is_told(files, played: Recording, monkeypatch) -> 
 
 
 def test_two_viewers_stand_beside_each_other(files, played: Recording, monkeypatch) -> None:
-    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
     with WebViewer(Path(played.path)) as one, WebViewer(Path(played.path)) as two:
         assert one.port != two.port
         assert ask(one.port, "/favicon.ico")[0] == ask(two.port, "/favicon.ico")[0] == 200
 
 
 def test_an_ended_viewer_answers_no_more(files, played: Recording, monkeypatch) -> None:
-    monkeypatch.setattr(web, "viewer_files", lambda: files)
+    monkeypatch.setattr(rerun_viewer, "viewer_files", lambda: files)
     with WebViewer(Path(played.path)) as running:
         port = running.port
     with pytest.raises(ConnectionError):
         ask(port, "/")
 
 
-def test_fetching_the_viewer_leaves_no_process(files: web.Files) -> None:
+def test_fetching_the_viewer_leaves_no_process(files: rerun_viewer.Files) -> None:
     assert files["/re_viewer_bg.wasm"][0] == "application/wasm"
     assert not [p for p in psutil.Process().children(recursive=True) if "rerun" in p.name()]
 
@@ -170,20 +170,20 @@ def test_the_command_serves_until_it_is_interrupted(played: Recording, number: s
 def test_no_window_is_opened_where_there_is_no_display(played: Recording, monkeypatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    if viewer.has_display():
+    if rerun_viewer.has_display():
         pytest.skip("this system always has a display")
     with pytest.raises(WheellegError) as caught:
-        viewer.open_window(Path(played.path))
+        rerun_viewer.open_window(Path(played.path))
     assert "--web" in str(caught.value)
 
 
 def test_no_browser_is_opened_where_it_cannot_be_seen(monkeypatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(viewer.webbrowser, "open", lambda _: pytest.fail("opened"))
-    if viewer.has_display():
+    monkeypatch.setattr(rerun_viewer.webbrowser, "open", lambda _: pytest.fail("opened"))
+    if rerun_viewer.has_display():
         pytest.skip("this system always has a display")
-    assert not viewer._open_browser("http://127.0.0.1/")
+    assert not rerun_viewer._open_browser("http://127.0.0.1/")
 
 
 def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Path, monkeypatch) -> None:
@@ -192,10 +192,10 @@ def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Pa
     for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME"):
         monkeypatch.delenv(name, raising=False)
     port = free_port()
-    with viewer_process.viewer(["--headless", "--port", str(port)]) as (process, said):
+    with rerun_viewer.viewer(["--headless", "--port", str(port)]) as (process, said):
         assert wait_until(lambda: listening(process.pid) or process.poll() is not None)
         if process.poll() is not None:
-            pytest.skip(f"no viewer: {viewer_process.last_words(said)}")
+            pytest.skip(f"no viewer: {rerun_viewer.failure_line(said)}")
         assert listening(process.pid) == {"127.0.0.1"}
         seen = set()
         for _ in range(20):
@@ -208,7 +208,7 @@ def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Pa
 
 
 def test_the_viewer_may_reach_no_other_machine() -> None:
-    environment = viewer_process.viewer_environment()
+    environment = rerun_viewer.viewer_environment()
     assert environment["HTTPS_PROXY"] == environment["https_proxy"] == "http://127.0.0.1:9"
     assert environment["CI"] == "true"
 
@@ -223,7 +223,7 @@ def test_ending_a_viewer_ends_what_it_started() -> None:
         start_new_session=True,
     )
     children = wait_until(psutil.Process(process.pid).children)
-    viewer_process.end(process)
+    rerun_viewer.end_process(process)
     psutil.wait_procs(children, timeout=PATIENCE_S)
     assert children
     assert not [child for child in children if child.is_running() and child.status() != "zombie"]
@@ -232,7 +232,7 @@ def test_ending_a_viewer_ends_what_it_started() -> None:
 def test_the_viewer_is_drawn_without_a_window(played: Recording, tmp_path: Path) -> None:
     path = tmp_path / "viewer.png"
     try:
-        viewer.viewer_screenshot(Path(played.path), path, time_s=0.5, width=800, height=500)
+        rerun_viewer.viewer_screenshot(Path(played.path), path, time_s=0.5, width=800, height=500)
     except NoGraphics as error:
         pytest.skip(str(error))
     with Image.open(path) as image:
@@ -246,7 +246,7 @@ def test_a_viewer_without_a_driver_says_what_to_install(played: Recording, tmp_p
     monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
     with pytest.raises(WheellegError) as caught:
-        viewer.viewer_screenshot(Path(played.path), tmp_path / "viewer.png", time_s=None)
+        rerun_viewer.viewer_screenshot(Path(played.path), tmp_path / "viewer.png", time_s=None)
     assert "apt install mesa-vulkan-drivers libvulkan1" in str(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -254,9 +254,9 @@ def test_a_viewer_without_a_driver_says_what_to_install(played: Recording, tmp_p
 @pytest.mark.parametrize("name", ["viewer.jpg", "taken.png"])
 def test_a_wrong_picture_path_is_told_before_a_viewer_starts(played, tmp_path, monkeypatch, name: str) -> None:
     (tmp_path / "taken.png").write_bytes(b"mine")
-    monkeypatch.setattr(viewer, "viewer", lambda *_: pytest.fail("started"))
+    monkeypatch.setattr(rerun_viewer, "viewer", lambda *_: pytest.fail("started"))
     with pytest.raises(WheellegError):
-        viewer.viewer_screenshot(Path(played.path), tmp_path / name, time_s=None)
+        rerun_viewer.viewer_screenshot(Path(played.path), tmp_path / name, time_s=None)
     assert (tmp_path / "taken.png").read_bytes() == b"mine"
 
 
@@ -267,4 +267,4 @@ def test_pictures_of_the_viewer_are_taken_until_it_stands_still() -> None:
         def take_screenshot(self) -> bytes:
             return next(self.shots)
 
-    assert viewer._still(Client()) == b"3"
+    assert rerun_viewer._still(Client()) == b"3"

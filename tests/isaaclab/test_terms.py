@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rl.global_draws import no_global_draws
+from wheelleg_exp.rl.determinism import no_global_draws
 
 P = "isaaclab.people."
 ENTITY = "wheelleg_exp.managers.SceneEntityCfg"
@@ -25,10 +25,10 @@ COMMANDS = {"hop": {"_target_": P + "HopCommand", "resampling_time_range": [0.04
 @pytest.fixture
 def make(make_env, monkeypatch):
     """Build a rover with all of them; ``seed=`` and sections may differ."""
-    from wheelleg_exp.terms import allowed_targets
+    from wheelleg_exp.terms import term_binding
 
-    packages = allowed_targets.allowed_packages()
-    monkeypatch.setattr(allowed_targets, "allowed_packages", lambda: (*packages, "isaaclab"))
+    packages = term_binding.allowed_packages()
+    monkeypatch.setattr(term_binding, "allowed_packages", lambda: (*packages, "isaaclab"))
     sections = {"rewards": REWARDS, "events": EVENTS, "actions": ACTIONS, "commands": COMMANDS}
 
     def make(seed=0, **changes):

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from jobs.small import Trained, cache_of, copied, trained_once
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.machine import prepare_threads
 
 prepare_threads()
 
@@ -18,12 +18,12 @@ def kill() -> None:
 
 def plant(point: str) -> None:
     """Let the process die at a point: ``source``, ``checkpoint:1``, ``torn:2`` or ``manifest``."""
-    from wheelleg_exp.jobs.train import outputs, training
-    from wheelleg_exp.run import begin as snapshot
+    from wheelleg_exp.jobs.train import run_training, training_outputs
     from wheelleg_exp.run import manifest
+    from wheelleg_exp.run import start_run as snapshot
 
     what, _, number = point.partition(":")
-    write, checkpoint = outputs.Outputs.write, outputs.Outputs.checkpoint
+    write, checkpoint = training_outputs.Outputs.write, training_outputs.Outputs.checkpoint
 
     def half_a_checkpoint(path, data):
         if path.name == f"model_{number}.pt":
@@ -37,7 +37,7 @@ def plant(point: str) -> None:
             path = self._directory.iterations
             text = path.read_bytes()
             path.write_bytes(text[: text.rindex(b'"scalars"')])
-            for path in (outputs.event_files(self._directory.path)[-1], self._directory.recording):
+            for path in (training_outputs.event_files(self._directory.path)[-1], self._directory.recording):
                 data = path.read_bytes()
                 path.write_bytes(data[:-25])
             steps, step = [], self._trainer.env.step
@@ -54,18 +54,18 @@ def plant(point: str) -> None:
     if what == "source":
         snapshot.snapshot_source = lambda *_, **__: kill()
     elif what == "checkpoint":
-        outputs.write_bytes = half_a_checkpoint
+        training_outputs.write_bytes = half_a_checkpoint
     elif what == "torn":
-        outputs.Outputs.write = torn
-        outputs.Outputs.checkpoint = lambda self, iteration: (
+        training_outputs.Outputs.write = torn
+        training_outputs.Outputs.checkpoint = lambda self, iteration: (
             checkpoint(self, iteration) if iteration < int(number) else ""
         )
     elif what == "manifest":
-        training.Manifest.finish = lambda self, *_: (
+        run_training.Manifest.finish = lambda self, *_: (
             self.path.with_name(".manifest.json.0123456789ab.tmp").write_text("{"),
             kill(),
         )
-        assert training.Manifest is manifest.Manifest
+        assert run_training.Manifest is manifest.Manifest
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from patience import PATIENCE_S
 import wheelleg_exp
 from jobs.small import SMALL
 from wheelleg_exp.paths import assets_dir, configs_dir
-from wheelleg_exp.run.inventory import inventory
-from wheelleg_exp.run.seal import sealed_text
+from wheelleg_exp.run.file_inventory import inventory
+from wheelleg_exp.run.manifest import text_with_digest
 
 ITERATIONS = 3
 
@@ -100,4 +100,4 @@ def change_manifest(run: Path, **changes: object) -> None:
     path = run / "manifest.json"
     data = json.loads(path.read_text()) | changes
     data["files"] = {name: record for name, record in inventory(run).items() if name in data["files"]}
-    path.write_text(sealed_text(data))
+    path.write_text(text_with_digest(data))

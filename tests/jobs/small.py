@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 ITERATIONS = 3
 NUM_ENVS = 16

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from jobs.small import SMALL, Words, cache_of, wheelleg
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.sweep.job import Request
-from wheelleg_exp.jobs.sweep.launchers import LocalLauncher
-from wheelleg_exp.jobs.sweep.sweep import SweepRunner
-from wheelleg_exp.run.sweep_index import SweepIndex
+from wheelleg_exp.jobs.run_sweep import SweepRunner
+from wheelleg_exp.jobs.sweep_job import Request
+from wheelleg_exp.jobs.sweep_launchers import LocalLauncher
+from wheelleg_exp.run.run_index import SweepIndex
+from wheelleg_exp.stop_request import StopRequest
 
 SEEDS = (0, 1)
 

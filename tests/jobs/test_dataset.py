@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from jobs.small import ITERATIONS, NUM_ENVS, SMALL, Trained, cache_of, wheelleg
-from wheelleg_exp.jobs.dataset import dataset_files_from
-from wheelleg_exp.jobs.resume import differences as circumstances
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.jobs.rollout_files import dataset_files_from
+from wheelleg_exp.jobs.train import source_roots as circumstances
+from wheelleg_exp.run.run_directory import RunDirectory
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
 RECORDERS = (
@@ -82,7 +82,7 @@ def test_an_episode_is_one_piece_of_motion(recorded: RunDirectory):
 @pytest.mark.train
 def test_a_resume_goes_on_with_the_dataset(recorded: RunDirectory, monkeypatch, tmp_path):
     """Episodes that were under way are left out: what is written began after the resume."""
-    monkeypatch.setattr(circumstances, "_source", lambda *_: [])
+    monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     path = tmp_path / "runs" / "stand" / recorded.id
     shutil.copytree(recorded.path, path)
     (path / "dataset" / f"{ITERATIONS:06d}.npz").write_bytes(b"of a process that was killed")

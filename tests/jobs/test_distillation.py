@@ -13,9 +13,9 @@ import pytest
 import torch
 
 from jobs.small import NUM_ENVS, Trained, cache_of, wheelleg
-from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 
@@ -84,7 +84,7 @@ def test_the_exported_policy_is_the_student(student: RunDirectory):
 
 def test_a_student_that_was_stopped_goes_on_to_the_bit(student: RunDirectory, trained: Trained, tmp_path, monkeypatch):
     """Without its teacher's run, which is removed before the resume."""
-    monkeypatch.setattr(circumstances, "_source", lambda *_: [])
+    monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     teacher = tmp_path / "teacher.pt"
     shutil.copyfile(trained.run.latest_checkpoint(), teacher)
     run = train(tmp_path / "runs", teacher, "agent.max_iterations=2")

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.jobs.evaluate.settings import settings
+from wheelleg_exp.jobs.evaluate_policy import evaluation_settings
 from wheelleg_exp.rl import checkpoint
 
 pytestmark = pytest.mark.train
@@ -90,11 +90,11 @@ def test_every_unread_override_is_named_at_once(run, capsys):
     ],
 )
 def test_what_an_evaluation_reads_can_be_changed(run, override):
-    settings(run, [override])
+    evaluation_settings(run, [override])
 
 
 def test_the_ground_is_read_where_the_protocol_keeps_it(run):
-    settings(run, ["protocol.ground=own", "env.scene.terrain.restitution=0.1"])
+    evaluation_settings(run, ["protocol.ground=own", "env.scene.terrain.restitution=0.1"])
 
 
 @pytest.mark.parametrize("command", ["evaluate", "play", "export"])

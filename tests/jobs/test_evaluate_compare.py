@@ -11,9 +11,8 @@ import pytest
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.evaluation.comparison import over_seeds
-from wheelleg_exp.jobs.evaluate.evaluate import RESULT
-from wheelleg_exp.jobs.evaluate.kept import read_content, read_evaluation
+from wheelleg_exp.evaluation.method_comparison import over_seeds
+from wheelleg_exp.jobs.evaluate_policy import RESULT, read_content, read_evaluation
 
 pytestmark = pytest.mark.train
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from wheelleg_exp.jobs.train.event_files import event_files, open_events
+from wheelleg_exp.jobs.train.scalar_logs import event_files, open_events
 
 
 def test_files_begun_in_a_moment_are_read_in_their_order(tmp_path: Path) -> None:

@@ -20,14 +20,13 @@ from jobs.small import ITERATIONS, TINY, Trained, trained_once, wheelleg
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs.export import bundle as as_they_stand
-from wheelleg_exp.jobs.export import export as job
-from wheelleg_exp.jobs.export import policy_comparison
-from wheelleg_exp.jobs.export.c_terms import in_comment
-from wheelleg_exp.jobs.export.deployment import as_configured
-from wheelleg_exp.jobs.export.export import export
-from wheelleg_exp.jobs.kept_robot import kept_mjcf
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.params import load_params
+from wheelleg_exp.jobs.export import bundle_check
+from wheelleg_exp.jobs.export import export_bundle as job
+from wheelleg_exp.jobs.export.c_header import in_comment
+from wheelleg_exp.jobs.export.export_bundle import as_configured, export
+from wheelleg_exp.jobs.saved_robot import saved_mjcf
+from wheelleg_exp.run.run_config import load_params
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 
@@ -118,7 +117,7 @@ def test_a_runner_that_is_another_policy_is_told(bundle, runner, tmp_path):
 
 
 def test_an_export_whose_runner_differs_writes_nothing(trained, tmp_path, monkeypatch):
-    monkeypatch.setattr(policy_comparison, "TOLERANCE", -1.0)
+    monkeypatch.setattr(bundle_check, "TOLERANCE", -1.0)
     with pytest.raises(SimulationFailure, match="is not the trained policy"):
         exported(trained.run, tmp_path / "made" / "bundle")
     assert list((tmp_path / "made").iterdir()) == []
@@ -349,7 +348,7 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
 
 def test_commands_have_the_ranges_that_a_curriculum_has_left_them(trained):
     params, _ = load_params(trained.run)
-    env, fresh = (ManagerBasedRLEnv(as_configured(params), kept_mjcf(trained.run), 0) for _ in range(2))
+    env, fresh = (ManagerBasedRLEnv(as_configured(params), saved_mjcf(trained.run), 0) for _ in range(2))
     env.command_manager.get_term("base_velocity").ranges["lin_vel_x"] = [-0.5, 0.6]
     still = {"lin_vel_x": [0.0, 0.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
     assert job._ranges(fresh, {"env": fresh.state_dict()}) == {"base_velocity": still}
@@ -358,7 +357,7 @@ def test_commands_have_the_ranges_that_a_curriculum_has_left_them(trained):
 
 def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
     params, _ = load_params(trained.run)
-    env = ManagerBasedRLEnv(as_configured(params), kept_mjcf(trained.run), 0)
+    env = ManagerBasedRLEnv(as_configured(params), saved_mjcf(trained.run), 0)
     job._require_unchanged({"env": env.state_dict()})
     env.observation_manager.terms("policy")["base_ang_vel"].term.fields["scale"] = 3.0
     with pytest.raises(ConfigError, match="changed while training") as told:
@@ -434,9 +433,9 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
     for quantity in ("ang_vel", "projected_gravity", "orientation"):
         node = {"_target_": f"wheelleg_exp.mdp.observations.imu_{quantity}"}
         params["observations"]["policy"]["terms"][quantity] = node
-    env = ManagerBasedRLEnv(as_configured(params), kept_mjcf(trained.run), 0)
+    env = ManagerBasedRLEnv(as_configured(params), saved_mjcf(trained.run), 0)
     env.autoreset = "disabled"
-    job._write_robot(tmp_path / "robot", kept_mjcf(trained.run), params, env)
+    job._write_robot(tmp_path / "robot", saved_mjcf(trained.run), params, env)
     spec = job.specification(env, agent, {})
     robot = simulate.Robot(spec, tmp_path / "robot" / "scene.xml")
     actions = 2.0 * torch.randn(12, 1, 6, generator=torch.Generator().manual_seed(0))
@@ -504,7 +503,7 @@ def test_every_policy_of_the_bundle_was_compared(bundle):
 
 
 def test_a_header_that_cannot_be_compared_is_not_shipped(trained, tmp_path, monkeypatch):
-    monkeypatch.setattr(policy_comparison, "_COMPILERS", ("no-such-compiler",))
+    monkeypatch.setattr(bundle_check, "_COMPILERS", ("no-such-compiler",))
     made = exported(trained.run, tmp_path / "bundle")
     assert made.notes == ["policy.h, which was not compared: there is no C compiler (no-such-compiler)"]
     assert not (made.folder / "policy.h").exists()

@@ -13,7 +13,7 @@ import pytest
 
 from jobs.small import TINY, Trained, cache_of, copied, wheelleg
 from wheelleg_exp.mdp import rewards
-from wheelleg_exp.run.directory import FAILURE, RunDirectory
+from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
 
 pytestmark = pytest.mark.train
 
@@ -158,7 +158,7 @@ def test_a_play_of_which_one_episode_ends_so_leaves_it_out_and_says_so(run, monk
 
 
 def test_a_policy_whose_actions_are_none_fails_its_play(run, monkeypatch):
-    from wheelleg_exp.jobs import run_policy as module
+    from wheelleg_exp.jobs import play_policy as module
 
     load = module.load_policy
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from wheelleg_exp.jobs.figures import ContactFigures, ContactMeter, StandMeter, target_height
+from wheelleg_exp.jobs.rollout_figures import ContactFigures, ContactMeter, StandMeter, target_height
 
 STEP = 0.5  # s
 

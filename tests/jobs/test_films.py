@@ -13,11 +13,11 @@ from av.error import FFmpegError
 from jobs.small import SMALL, cache_of, wheelleg
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import sha256
-from wheelleg_exp.jobs.train.films import films_from
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.rendering import film, renderer
-from wheelleg_exp.rendering.live import LivePictures
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.jobs.train.training_recording import films_from
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.rendering import renderer, video_file
+from wheelleg_exp.rendering.live_pictures import LivePictures
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = [pytest.mark.train, pytest.mark.pictures]
 FILMED = [*SMALL, "recording.video_every=2"]  # three iterations of 24 steps, 60 a second; a film is of 30 steps
@@ -110,7 +110,7 @@ def test_a_film_that_fails_ends_the_filming_and_not_the_training(tmp_path, monke
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(film, "write", fail)
+    monkeypatch.setattr(video_file, "write", fail)
     said = wheelleg("train", *FILMED, f"run.root={tmp_path / 'runs'}")
     assert said.status == 0, said.err
     assert said.err.count("no film from iteration 0 on") == 1

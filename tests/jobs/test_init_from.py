@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from jobs.small import TINY, Trained, cache_of, copied, wheelleg
-from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 
@@ -144,7 +144,7 @@ def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory
 
 
 def test_it_goes_on_to_the_bit(begun: RunDirectory, trained: Trained, tmp_path, monkeypatch):
-    monkeypatch.setattr(circumstances, "_source", lambda *_: [])
+    monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     run = train(tmp_path, trained.run.path, "agent.max_iterations=2")
     said = wheelleg("resume", run.path, "agent.max_iterations=4")
     assert said.status == 0, said.err

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from jobs.small import SMALL, wheelleg
-from wheelleg_exp.jobs.train import wandb_log
+from wheelleg_exp.jobs.train import scalar_logs
 
 
 def test_a_missing_package_is_one_message_before_there_is_a_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(wandb_log, "find_spec", lambda _: None)
+    monkeypatch.setattr(scalar_logs, "find_spec", lambda _: None)
     said = wheelleg("train", *SMALL, "agent.logger=wandb", f"run.root={tmp_path / 'runs'}")
     assert said.status == 2
     assert said.err.count("agent.logger: the package wandb is not installed") == 1

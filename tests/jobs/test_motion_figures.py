@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from wheelleg_exp.definitions.rollout import MOTION
-from wheelleg_exp.jobs.motion_figures import MotionFigures, MotionMeter
+from wheelleg_exp.definitions import MOTION
+from wheelleg_exp.jobs.rollout_figures import MotionFigures, MotionMeter
 
 STEP = 0.5  # s; one physics step
 

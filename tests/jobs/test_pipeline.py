@@ -11,18 +11,17 @@ import pytest
 import yaml
 
 from jobs.small import TINY, cache_of, wheelleg
-from wheelleg_exp.config.composing.sweep import digest_of
+from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs.pipeline import job as steps
-from wheelleg_exp.jobs.pipeline import pipeline as runner
-from wheelleg_exp.jobs.pipeline.gate import judge
-from wheelleg_exp.jobs.pipeline.going_on import go_on
-from wheelleg_exp.jobs.pipeline.options import Gate
-from wheelleg_exp.jobs.pipeline.settings import compose_phases, read
-from wheelleg_exp.jobs.resume import differences as circumstances
-from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.jobs.pipeline import run_pipeline as runner
+from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
+from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, read_pipeline
+from wheelleg_exp.jobs.pipeline.resume_pipeline import resume_pipeline
+from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.run.pipeline_index import PipelineIndex
+from wheelleg_exp.run.run_index import PipelineIndex
+from wheelleg_exp.stop_request import StopRequest
 
 pytestmark = pytest.mark.train
 
@@ -93,7 +92,7 @@ class Here:
 
 @pytest.fixture(autouse=True)
 def here(monkeypatch, tmp_path_factory):
-    monkeypatch.setattr(circumstances, "_source", lambda *_: [])  # a test beside may write files
+    monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])  # a test beside may write files
     monkeypatch.setattr(runner, "StepProcess", Here)
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     Here.values, Here.judged, Here.stop_after, Here.trained = [], [], None, 0
@@ -106,7 +105,7 @@ def tree(**gate: Any) -> dict[str, Any]:
 
 
 def begin(root: Path, **gate: Any) -> PipelineIndex:
-    declared, words = read(tree(**gate)), [*WORDS, f"run.root={root}"]
+    declared, words = read_pipeline(tree(**gate)), [*WORDS, f"run.root={root}"]
     digests = {name: digest_of(phase) for name, phase in compose_phases(declared.phases, words).items()}
     return PipelineIndex.create(
         root, config=declared.tree, overrides=words, config_dirs=[], command=["wheelleg"], digests=digests
@@ -116,12 +115,12 @@ def begin(root: Path, **gate: Any) -> PipelineIndex:
 def run(index: PipelineIndex, values: list[float], stop_after: int | None = None, display: Quiet | None = None) -> str:
     Here.values, Here.stop_after, Here.trained = list(values), stop_after, 0
     with StopRequest() as stop:
-        return runner.PipelineRunner(index, read(index.data["config"]), display or Quiet(), stop).run()
+        return runner.PipelineRunner(index, read_pipeline(index.data["config"]), display or Quiet(), stop).run()
 
 
 def resumed(index: PipelineIndex, values: list[float], *overrides: str) -> tuple[PipelineIndex, str]:
     again = PipelineIndex.load(index.folder)
-    go_on(again, overrides, ["wheelleg", "resume"])
+    resume_pipeline(again, overrides, ["wheelleg", "resume"])
     return again, run(again, values)
 
 
@@ -140,7 +139,7 @@ def watched(tmp_path_factory) -> tuple[PipelineIndex, list[str]]:
     display = Quiet()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "StepProcess", Here)
-        patch.setattr(circumstances, "_source", lambda *_: [])
+        patch.setattr(circumstances, "_source_differences", lambda *_: [])
         patch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
         index = begin(tmp_path_factory.mktemp("whole"), every=1, passes=2)
         assert run(index, [1.0, 1.0, 0.2, 1.0], display=display) == "finished"
@@ -219,7 +218,7 @@ def test_what_a_stopped_step_has_done_counts(whole: PipelineIndex, tmp_path):
     assert run(index, [1.0], stop_after=4) == "interrupted"
     before = index.path.read_bytes()
     with pytest.raises(ConfigError, match=r"is 1, and phase 'second' has done 2 iterations.*expected at least 2"):
-        go_on(PipelineIndex.load(index.folder), ["pipeline.phases.second.max_iterations=1"], [])
+        resume_pipeline(PipelineIndex.load(index.folder), ["pipeline.phases.second.max_iterations=1"], [])
     assert index.path.read_bytes() == before
     Here.judged = []
     again, status = resumed(index, [0.0, 1.0], "+pipeline.phases.second.gate.every=1")
@@ -245,11 +244,11 @@ def test_killed_before_it_could_record_what_was_done_it_does_nothing_twice(whole
 
 def test_one_that_is_finished_or_under_way_is_not_gone_on_with(whole: PipelineIndex):
     with pytest.raises(RunDirectoryError, match="is finished"):
-        go_on(PipelineIndex.load(whole.folder), [], [])
+        resume_pipeline(PipelineIndex.load(whole.folder), [], [])
     index = PipelineIndex.load(whole.folder)
     index.data["status"] = "running"
     with pytest.raises(RunDirectoryError, match="still running"):
-        go_on(index, [], [])
+        resume_pipeline(index, [], [])
 
 
 @pytest.mark.parametrize(
@@ -266,11 +265,11 @@ def test_what_may_not_change_is_refused(whole: PipelineIndex, override, said):
     index.data["status"] = "interrupted"
     index.phases[1]["status"] = "training"
     with pytest.raises(ConfigError, match=said):
-        go_on(index, [override], [])
+        resume_pipeline(index, [override], [])
 
 
 def test_phases_that_do_not_fit_are_told_before_the_first_begins():
-    phases = read(tree()).phases
+    phases = read_pipeline(tree()).phases
     more = "+observation@env.observations.policy.terms=[base_height]"
     phases["second"].overrides.append(more)
     with pytest.raises(ConfigError, match=r"phase 'second': env\..*: is new: phase 'first' does not have it"):
@@ -278,7 +277,7 @@ def test_phases_that_do_not_fit_are_told_before_the_first_begins():
 
 
 def test_mistakes_of_all_phases_are_told_at_once():
-    phases = read(tree()).phases
+    phases = read_pipeline(tree()).phases
     phases["first"].overrides.append("env.num_envs=0")
     phases["second"].overrides.append("env.rewards.alive.weigth=1")
     with pytest.raises(ConfigError) as told:
@@ -291,7 +290,7 @@ def test_mistakes_of_all_phases_are_told_at_once():
 
 def test_a_mistake_of_an_override_for_all_phases_is_told_once():
     """One has a reward more than the others, so that their mistakes tell other nearest names."""
-    phases = read(tree()).phases
+    phases = read_pipeline(tree()).phases
     phases["first"].overrides.append("+reward@env.rewards=[upward]")
     with pytest.raises(ConfigError) as told:
         compose_phases(phases, ["env.rewards.alve.weight=1"])
@@ -321,7 +320,7 @@ def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
         said = wheelleg("check", *declared_two, f"++pipeline.phases.second.gate.overrides=['{word}']")
         assert (said.status, "pipeline.phases.second.gate.overrides: phase 'second': seed: " in said.err) == (2, True)
     with pytest.raises(ConfigError, match=r"'a\.b' names no phase"):
-        read({**tree(), "phases": {"a.b": tree()["phases"]["first"]}})
+        read_pipeline({**tree(), "phases": {"a.b": tree()["phases"]["first"]}})
 
 
 def test_mistakes_of_a_pipeline_s_file_are_told_at_once_with_their_lines(declared_two):
@@ -388,11 +387,11 @@ def test_a_changed_gate_is_held_against_what_is_measured_before_the_record_chang
     index.phases[1]["status"] = "training"
     before = index.path.read_bytes()
     with pytest.raises(ConfigError, match="no such metric") as told:
-        go_on(index, ["pipeline.phases.second.gate.at_least={stand/drft:0.5}"], [])
+        resume_pipeline(index, ["pipeline.phases.second.gate.at_least={stand/drft:0.5}"], [])
     assert told.value.nearest == "stand/drift"
     for word, why in (("protocol=walk", "the gate says this itself"), ("seed=abc", "in 'seed=abc'")):
         with pytest.raises(ConfigError, match=why) as told:
-            go_on(index, [f"++pipeline.phases.second.gate.overrides=['{word}']"], [])
+            resume_pipeline(index, [f"++pipeline.phases.second.gate.overrides=['{word}']"], [])
         assert told.value.key == "pipeline.phases.second.gate.overrides"
     assert index.path.read_bytes() == before
 
@@ -414,7 +413,7 @@ def test_one_gate_that_is_not_passed_is_told_once(tmp_path):
     display = Quiet()
     Here.values = [0.2]
     with StopRequest() as stop:
-        assert runner.PipelineRunner(index, read(index.data["config"]), display, stop).run() == "stopped"
+        assert runner.PipelineRunner(index, read_pipeline(index.data["config"]), display, stop).run() == "stopped"
     assert [note for note in display.notes if "passed" in note] == ["first: gate after 2 iterations not passed"]
     assert index.phases[0]["why"] == (
         "the gate is not passed after 2 iterations: stand/survival is 0.2, and at least 0.5 is asked for"

@@ -15,11 +15,11 @@ import yaml
 
 from jobs.small import ITERATIONS, TINY
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
-from wheelleg_exp.jobs import play as play_job
-from wheelleg_exp.jobs.play import play
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.jobs import play_policy as play_job
+from wheelleg_exp.jobs.play_policy import play
+from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 

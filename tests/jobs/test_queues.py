@@ -14,17 +14,15 @@ import pytest
 from jobs.small import SMALL, trained_once
 from jobs.sweeps import STAND_IN, Seen
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.composing.sweep import compose_sweep, digest_of
+from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.sweep import carrier
-from wheelleg_exp.jobs.sweep.carrier import Carrier
-from wheelleg_exp.jobs.sweep.choosing import launcher_of
-from wheelleg_exp.jobs.sweep.job import Request
-from wheelleg_exp.jobs.sweep.queued import Queue
-from wheelleg_exp.jobs.sweep.sweep import SweepRunner
+from wheelleg_exp.jobs import sweep_queue
+from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
+from wheelleg_exp.jobs.sweep_job import Request
+from wheelleg_exp.jobs.sweep_queue import Queue, QueueWorker
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.sweep_index import SweepIndex
+from wheelleg_exp.run.run_index import SweepIndex
+from wheelleg_exp.stop_request import StopRequest
 
 
 @pytest.fixture
@@ -37,7 +35,7 @@ class Ticket:
     """A thread that carries a job, or one that never does."""
 
     def __init__(self, folder: str, begins: bool) -> None:
-        self.thread = threading.Thread(target=Carrier(), args=(folder,), daemon=True)
+        self.thread = threading.Thread(target=QueueWorker(), args=(folder,), daemon=True)
         self.cancelled = False
         if begins:
             self.thread.start()
@@ -68,7 +66,7 @@ class Threads(Queue):
 @pytest.fixture(autouse=True)
 def _stand_in(monkeypatch, request):
     if "launcher" not in request.fixturenames:
-        monkeypatch.setattr(carrier, "program_here", lambda path: (sys.executable, "-S", "-c", STAND_IN))
+        monkeypatch.setattr(sweep_queue, "program_here", lambda path: (sys.executable, "-S", "-c", STAND_IN))
 
 
 def swept(whats: list[str], stop: StopRequest, seen: Seen | None = None, full: int = 99) -> tuple[SweepRunner, Threads]:
@@ -164,7 +162,7 @@ def test_a_stop_before_jobs_are_handed_in_hands_in_none(stop):
 
 def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     """As when Slurm warns: submitit calls ``checkpoint``."""
-    (tmp_path / carrier.REQUEST).write_text(
+    (tmp_path / sweep_queue.REQUEST).write_text(
         json.dumps(
             {
                 "line": Request(["wait"], [], [], "").line().decode().strip(),
@@ -174,29 +172,29 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
             }
         )
     )
-    job = Carrier()
+    job = QueueWorker()
     thread = threading.Thread(target=job, args=(str(tmp_path),), daemon=True)
     thread.start()
-    while '"run"' not in carrier._text(tmp_path / carrier.EVENTS):
+    while '"run"' not in sweep_queue._read_or_empty(tmp_path / sweep_queue.EVENTS):
         thread.join(0.02)
     assert job.checkpoint(str(tmp_path)) is None  # which tells submitit not to begin it anew
     thread.join()
-    told = [json.loads(line) for line in (tmp_path / carrier.EVENTS).read_text().splitlines()]
+    told = [json.loads(line) for line in (tmp_path / sweep_queue.EVENTS).read_text().splitlines()]
     assert told[0]["event"] == "began"
     assert {event["status"] for event in told if event["event"] == "ended"} == {"interrupted"}
     with pytest.raises(RuntimeError, match="not begun anew"):
-        Carrier()(str(tmp_path))
+        QueueWorker()(str(tmp_path))
 
 
 def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypatch):
     made = []
-    monkeypatch.setattr(carrier, "Child", lambda program, line, environ, folder: made.append(environ) or 1 / 0)
+    monkeypatch.setattr(sweep_queue, "Child", lambda program, line, environ, folder: made.append(environ) or 1 / 0)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")  # as Ray sets it in its workers
     monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
     facts = {"line": "", "path": [], "working_directory": ".", "variables": {"MKL_CBWR": "AVX2,STRICT"}}
-    (tmp_path / carrier.REQUEST).write_text(json.dumps(facts))
+    (tmp_path / sweep_queue.REQUEST).write_text(json.dumps(facts))
     with pytest.raises(ZeroDivisionError):
-        Carrier()(str(tmp_path))
+        QueueWorker()(str(tmp_path))
     assert made[0]["MKL_CBWR"] == "AVX2,STRICT"
     assert "OMP_NUM_THREADS" not in made[0]
 
@@ -208,7 +206,7 @@ def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypa
     ("launcher", "module", "extra"), [("ray", "ray", "ray"), ("submitit_slurm", "submitit", "slurm")]
 )
 def test_a_launcher_that_is_not_installed_says_what_to_install(monkeypatch, launcher, module, extra):
-    from wheelleg_exp.config.composing import launchers
+    from wheelleg_exp.config.composing import compose_sweep as launchers
 
     monkeypatch.setattr(launchers, "_is_there", lambda name: name != module)
     with pytest.raises(ConfigError, match=rf"'{launcher}' is not installed.*wheelleg_exp\[{extra}\]"):
@@ -231,7 +229,7 @@ def test_the_settings_of_a_queue_are_hydras_own():
 def test_what_submitit_refuses_is_told(tmp_path):
     pytest.importorskip("submitit")
     with pytest.raises(ConfigError, match=r"hydra\.launcher: submitit refuses it"):
-        launcher_of("submitit_slurm", {"submitit_folder": str(tmp_path / "s"), "partition": "gpu"}, tmp_path)
+        make_launcher("submitit_slurm", {"submitit_folder": str(tmp_path / "s"), "partition": "gpu"}, tmp_path)
 
 
 # Real queues.
@@ -257,10 +255,10 @@ def test_a_job_of_a_queue_is_the_run_alone_and_one_that_is_killed_is_named(launc
 
     def kill(job):
         if job["number"] == 2:
-            began = json.loads((index_.folder / "jobs" / "2" / carrier.EVENTS).read_text().splitlines()[0])
+            began = json.loads((index_.folder / "jobs" / "2" / sweep_queue.EVENTS).read_text().splitlines()[0])
             os.kill(began["pid"], signal.SIGKILL)
 
-    queue = launcher_of(*launcher, index_.folder)
+    queue = make_launcher(*launcher, index_.folder)
     assert SweepRunner(index_, requests, 2, Seen(on_iteration=kill), stop, queue).run() == "failed"
     one, other = index()["jobs"]
     assert (one["status"], other["status"]) == ("finished", "failed")

@@ -17,7 +17,7 @@ from patience import PATIENCE_S, wait_until
 
 from jobs.replays import ITERATIONS, LEANING, TERM, change_manifest, commit, digests, git, make_checkout, train
 from jobs.small import Words, cache_of, wheelleg
-from wheelleg_exp.run.source.snapshot import RECORD_NAME
+from wheelleg_exp.run.source_snapshot import RECORD_NAME
 
 pytestmark = pytest.mark.train
 
@@ -276,7 +276,7 @@ def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
 
 
 def test_a_run_that_goes_on_is_refused(run, clone):
-    from wheelleg_exp.run.process import this_process
+    from wheelleg_exp.run.run_lock import this_process
 
     change_manifest(run, status="running", process=this_process())
     assert "is still running" in refused(run, "--repository", clone)

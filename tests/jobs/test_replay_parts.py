@@ -14,18 +14,18 @@ from jobs.test_play import Silent
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.files import write_text
 from wheelleg_exp.jobs.processes import Child, event_of
-from wheelleg_exp.jobs.replay import boot as replay_boot
-from wheelleg_exp.jobs.replay import replay
+from wheelleg_exp.jobs.replay import replay_run
+from wheelleg_exp.jobs.replay import restored_imports as replay_boot
+from wheelleg_exp.jobs.replay.restored_source import RestoredSource, _register, describe_code, restore_all
 from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayEvents, Request, _first_difference
-from wheelleg_exp.jobs.replay.source_trees import RestoredSource, _take_in, restore_all, what_runs
 from wheelleg_exp.jobs.replay.training_process import TrainingProcess
-from wheelleg_exp.jobs.resume.differences import require_variables
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.run import begin as snapshot
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.jobs.train.source_roots import require_variables
+from wheelleg_exp.run import start_run as snapshot
 from wheelleg_exp.run.environment import replay_environ
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.source.snapshot import snapshot_source
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.source_snapshot import snapshot_source
+from wheelleg_exp.stop_request import StopRequest
 
 # --- environment variables ---
 
@@ -129,7 +129,7 @@ def test_the_boot_code_imports_nothing_of_this_program():
     """It runs before anything is found in the restored folders."""
     assert not {name for name in vars(replay_boot) if "wheelleg" in name}
     assert replay_boot.__file__ is not None
-    assert "wheelleg_exp.jobs.replay.boot" in sys.modules
+    assert "wheelleg_exp.jobs.replay.restored_imports" in sys.modules
 
 
 def test_restored_folders_are_taken_in_by_what_they_are(tmp_path):
@@ -143,7 +143,7 @@ def test_restored_folders_are_taken_in_by_what_they_are(tmp_path):
     (tmp_path / "loose.py").write_text("")
     source = RestoredSource(config_dirs=[configs])
     for folder in (lab, lab / "configs", package / "deep", tmp_path / "loose.py", configs):
-        _take_in(folder, source)
+        _register(folder, source)
     assert set(source.projects) == {lab}
     assert source.places == {"terms": package.parent, "loose": tmp_path}
 
@@ -174,7 +174,7 @@ def test_the_first_difference_of_two_configs_is_named(now, said):
 
 
 def resumed(**entry) -> list[str]:
-    return replay._resumes(SimpleNamespace(data={"resumes": [entry]}))  # type: ignore[arg-type]
+    return replay_run._resume_notes(SimpleNamespace(data={"resumes": [entry]}))  # type: ignore[arg-type]
 
 
 def test_a_resume_is_told_and_one_that_changed_something_ends_the_claim():
@@ -234,8 +234,10 @@ def test_every_repository_is_restored_in_a_folder_of_its_own_name(program, lab, 
     assert [folder.parent.name for folder in source.config_dirs] == ["lab"]
     assert (source.config_dirs[0] / "a.yaml").is_file()
     assert source.notes == []
-    assert what_runs(run).startswith(f"replay runs the code of commit {git(program, 'rev-parse', 'HEAD')[:12]} plus ")
-    assert "the code of 1 more source folder of it" in what_runs(run)
+    assert describe_code(run).startswith(
+        f"replay runs the code of commit {git(program, 'rev-parse', 'HEAD')[:12]} plus "
+    )
+    assert "the code of 1 more source folder of it" in describe_code(run)
 
 
 def test_a_submodule_is_restored_inside_of_its_superproject(program, lab, tmp_path):
@@ -303,29 +305,29 @@ def asking(tmp_path, text, monkeypatch, **variables) -> RunDirectory:
 
 def test_a_variable_that_was_not_kept_for_its_name_is_asked_for_by_name(tmp_path, monkeypatch):
     run = asking(tmp_path, "run: {name: '${oc.env:MY_TOKEN}'}\n", monkeypatch, MY_TOKEN="abc")
-    kept = replay._kept_variables(run.manifest())
+    kept = replay_run._recorded_variables(run.manifest())
     with pytest.raises(RunDirectoryError, match=r"variable MY_TOKEN, .* because its name says that it holds a secret"):
         require_variables(run, kept)
     monkeypatch.setenv("MY_TOKEN", "abc")
     require_variables(run, kept)
-    assert replay._environ(run, run.manifest())["MY_TOKEN"] == "abc"  # the training finds it as well
+    assert replay_run._environ(run, run.manifest())["MY_TOKEN"] == "abc"  # the training finds it as well
 
 
 @pytest.mark.parametrize("text", ["${oc.env:MY_TOKEN,x}", "${oc.env:RUN_NAME}", "${oc.env:USER_OF,${oc.env:OTHER,y}}"])
 def test_variables_that_were_kept_or_have_a_default_need_not_be_set(tmp_path, monkeypatch, text):
     run = asking(tmp_path, f"run: {{name: '{text}'}}\n", monkeypatch, RUN_NAME="mine")
-    require_variables(run, replay._kept_variables(run.manifest()))
+    require_variables(run, replay_run._recorded_variables(run.manifest()))
 
 
 def test_what_the_config_asked_for_in_vain_is_unset(tmp_path, monkeypatch):
     run = asking(tmp_path, "run: {name: '${oc.env:RUN_NAME,x}'}\n", monkeypatch)
     monkeypatch.setenv("RUN_NAME", "later")
-    assert "RUN_NAME" not in replay._environ(run, run.manifest())
+    assert "RUN_NAME" not in replay_run._environ(run, run.manifest())
 
 
 def test_a_name_that_comes_from_a_variable_is_that_of_the_run(tmp_path, monkeypatch):
     run = asking(tmp_path, "run: {name: '${oc.env:RUN_NAME}'}\n", monkeypatch, RUN_NAME="mine")
-    made = replay._request(run, run.manifest(), 1, tmp_path, tmp_path, RestoredSource(), [])
+    made = replay_run._request(run, run.manifest(), 1, tmp_path, tmp_path, RestoredSource(), [])
     assert made.name == "mine_replay"
 
 
@@ -333,7 +335,7 @@ def test_a_name_that_comes_from_a_variable_is_that_of_the_run(tmp_path, monkeypa
 def test_a_secret_on_the_command_line_of_a_replay_is_refused_before_the_run_is_read(tmp_path, word):
     nothing = RunDirectory(tmp_path / "none")
     with pytest.raises(ConfigError, match="the command line: "):
-        replay.replay(nothing, ["wheelleg", "replay", word], Silent(), StopRequest(), root=tmp_path)
+        replay_run.replay(nothing, ["wheelleg", "replay", word], Silent(), StopRequest(), root=tmp_path)
 
 
 def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(tmp_path):
@@ -343,9 +345,9 @@ def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(t
     run = run_of(tmp_path, package)
     source = restored(run, tmp_path)
     assert [tree.how for tree in source.trees] == ["installed"]
-    assert (source.places["wheelleg_exp"] / "wheelleg_exp" / "jobs" / "play.py").is_file()
+    assert (source.places["wheelleg_exp"] / "wheelleg_exp" / "jobs" / "play_policy.py").is_file()
     assert any("are not those of" in note for note in source.notes)
-    assert what_runs(run).startswith("replay runs the installed wheelleg_exp, with")
+    assert describe_code(run).startswith("replay runs the installed wheelleg_exp, with")
 
 
 def test_an_interrupt_while_git_works_is_an_interrupt(program, tmp_path):
@@ -355,4 +357,4 @@ def test_an_interrupt_while_git_works_is_an_interrupt(program, tmp_path):
     stop.requested = True
     (run.source / "source.patch").write_bytes(b"")
     with pytest.raises(KeyboardInterrupt):
-        replay._restored(run, tmp_path, [], stop)
+        replay_run._restored(run, tmp_path, [], stop)

@@ -15,19 +15,20 @@ import pytest
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import write_json, write_text
-from wheelleg_exp.jobs.results import again as again_of
-from wheelleg_exp.jobs.results import record as records
-from wheelleg_exp.jobs.results.page import machines_of, page
-from wheelleg_exp.jobs.results.record import (
-    manifest_of,
+from wheelleg_exp.jobs import reproduce_result as again_of
+from wheelleg_exp.jobs import result_record as records
+from wheelleg_exp.jobs.result_record import (
+    machines_of,
     read_manifests,
     read_record,
     recipe,
+    require_matching_page,
     require_one_method,
-    require_own_page,
+    result_manifest,
+    result_page,
 )
 from wheelleg_exp.paths import TEACHER, configs_dir
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.verify import FactDifference
 
 pytestmark = pytest.mark.train
@@ -50,7 +51,7 @@ def written(run, tmp_path, capsys):
 def rewritten(folder, record) -> None:
     """Put down a record, and the page that it makes."""
     write_json(folder / "small.json", record)
-    write_text(folder / "small.md", page(record, read_manifests(record, folder)))
+    write_text(folder / "small.md", result_page(record, read_manifests(record, folder)))
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +67,9 @@ def once(monkeypatch, made_again):
     def first(kind, make):
         return lambda *args: made_again.get(kind) or made_again.setdefault(kind, make(*args))
 
-    train = again_of._trained
+    train = again_of._trained_run
     monkeypatch.setattr(
-        again_of, "_trained", first("run", lambda how, *_: train(how, made_again["root"], {}, print, ()))
+        again_of, "_trained_run", first("run", lambda how, *_: train(how, made_again["root"], {}, print, ()))
     )
     for name in ("evaluate_run", "evaluate_reference"):
         monkeypatch.setattr(again_of, name, first(name, getattr(again_of, name)))
@@ -277,7 +278,7 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     assert recipe(run)
     before = {"hardware": {"cpu": "Abacus", "cores_usable": 7}, "process": {"host": "secret"}}
     write_json(run.path / "manifest.json", {**data, "resumes": [{**moved, "before": before}]})
-    kept = manifest_of(run)
+    kept = result_manifest(run)
     assert next(machines_of(kept)) == "Abacus, 7 cores"
     assert "secret" not in json.dumps(kept)
     code = {**moved, "differences": [{**elsewhere, "section": "code"}]}
@@ -353,10 +354,10 @@ def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
 
 def test_the_verdict_says_where_equal_bits_are_promised():
     cpu = FactDifference("hardware", "cpu", "AMD", "Intel", "another CPU")
-    assert again_of.Again([], [], False).verdict == "reproduced to the bit"
-    same = again_of.Again(["a is 1, and was 2"], [], False).verdict
+    assert again_of.Reproduction([], [], False).verdict == "reproduced to the bit"
+    same = again_of.Reproduction(["a is 1, and was 2"], [], False).verdict
     assert same == "not reproduced to the bit, with the same source, on the same kind of machine"
-    other = again_of.Again(["a is 1, and was 2"], [cpu], True).verdict
+    other = again_of.Reproduction(["a is 1, and was 2"], [cpu], True).verdict
     assert "it was made with other source files; where hardware were otherwise (cpu was AMD, is Intel)" in other
     assert "on the same kind of machine" in other
 
@@ -364,14 +365,16 @@ def test_the_verdict_says_where_equal_bits_are_promised():
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
 def test_every_page_of_the_docs_says_what_its_record_says(path):
     record = read_record(path)
-    require_own_page(record, read_manifests(record, FOLDER), FOLDER)
+    require_matching_page(record, read_manifests(record, FOLDER), FOLDER)
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
 def test_a_verdict_that_other_seeds_may_not_show_is_marked_in_the_page(path):
     record = read_record(path)
     manifests = read_manifests(record, FOLDER)
-    rows = [line.strip("| ").split(" | ") for line in page(record, manifests).splitlines() if line.startswith("| ")]
+    rows = [
+        line.strip("| ").split(" | ") for line in result_page(record, manifests).splitlines() if line.startswith("| ")
+    ]
     marked = sorted(row[0] for row in rows if row[-1].endswith(" ¹"))
     zero = sorted(
         name.partition("/")[2]
@@ -380,4 +383,6 @@ def test_a_verdict_that_other_seeds_may_not_show_is_marked_in_the_page(path):
     )
     assert marked == zero
     assert zero
-    assert "¹" not in page({**record, "runs": record["runs"][:1]}, manifests[:1])  # of one training nobody claims it
+    assert "¹" not in result_page(
+        {**record, "runs": record["runs"][:1]}, manifests[:1]
+    )  # of one training nobody claims it

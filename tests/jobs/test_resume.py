@@ -21,16 +21,16 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from jobs.replays import change_manifest
 from jobs.small import SMALL, cache_of, wheelleg
 from wheelleg_exp import packages as projects
-from wheelleg_exp.jobs.resume import changes as resume_changes
-from wheelleg_exp.jobs.resume import differences as circumstances
-from wheelleg_exp.jobs.train import outputs
-from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.jobs.train import resume_overrides as resume_changes
+from wheelleg_exp.jobs.train import source_roots as circumstances
+from wheelleg_exp.jobs.train import training_outputs
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.rl import checkpoint, digests
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.listing import summarize
-from wheelleg_exp.run.lock import RunLock
 from wheelleg_exp.run.manifest import SNAPSHOT
-from wheelleg_exp.sim.batch import BatchEngine
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_list import summarize
+from wheelleg_exp.run.run_lock import RunLock
+from wheelleg_exp.sim.batch_engine import BatchEngine
 
 pytestmark = pytest.mark.train
 
@@ -40,7 +40,7 @@ FOUR = [*SMALL, "agent.max_iterations=4"]
 @pytest.fixture(autouse=True)
 def _same_source(monkeypatch):
     """The working tree may be edited while the tests run."""
-    monkeypatch.setattr(circumstances, "_source", lambda *_: [])
+    monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
 
 
 @pytest.fixture(scope="module")
@@ -143,14 +143,14 @@ def test_any_split_gives_what_one_go_gives(straight, tmp_path, stops):
 
 def interrupt_iteration_1(patch: pytest.MonkeyPatch) -> None:
     """Press Ctrl-C when the second iteration's outputs are about to be written."""
-    write = outputs.Outputs.write
+    write = training_outputs.Outputs.write
 
     def interrupted(self, iteration, due):
         if iteration.index == 1:
             os.kill(os.getpid(), signal.SIGINT)
         return write(self, iteration, due)
 
-    patch.setattr(outputs.Outputs, "write", interrupted)
+    patch.setattr(training_outputs.Outputs, "write", interrupted)
 
 
 def test_ctrl_c_and_a_long_save_interval_leave_one_more_checkpoint_and_the_same_others(straight, tmp_path, monkeypatch):
@@ -264,7 +264,7 @@ def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
     """As with a full disk: the checkpoint of iteration 2 cannot be written."""
     from wheelleg_exp.errors import SimulationFailure
 
-    write = outputs.write_bytes
+    write = training_outputs.write_bytes
 
     def full(path, data):
         if path.name == "model_2.pt":
@@ -272,7 +272,7 @@ def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
         write(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(outputs, "write_bytes", full)
+        patch.setattr(training_outputs, "write_bytes", full)
         said = wheelleg("train", *FOUR, f"run.root={tmp_path}")
     run = only(tmp_path)
     assert said.status == 3
@@ -286,9 +286,11 @@ def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
 def test_the_logs_are_on_the_disk_before_the_checkpoint_is(tmp_path, monkeypatch):
     """What a power cut may not take: everything that tells of iterations up to a checkpoint that is there."""
     synced: list[str] = []
-    monkeypatch.setattr(outputs, "sync", lambda path: synced.append(path.name))
-    write = outputs.write_bytes
-    monkeypatch.setattr(outputs, "write_bytes", lambda path, data: (synced.append(path.name), write(path, data)))
+    monkeypatch.setattr(training_outputs, "sync", lambda path: synced.append(path.name))
+    write = training_outputs.write_bytes
+    monkeypatch.setattr(
+        training_outputs, "write_bytes", lambda path, data: (synced.append(path.name), write(path, data))
+    )
     said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
     assert said.status == 0, said.err
     order = [name.split(".")[0] if name.startswith("events") else name for name in synced]
@@ -557,7 +559,7 @@ def test_a_secret_is_refused(run, monkeypatch, word, said):
 
 def test_what_there_is_room_for_and_what_is_a_graph_may_change(run):
     words = ["env.sim.nconmax=64", "env.sim.njmax=99", "env.sim.graph=false", "env.sim.graph_step=true"]
-    tree, changes = resume_changes.changed(resume_changes.kept_tree(RunDirectory(run)), words)
+    tree, changes = resume_changes.change_settings(resume_changes.recorded_tree(RunDirectory(run)), words)
     assert {change.key: change.b for change in changes} == {
         "env.sim.nconmax": 64,
         "env.sim.njmax": 99,

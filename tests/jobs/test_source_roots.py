@@ -11,12 +11,12 @@ from project.test_projects import project
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.composing.loader import configs_dir
-from wheelleg_exp.jobs.resume import differences as circumstances
+from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.source.snapshot import snapshot_source
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.source_snapshot import snapshot_source
 
 STOCK = configs_dir().parent
 
@@ -85,8 +85,8 @@ def test_a_resume_names_the_files_that_differ_and_knows_its_own_log(mine, tmp_pa
     Manifest.begin(run.path, task="stand", seed=0, command=[], threads={})
     snapshot_source([STOCK, mine], run.source)
     (mine / "train.log").write_text("step 1\n")
-    assert circumstances._source(run, [mine / "configs"]) == []
+    assert circumstances._source_differences(run, [mine / "configs"]) == []
     write(mine / "configs" / "reward" / "later.yaml", "later: {_target_: x.y, weight: 1.0}\n")
-    (difference,) = circumstances._source(run, [mine / "configs"])
+    (difference,) = circumstances._source_differences(run, [mine / "configs"])
     assert (difference.section, difference.name) == ("source", "tree (2)")
     assert difference.note == f"{mine}: added configs/reward/later.yaml"

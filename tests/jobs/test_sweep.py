@@ -16,14 +16,14 @@ from jobs.small import ITERATIONS, SMALL, cache_of, trained_once, wheelleg
 from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs import processes as child
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.sweep import job as sweep_job
-from wheelleg_exp.jobs.sweep import sweep as runner_module
-from wheelleg_exp.jobs.sweep.job import Request
-from wheelleg_exp.jobs.sweep.launchers import LocalLauncher
-from wheelleg_exp.recording.reading.digest import entity_digests
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.listing import list_runs
+from wheelleg_exp.jobs import run_sweep as runner_module
+from wheelleg_exp.jobs import sweep_job
+from wheelleg_exp.jobs.sweep_job import Request
+from wheelleg_exp.jobs.sweep_launchers import LocalLauncher
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_list import list_runs
+from wheelleg_exp.stop_request import StopRequest
 
 GROWING = (".lock", ".manifest.lock", "manifest.json", "iterations.jsonl", "recording.rrd")  # they hold times
 
@@ -235,7 +235,7 @@ def test_a_job_with_a_mistake_says_it(stop):
 
 def test_a_job_that_is_stopped_before_it_has_begun_leaves_no_run(stop):
     from wheelleg_exp.config.composing.compose import compose
-    from wheelleg_exp.config.composing.sweep import digest_of
+    from wheelleg_exp.config.composing.compose_sweep import digest_of
 
     stop.requested = True
     status, told = _ended(_request(*SMALL, digest=digest_of(compose(SMALL))), stop)

@@ -11,15 +11,15 @@ import pytest
 import torch
 from patience import PATIENCE_S
 
-from wheelleg_exp import threads as cores
+from wheelleg_exp import machine as cores
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs import threads
+from wheelleg_exp.jobs import torch_threads
 from wheelleg_exp.jobs.pipeline import child
 from wheelleg_exp.jobs.pipeline.job import Step
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.threads import set_threads, thread_notes
-from wheelleg_exp.rl.one_thread import SPLIT_ABOVE, one_thread
+from wheelleg_exp.jobs.torch_threads import set_threads, thread_notes
+from wheelleg_exp.rl.determinism import SPLIT_ABOVE, one_thread
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.stop_request import StopRequest
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +28,7 @@ AGENT = {"torch_threads": 2, "device": "cpu", "algorithm": {"num_mini_batches": 
 
 def elsewhere(before: str, **variables: str) -> dict:
     """What a process of its own records, that has run some code before."""
-    code = f"{before}\nimport json\nfrom wheelleg_exp.jobs.threads import set_threads, thread_notes\n"
+    code = f"{before}\nimport json\nfrom wheelleg_exp.jobs.torch_threads import set_threads, thread_notes\n"
     code += f"found = set_threads({AGENT!r}, 1, samples=12288)\nprint(json.dumps([found, thread_notes(found)]))"
     environ = {k: v for k, v in os.environ.items() if k not in cores.VARIABLES} | variables
     done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
@@ -37,7 +37,7 @@ def elsewhere(before: str, **variables: str) -> dict:
 
 
 def test_a_normal_start_is_in_force_and_says_nothing():
-    found = elsewhere("from wheelleg_exp.threads import prepare_threads; prepare_threads()")
+    found = elsewhere("from wheelleg_exp.machine import prepare_threads; prepare_threads()")
     assert (found["torch"], found["physics"], found["variables_in_time"]) == (2, 1, True)
     assert found["mkl"]["strict"] is True
     assert (found["independent"], found["notes"]) == (True, [])
@@ -74,8 +74,8 @@ def test_an_mkl_that_does_not_answer_is_no_reason_to_fail(monkeypatch):
     def silent(_path):
         raise OSError
 
-    monkeypatch.setattr(threads.ctypes, "CDLL", silent)
-    assert threads.mkl_in_force() == {"branch": None, "strict": None}
+    monkeypatch.setattr(torch_threads.ctypes, "CDLL", silent)
+    assert torch_threads.mkl_in_force() == {"branch": None, "strict": None}
     assert set_threads(AGENT, 1)["independent"] is False
 
 
@@ -108,7 +108,7 @@ def test_a_wrong_number_is_refused(wrong):
 
 
 def test_the_arithmetic_is_recorded_as_it_is(monkeypatch):
-    before = threads.numerics()
+    before = torch_threads.numerics()
     assert (before["rounds_to_nearest"], before["keeps_denormals"], before["default_dtype"]) == (True, True, "float32")
     assert any("Math Kernel" in line or "BLAS" in line for line in before["libraries"])
     changes = {
@@ -133,11 +133,11 @@ def test_the_arithmetic_is_recorded_as_it_is(monkeypatch):
     for name, (change, undo) in changes.items():
         change()
         try:
-            after = threads.numerics()
+            after = torch_threads.numerics()
         finally:
             undo()
         assert after[name] != before[name], name
-    assert threads.numerics() == before
+    assert torch_threads.numerics() == before
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system binds no process to cores")
@@ -154,12 +154,12 @@ def test_cores_that_a_process_may_not_run_on_do_not_count():
 def test_one_core_is_one_physics_thread(monkeypatch):
     import mujoco
 
-    from wheelleg_exp.sim.batch import BatchEngine
+    from wheelleg_exp.sim.batch_engine import BatchEngine
 
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
     )
-    monkeypatch.setattr("wheelleg_exp.sim.batch.usable_cores", lambda: 1)
+    monkeypatch.setattr("wheelleg_exp.sim.batch_engine.usable_cores", lambda: 1)
     assert BatchEngine(model, 2, 0).nthread == 1
     assert BatchEngine(model, 2, 2).nthread == 2
 

@@ -27,14 +27,14 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from jobs.small import ITERATIONS, NUM_ENVS, SMALL, cache_of, wheelleg
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.definitions.training import scalar
+from wheelleg_exp.definitions import scalar_definition
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import Interrupted
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.rl import checkpoint, digests
-from wheelleg_exp.rl.policy import load_policy
+from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 
@@ -233,7 +233,7 @@ def test_tensorboard_reads_isaac_labs_keys(trained):
 
 def test_every_scalar_has_a_definition(trained):
     for line in lines(trained.run):
-        assert [key for key in line["scalars"] if scalar(key) is None] == []
+        assert [key for key in line["scalars"] if scalar_definition(key) is None] == []
 
 
 def test_the_manifest_counts_each_environment_s_last_episode_once(trained):
@@ -310,7 +310,7 @@ def test_physics_that_raises_fails_the_run(tmp_path, monkeypatch):
     from mujoco.batch import Batch
 
     from wheelleg_exp.errors import SimulationFailure
-    from wheelleg_exp.sim.batch import BatchEngine
+    from wheelleg_exp.sim.batch_engine import BatchEngine
 
     step, calls = BatchEngine.step, []
 
@@ -352,16 +352,16 @@ def _close_the_folder(path):
 )
 def test_a_run_directory_that_goes_bad_while_it_is_written_fails_the_run(tmp_path, monkeypatch, damage, said):
     """The input was right: it was good when the run began."""
-    from wheelleg_exp.jobs.train import outputs
+    from wheelleg_exp.jobs.train import training_outputs
 
-    write = outputs.Outputs.checkpoint
+    write = training_outputs.Outputs.checkpoint
 
     def spoiled(self, iteration):
         name = write(self, iteration)
         damage(self._directory.path)
         return name
 
-    monkeypatch.setattr(outputs.Outputs, "checkpoint", spoiled)
+    monkeypatch.setattr(training_outputs.Outputs, "checkpoint", spoiled)
     told = wheelleg("train", *SMALL, "agent.max_iterations=2", "recording.enabled=false", f"run.root={tmp_path}")
     assert told.status == 3, told.err
     (message,) = [line for line in told.err.splitlines() if line.startswith("wheelleg: error: ")]
@@ -385,12 +385,12 @@ def test_an_interrupt_before_the_first_iteration_is_an_interrupt(tmp_path, monke
 
 
 def test_an_interrupt_during_the_export_is_no_failure(tmp_path, monkeypatch):
-    from wheelleg_exp.jobs.train import training
+    from wheelleg_exp.jobs.train import run_training
 
     def interrupted(*_):
         raise Interrupted
 
-    monkeypatch.setattr(training, "export_policy", interrupted)
+    monkeypatch.setattr(run_training, "export_policy", interrupted)
     said = wheelleg("train", *SMALL, "agent.max_iterations=1", f"run.root={tmp_path}")
     assert said.status == 130
     assert status_of(only_run(tmp_path))[0] == "interrupted"

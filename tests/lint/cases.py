@@ -11,10 +11,9 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from wheelleg_exp.lint.case import Case
-from wheelleg_exp.lint.examine import RULES
-from wheelleg_exp.lint.findings import Finding
-from wheelleg_exp.lint.robot_facts import Balance, Drive, Joint, RobotFacts
+from wheelleg_exp.anatomy.compiled_robot import Balance, Drive, Joint, RobotFacts
+from wheelleg_exp.lint.physics_check import RULES
+from wheelleg_exp.lint.rule import Case, Finding
 
 LEG_DRIVE = Drive("legs", stiffness=40.0, damping=2.0, effort=8.0, velocity=10.0)
 WHEEL_DRIVE = Drive("wheels", stiffness=0.0, damping=1.0, effort=0.4, velocity=20.0)

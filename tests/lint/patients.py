@@ -7,11 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.lint.case import Case
-from wheelleg_exp.lint.doctor import OF_ROBOT
-from wheelleg_exp.lint.examine import RULES
-from wheelleg_exp.lint.findings import Finding
-from wheelleg_exp.lint.robot.from_file import case_of_file
+from wheelleg_exp.lint.diagnosis import OF_ROBOT, case_of_file
+from wheelleg_exp.lint.physics_check import RULES
+from wheelleg_exp.lint.rule import Case, Finding
 
 # Hip 0.4 and knee -0.8 put the axle straight below the hip: thigh and shank are both 0.3 m long.
 HIP, KNEE, LINK = 0.4, -0.8, 0.3

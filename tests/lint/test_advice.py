@@ -12,12 +12,11 @@ from typing import Any
 import pytest
 
 from lint.cases import CONFIG, FACTS, LEG, WHEEL, case, joints, term
+from wheelleg_exp.anatomy.compiled_robot import RobotFacts
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.config.tree import split_path
-from wheelleg_exp.lint.case import Case
-from wheelleg_exp.lint.examine import RULES
-from wheelleg_exp.lint.findings import Finding, above, at_least, at_most, below
-from wheelleg_exp.lint.robot_facts import RobotFacts
+from wheelleg_exp.lint.physics_check import RULES
+from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below
+from wheelleg_exp.terms.key_syntax import split_path
 
 # Sizes that many a rounding to two digits would push over a bound.
 SIZES = (0.1234, 0.3333, 0.5, 0.7777, 0.9949, 1.0, 1.005, 1.2499, 1.449, 1.7321, 2.5001, 3.1416, 6.6666, 9.951)

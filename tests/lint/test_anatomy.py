@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lint.bodies import RADIUS, THIGH, TRACK, WHEEL, leg, mjcf, two_legged
-from wheelleg_exp.lint.anatomy.examine import anatomy_of
-from wheelleg_exp.lint.anatomy.parts import Anatomy
+from wheelleg_exp.anatomy.anatomy_parts import Anatomy
+from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 
 
 def look(text: str, **given) -> Anatomy:

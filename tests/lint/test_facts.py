@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from wheelleg_exp.anatomy.collider_shapes import lowest_point
+from wheelleg_exp.anatomy.compiled_robot import RobotFacts, measure
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.lint.collider_depth import lowest_point
-from wheelleg_exp.lint.examine import robot_facts
-from wheelleg_exp.lint.robot_facts import RobotFacts, measure
+from wheelleg_exp.lint.physics_check import robot_facts
 from wheelleg_exp.managers import SceneManager
 
 # A bar of 2 kg, 0.4 m over an axle with two wheels of 0.5 kg; a hip halfway up carries a bob.

@@ -13,7 +13,7 @@ import pytest
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.schema import PHYSICS_RULES
-from wheelleg_exp.lint.examine import RULES
+from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.paths import configs_dir
 
 TERMS = "[base_ang_vel,projected_gravity,velocity_commands,joint_pos_rel,joint_vel_rel,last_action]"

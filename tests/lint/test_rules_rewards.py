@@ -10,7 +10,7 @@ import pytest
 
 from lint.cases import case, found, joints, term
 from wheelleg_exp.lint.reward_tolerances import contributions
-from wheelleg_exp.lint.rules_rewards import still_score
+from wheelleg_exp.lint.rules_learning import still_score
 
 TRACK = "rewards.track_lin_vel_xy_exp"
 

@@ -12,10 +12,10 @@ import pytest
 
 from lint.cases import found, joints, term
 from lint.patients import HEALTHY, HIP, KNEE, LINK, all_findings, patient, seeded
-from wheelleg_exp.lint.robot.balancing import balanced_pose, weight_over_axle
-from wheelleg_exp.lint.robot.from_file import _drives_of_mjcf
-from wheelleg_exp.lint.robot.overlaps import find_overlaps
-from wheelleg_exp.lint.robot_facts import Drive
+from wheelleg_exp.anatomy.collider_shapes import find_overlaps
+from wheelleg_exp.anatomy.compiled_robot import Drive
+from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
+from wheelleg_exp.lint.diagnosis import _drives_of_mjcf
 from wheelleg_exp.paths import assets_dir
 
 TRUNK = '<inertial pos="0 0 0" mass="4" diaginertia="0.02 0.06 0.07"/>'
@@ -160,7 +160,7 @@ def test_a_link_sunk_into_another(tmp_path):
 
 
 def test_links_that_may_not_touch_are_only_noted(tmp_path):
-    from wheelleg_exp.lint.doctor import notes_on
+    from wheelleg_exp.lint.diagnosis import notes_on
 
     text = pack(0.012).replace('name="pack" type', 'name="pack" contype="0" type')
     case = patient(tmp_path, text.replace('name="l_thigh" type', 'name="l_thigh" contype="0" type'))
@@ -356,7 +356,7 @@ BOX = '<box size="0.3 0.3 0.3"/>'
 
 
 def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1, effort=1):
-    from wheelleg_exp.lint.robot.from_file import case_of_file
+    from wheelleg_exp.lint.diagnosis import case_of_file
 
     file = folder / "robot.urdf"
     file.write_text(URDF.format(inertial=inertial, shape=shape, low=low, effort=effort))
@@ -383,7 +383,7 @@ def test_what_the_file_does_not_give(tmp_path):
 
 @pytest.mark.parametrize("name", ["wheelleg/wheelleg.usda"])
 def test_the_stock_robots_file_has_only_its_armature(name):
-    from wheelleg_exp.lint.doctor import diagnose_file
+    from wheelleg_exp.lint.diagnosis import diagnose_file
 
     assert {finding.rule for finding in diagnose_file(assets_dir() / name).findings} <= {"armature_ratio"}
 

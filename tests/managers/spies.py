@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from wheelleg_exp.constraints import NonNegative
 from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, RecorderTerm, SceneEntityCfg, TermBase
 from wheelleg_exp.sim.actuators import IdealPDActuator, ImplicitActuator
-from wheelleg_exp.sim.layout import JointTargets
+from wheelleg_exp.sim.robot_model import JointTargets
 from wheelleg_exp.sim.sensors import SensorBase
 from wheelleg_exp.sim.terrain import TerrainBase
 from wheelleg_exp.state import Stateful

@@ -88,7 +88,7 @@ def test_a_target_outside_the_allowed_packages_is_refused(make_env, target):
 
 
 @pytest.mark.parametrize(
-    "target", ["wheelleg_exp.managers.term.inspect.signature", "wheelleg_exp.mdp.observations.torch.load"]
+    "target", ["wheelleg_exp.managers.manager_base.inspect.signature", "wheelleg_exp.mdp.observations.torch.load"]
 )
 def test_no_way_leads_through_an_allowed_module_to_what_it_has_imported(make_env, target):
     _refused(make_env, {"_target_": target, "weight": 1.0})

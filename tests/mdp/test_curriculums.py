@@ -10,8 +10,7 @@ import torch
 
 from mdp.fakes import fake_env
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.mdp import curriculums, schedules
-from wheelleg_exp.mdp.curriculums import address
+from wheelleg_exp.mdp import config_address, curriculums, schedules
 
 T = torch.tensor
 STILL = torch.zeros(4, 4)
@@ -319,7 +318,7 @@ def test_an_argument_of_a_wrong_kind_is_told(one):
 
 def test_a_tuple_is_made_anew():
     holder = SimpleNamespace(pairs=[(1.0, 2.0), (3.0, 4.0)])
-    address.write(holder, address.parse("pairs[1][0]"), 9.0)
+    config_address.write(holder, config_address.parse("pairs[1][0]"), 9.0)
     assert holder.pairs == [(1.0, 2.0), (9.0, 4.0)]
 
 

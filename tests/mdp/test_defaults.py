@@ -8,7 +8,7 @@ import pytest
 
 from wheelleg_exp.mdp import actions, commands, events, noise, observations, rewards, terminations
 from wheelleg_exp.sim.sensors import RayCaster
-from wheelleg_exp.terms.sections import ObservationGroup
+from wheelleg_exp.terms.config_sections import ObservationGroup
 
 JOINTS = {"scale": 1.0, "offset": 0.0, "clip": None, "preserve_order": False}
 TO_LIMITS = {"scale": 1.0, "clip": None, "rescale_to_limits": True, "preserve_order": False}

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.term import build
+from wheelleg_exp.managers.manager_base import build
 from wheelleg_exp.mdp import modifiers, noise
 
 T = torch.tensor

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.train.stuck import StuckCurricula
+from wheelleg_exp.jobs.train.run_training import StuckCurricula
 from wheelleg_exp.mdp.curriculums import command_levels_by_skill, terrain_levels_by_distance
 from wheelleg_exp.mdp.terminations import terrain_tile_left
 from wheelleg_exp.state import made

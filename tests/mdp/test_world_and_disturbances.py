@@ -11,7 +11,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.mdp import events
-from wheelleg_exp.terms.binding import resolve_target
+from wheelleg_exp.terms.term_binding import resolve_target
 
 EVENT = "wheelleg_exp.mdp.events."
 ALL = torch.arange(4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelleg_exp.project.project_names import NameTaken, require_name
+from wheelleg_exp.project.create import NameTaken, require_name
 
 
 @pytest.mark.parametrize("name", ["myrobot", "my_robot", "Diablo2", "r2d2"])

@@ -11,7 +11,7 @@ from jobs.small import wheelleg
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.terms import allowed_targets
+from wheelleg_exp.terms import term_binding
 
 DECLARED = '[project.entry-points."wheelleg_exp.packages"]\n'
 
@@ -97,9 +97,9 @@ def test_config_dir_may_name_an_installed_package(tmp_path, monkeypatch):
     (info / "entry_points.txt").write_text("[wheelleg_exp.packages]\nshelf = shelf\n")
     assert wheelleg("compose", "--config-dir", "shelf", "task=shelf_task").status == 2
     monkeypatch.syspath_prepend(str(site))
-    allowed_targets._declared_packages.cache_clear()
+    term_binding._declared_packages.cache_clear()
     said = wheelleg("check", "--config-dir", "shelf", "task=shelf_task")
-    allowed_targets._declared_packages.cache_clear()
+    term_binding._declared_packages.cache_clear()
     for name in [name for name in sys.modules if name.split(".")[0] == "shelf"]:
         del sys.modules[name]
     assert said.status == 0, said.err
@@ -251,7 +251,7 @@ def test_a_pyproject_that_is_no_toml_is_said_only_where_it_declares(tmp_path, mo
 
 
 def test_gymnasium_finds_the_project_one_stands_in(tmp_path, monkeypatch):
-    from wheelleg_exp.gym.task import task_env
+    from wheelleg_exp.gym.task_env import task_env
 
     root = project(tmp_path / "p")
     text = (root / "shelf" / "terms.py").read_text()

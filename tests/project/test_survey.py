@@ -16,11 +16,10 @@ from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, four_legs, kne
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
-from wheelleg_exp.lint.examine import examine
+from wheelleg_exp.lint.physics_check import examine
 from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.project.create import create
-from wheelleg_exp.project.gains import leg_gains, wheel_gains
-from wheelleg_exp.project.robot_yaml import robot_yaml, spawn_height
+from wheelleg_exp.project.robot_yaml import leg_gains, robot_yaml, spawn_height, wheel_gains
 from wheelleg_exp.project.survey import survey
 from wheelleg_exp.project.task_yaml import config_files
 from wheelleg_exp.project.yaml_text import names, number

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.blueprint import blueprint
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.recording.writing.recorder import Recorder
 
 KEYS = ["Train/mean_reward", "Episode_Reward/alive", "Episode_Termination/time_out", "Loss/value", "Own/thing"]

@@ -4,7 +4,7 @@ import numpy as np
 import rerun as rr
 from recording.conftest import record
 
-from wheelleg_exp.recording.reading.digest import entity_digests, recording_digest
+from wheelleg_exp.recording.reading.recording_digest import entity_digests, recording_digest
 
 
 def write(path, scalars, splits=(), text="t", label="one", recording_id="a"):

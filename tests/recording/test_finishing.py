@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE_S
 
-from wheelleg_exp.recording.writing import finishing
+from wheelleg_exp.recording import rerun_program
 
 
 @pytest.fixture
@@ -31,9 +31,9 @@ def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, 
     program = path.with_name("rerun")
     program.write_text(f"#!/bin/sh\n{script.replace('sleep', 'exec sleep')}\n")
     program.chmod(0o755)
-    monkeypatch.setattr(finishing, "rerun_program", lambda: str(program))
-    monkeypatch.setattr(finishing, "_TIMEOUT_S", 0.3 if "sleep" in script else PATIENCE_S)
-    assert finishing.finish(path) == why
+    monkeypatch.setattr(rerun_program, "rerun_program", lambda: str(program))
+    monkeypatch.setattr(rerun_program, "_TIMEOUT_S", 0.3 if "sleep" in script else PATIENCE_S)
+    assert rerun_program.optimize_recording(path) == why
     assert path.read_bytes() == b"as it is"
     assert sorted(p.name for p in path.parent.iterdir()) == ["r.rrd", "rerun"]
 
@@ -42,7 +42,7 @@ def test_a_disk_without_room_for_the_copy_is_named(path, monkeypatch):
     class Usage:
         free = 3
 
-    monkeypatch.setattr(finishing, "rerun_program", lambda: "false")
-    monkeypatch.setattr(finishing.shutil, "disk_usage", lambda folder: Usage)
-    assert finishing.finish(path) == "there is no room for a second copy on the disk"
+    monkeypatch.setattr(rerun_program, "rerun_program", lambda: "false")
+    monkeypatch.setattr(rerun_program.shutil, "disk_usage", lambda folder: Usage)
+    assert rerun_program.optimize_recording(path) == "there is no room for a second copy on the disk"
     assert path.read_bytes() == b"as it is"

@@ -4,10 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.recording.writing.geometry import shape, xyzw
-from wheelleg_exp.recording.writing.kinematics import weight
-from wheelleg_exp.rendering.compiled import body_geoms, colour
-from wheelleg_exp.rendering.poses import Kinematics
+from wheelleg_exp.recording.writing.rerun_shapes import shape, weight, xyzw
+from wheelleg_exp.rendering.scene_models import Kinematics, body_geoms, colour
 
 HALF = np.sqrt(0.5)
 

@@ -16,11 +16,11 @@ from rrd import END, HEADER, ROWS, SIM_TIME, STEP, STORE_INFO, announced, health
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.pictures import video
-from wheelleg_exp.inspection.plots.plot_data import Source
-from wheelleg_exp.recording.reading.digest import entity_digests
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.recording.writing.continuing import problem_with
+from wheelleg_exp.inspection import recording_video
+from wheelleg_exp.inspection.plot_data import Source
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.writing.resume_recording import resume_problem
 
 pytestmark = pytest.mark.slow
 
@@ -72,7 +72,7 @@ def test_looking_at_it_ends_in_an_answer_or_an_error_for_people(name, folder, ca
     answered(capsys, "inspect", "x.rrd", "--summary", "--names", "--export", "csv", "-o", "out")
     answered(capsys, "inspect", "x.rrd", "--json", "--stats", "--where", "base.height > 0.15", "--term", "base.height")
     answered(capsys, "inspect", "healthy.rrd", "--compare", "x.rrd", "--limit", "3")
-    problem_with(Path("x.rrd"))  # as a resume asks
+    resume_problem(Path("x.rrd"))  # as a resume asks
     outside = [path for path in files(folder.parent) if not path.startswith("here")]
     assert outside == []
     assert {path.split("/")[0] for path in files(folder)} <= {"healthy.rrd", "x.rrd", "out"}
@@ -103,24 +103,24 @@ SHAPED = [name for name in HOSTILE if name.startswith(("a box", "a capsule", "a 
 
 @pytest.mark.parametrize("name", SHAPED)
 def test_its_robot_is_understood_or_it_is_told_why_not(name, folder):
-    from wheelleg_exp.inspection.pictures import pictures
-    from wheelleg_exp.rendering.render_model import build
+    from wheelleg_exp.inspection import recording_pictures
+    from wheelleg_exp.rendering.scene_models import build_model
 
     (folder / "x.rrd").write_bytes(HOSTILE[name]())
     try:
-        shown = pictures.scenery(Recording(folder / "x.rrd"))
+        shown = recording_pictures.scenery(Recording(folder / "x.rrd"))
     except WheellegError:
         return
-    build(shown.scene, 64, 64, 0)
+    build_model(shown.scene, 64, 64, 0)
     for row in range(len(shown.motion.step)):
-        assert pictures.view(shown, row, shown.motion.pos[row, shown.scene.root], 1.0).pos.size
+        assert recording_pictures.view(shown, row, shown.motion.pos[row, shown.scene.root], 1.0).pos.size
 
 
 def test_a_video_without_end_is_refused(folder):
     moments = {STEP: pa.array([1, 2]), SIM_TIME: pa.array([0, 2**62], pa.duration("ns"))}
     (folder / "x.rrd").write_bytes(HEADER + announced() + pose("world/body", 2, moments) + BOX)
     with pytest.raises(WheellegError, match=r"it would have \d+ pictures; expected at most"):
-        video.video(Recording(folder / "x.rrd"), folder / "v.mp4", width=64, height=64)
+        recording_video.video(Recording(folder / "x.rrd"), folder / "v.mp4", width=64, height=64)
     assert files(folder) == ["healthy.rrd", "x.rrd"]
 
 
@@ -159,8 +159,8 @@ def test_what_is_too_large_is_left_out_and_told(name, folder):
 
 def test_every_text_counts_in_a_digest(folder, monkeypatch):
     """Also of more than are made into Python's own at a time."""
-    monkeypatch.setattr("wheelleg_exp.recording.reading.plain.MOST", 10)
-    monkeypatch.setattr("wheelleg_exp.recording.reading.digest._TOGETHER", 4)
+    monkeypatch.setattr("wheelleg_exp.recording.reading.arrow_values.MOST_VALUES", 10)
+    monkeypatch.setattr("wheelleg_exp.recording.reading.recording_digest._TOGETHER", 4)
     for i, last in enumerate("ab"):
         content = static("base/height", **{"SeriesLines:names": pa.array([[*"x" * 50, last]])})
         (folder / f"{i}.rrd").write_bytes(whole(content))

@@ -14,11 +14,10 @@ import pytest
 import torch
 from patience import wait_until
 
-from wheelleg_exp.recording.reading.digest import recording_digest
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.recording.writing import feed
-from wheelleg_exp.recording.writing.feed import Follower, viewer_command, viewer_environment
-from wheelleg_exp.recording.writing.live import LiveView
+from wheelleg_exp.recording.reading.recording_digest import recording_digest
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.writing import live_view
+from wheelleg_exp.recording.writing.live_view import Follower, LiveView, viewer_command, viewer_environment
 from wheelleg_exp.recording.writing.recorder import Recorder
 
 pytestmark = pytest.mark.slow
@@ -122,10 +121,10 @@ def test_the_follower_gives_each_whole_message_once(env, tmp_path):
 
 
 def test_a_viewer_that_takes_nothing_is_given_up(monkeypatch, env, tmp_path):
-    monkeypatch.setattr(feed, "_STUCK_S", 0.5)
+    monkeypatch.setattr(live_view, "_STUCK_S", 0.5)
     path = tmp_path / "r.rrd"
     rolled(env, path, None)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        passing = feed.Feed(path, tmp_path, server.getsockname()[1])
-        with pytest.raises(feed.ViewerLostError):
+        passing = live_view.Feed(path, tmp_path, server.getsockname()[1])
+        with pytest.raises(live_view.ViewerLostError):
             passing.step()

@@ -6,8 +6,8 @@ import rerun as rr
 from inspection.synthetic import STEP_DT, Writer, play, training
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.recording.reading.groups import Number
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.number_groups import Number
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
 def write(path, rows, recording_id="a", value=0.5):

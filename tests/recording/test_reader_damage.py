@@ -14,11 +14,11 @@ from inspection.synthetic import play
 from rrd import healthy
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.inspection.questions.summary import summarize
-from wheelleg_exp.recording.reading.contents import Contents
-from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.inspection.recording_summary import summarize
 from wheelleg_exp.recording.reading.messages import ROWS, File, spans
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.recording_contents import Contents
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 MESSAGE = 16  # bytes of a message's head
 

@@ -7,10 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from wheelleg_exp.inspection.questions.conditions import Condition
-from wheelleg_exp.inspection.questions.query import find_hits
-from wheelleg_exp.inspection.questions.summary import summarize
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection.condition_query import Condition, find_hits
+from wheelleg_exp.inspection.recording_summary import summarize
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 
 @pytest.fixture(scope="module")

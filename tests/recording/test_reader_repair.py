@@ -8,11 +8,11 @@ import pytest
 from inspection.synthetic import Writer, play
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.recording.reading.contents import Contents
-from wheelleg_exp.recording.reading.digest import entity_digests
 from wheelleg_exp.recording.reading.messages import END, File, spans
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.recording.reading.repair import repair
+from wheelleg_exp.recording.reading.recording_contents import Contents
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.reading.recording_repair import repair
 
 
 def cut(path, share=0.6):

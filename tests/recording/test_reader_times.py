@@ -9,10 +9,10 @@ import rerun as rr
 from inspection.synthetic import Writer
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.inspection.questions.summary import summarize
-from wheelleg_exp.recording.reading.digest import entity_digests
-from wheelleg_exp.recording.reading.plain import plain
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.inspection.recording_summary import summarize
+from wheelleg_exp.recording.reading.arrow_values import python_values
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 NS = [1, 1_000_000_001, 2_000_000_002]
 
@@ -78,11 +78,11 @@ def test_a_digest_takes_times_in(path):
     ids=str,
 )
 def test_every_kind_of_time_becomes_a_number(kind, values):
-    assert plain(pa.array(values, kind)) == values
-    assert plain(pa.chunked_array([pa.array(values, kind)])) == values
+    assert python_values(pa.array(values, kind)) == values
+    assert python_values(pa.chunked_array([pa.array(values, kind)])) == values
 
 
 def test_a_time_within_a_type_that_has_no_plain_form_is_nothing():
     times = pa.array([1], pa.duration("ns"))
     union = pa.UnionArray.from_dense(pa.array([0], pa.int8()), pa.array([0], pa.int32()), [times])
-    assert plain(union) == [None]
+    assert python_values(union) == [None]

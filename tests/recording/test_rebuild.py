@@ -10,8 +10,8 @@ import pytest
 import torch
 import yaml
 
-from wheelleg_exp.jobs.documents import config_document
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.jobs.rollout_files import config_document
+from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.recording.writing.recorder import Recorder
 
 STEPS = 150

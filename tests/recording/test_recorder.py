@@ -12,9 +12,9 @@ from patience import PATIENCE_S
 from recording.conftest import STEPS, Account, record, roll_out
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
-from wheelleg_exp.recording.reading.digest import entity_digests
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.recording.writing.finishing import finish
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.rerun_program import optimize_recording
 from wheelleg_exp.recording.writing.recorder import Recorder
 
 pytestmark = pytest.mark.slow
@@ -356,10 +356,10 @@ def test_a_term_that_would_share_a_place_is_refused(make_env, tmp_path):
 def test_a_finished_recording_is_put_together_and_has_an_index(make_env, tmp_path, monkeypatch):
     """Small pieces as a killed process would leave them, against the finished file: the same content, less room."""
     path, env = tmp_path / "r.rrd", make_env(num_envs=2)
-    monkeypatch.setattr("wheelleg_exp.recording.writing.sink.finish", lambda path: False)
+    monkeypatch.setattr("wheelleg_exp.recording.writing.recording_file.optimize_recording", lambda path: False)
     record(path, env, env_ids=(0,), steps=40, flush_every=4)
     before, pieces = entity_digests(path), Recording(path).health
-    assert finish(path) is None
+    assert optimize_recording(path) is None
     after = Recording(path).health
     assert entity_digests(path) == before
     assert after.is_whole
@@ -372,7 +372,7 @@ def test_a_finished_recording_is_put_together_and_has_an_index(make_env, tmp_pat
 def test_a_recording_that_cannot_be_finished_stays_as_it_is(recorded, tmp_path, monkeypatch):
     path = tmp_path / "r.rrd"
     path.write_bytes(recorded[0].read_bytes())
-    monkeypatch.setattr("wheelleg_exp.recording.writing.finishing.rerun_program", lambda: str(tmp_path / "none"))
-    assert finish(path) == "rerun's program is not there"
+    monkeypatch.setattr("wheelleg_exp.recording.rerun_program.rerun_program", lambda: str(tmp_path / "none"))
+    assert optimize_recording(path) == "rerun's program is not there"
     assert path.read_bytes() == recorded[0].read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]

@@ -6,7 +6,7 @@ from itertools import count
 
 import pytest
 
-from wheelleg_exp.recording.sample import Sample
+from wheelleg_exp.recording.recording_options import Sample
 
 
 def taken(lengths: list[int], enough: int, most: int, dues: tuple[int, ...] = (0,)) -> list[tuple[int, int]]:

@@ -14,13 +14,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
-from wheelleg_exp.recording.programs import rerun_program
 from wheelleg_exp.recording.reading import messages
-from wheelleg_exp.recording.reading.digest import entity_digests
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.rerun_program import optimize_recording, rerun_program
 from wheelleg_exp.recording.writing.encoding import Ids, timeline
-from wheelleg_exp.recording.writing.finishing import finish
-from wheelleg_exp.recording.writing.sink import APPLICATION, Sink
+from wheelleg_exp.recording.writing.recording_file import APPLICATION, RecordingFile
 
 STEPS = np.array([1, 2, 3])
 TIMES = [
@@ -60,7 +59,7 @@ def layout():
 
 
 def written(path: Path) -> Path:
-    sink = Sink(path, recording_id="r", name="ü")
+    sink = RecordingFile(path, recording_id="r", name="ü")
     sink.property("wheelleg", {"seed": 3, "words": ["a"]})
     for entity, archetypes in STATIC.items():
         sink.static(entity, *archetypes)
@@ -84,7 +83,7 @@ def written_by_rerun(path: Path) -> Path:
     stream.send_blueprint(layout())
     stream.flush()
     stream.disconnect()
-    assert finish(path) is None
+    assert optimize_recording(path) is None
     return path
 
 
@@ -137,7 +136,7 @@ def test_identities_rise_within_a_file_and_differ_between_two():
 
 
 def test_columns_of_different_lengths_are_refused(tmp_path):
-    sink = Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+    sink = RecordingFile(tmp_path / "r.rrd", recording_id="r", name="n")
     with pytest.raises(ValueError, match="length"):
         sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0]))
     sink.abandon()
@@ -147,12 +146,12 @@ def test_columns_of_different_lengths_are_refused(tmp_path):
 def test_a_file_that_is_there_is_not_touched(tmp_path):
     (tmp_path / "r.rrd").write_bytes(b"mine")
     with pytest.raises(RunDirectoryError, match="exists and is not overwritten"):
-        Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+        RecordingFile(tmp_path / "r.rrd", recording_id="r", name="n")
     assert (tmp_path / "r.rrd").read_bytes() == b"mine"
 
 
 def test_what_was_flushed_is_in_the_file_and_what_was_not_is_not(tmp_path):
-    sink = Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+    sink = RecordingFile(tmp_path / "r.rrd", recording_id="r", name="n")
     sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0, 3.0]))
     assert "a" not in Recording(tmp_path / "r.rrd").entities()
     sink.flush()
@@ -164,7 +163,7 @@ def test_what_was_flushed_is_in_the_file_and_what_was_not_is_not(tmp_path):
 
 
 def test_a_disk_that_is_full_is_told_and_what_was_whole_stays(tmp_path, monkeypatch):
-    sink = Sink(tmp_path / "r.rrd", recording_id="r", name="n")
+    sink = RecordingFile(tmp_path / "r.rrd", recording_id="r", name="n")
     real = os.write
 
     def write(descriptor: int, data: memoryview) -> int:
@@ -172,7 +171,7 @@ def test_a_disk_that_is_full_is_told_and_what_was_whole_stays(tmp_path, monkeypa
             raise OSError(28, "No space left on device")
         return real(descriptor, data[:100])
 
-    monkeypatch.setattr("wheelleg_exp.recording.writing.sink.os.write", write)
+    monkeypatch.setattr("wheelleg_exp.recording.writing.recording_file.os.write", write)
     sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0, 3.0]))
     with pytest.raises(SimulationFailure, match=r"r\.rrd': no space left on device; expected room"):
         sink.flush()
@@ -192,12 +191,12 @@ def resident() -> int:
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
 def test_closed_recordings_leave_no_thread_and_no_memory(tmp_path, monkeypatch):
     """A stream of rerun's leaves two threads and up to 3 MB each time."""
-    monkeypatch.setattr("wheelleg_exp.recording.writing.sink.finish", lambda path: None)
+    monkeypatch.setattr("wheelleg_exp.recording.writing.recording_file.optimize_recording", lambda path: None)
     values = np.zeros(20_000)
     times = [timeline("step", pa.array(np.arange(len(values))))]
 
     def record(number: int) -> None:
-        sink = Sink(tmp_path / f"{number}.rrd", recording_id=f"r{number}", name="n")
+        sink = RecordingFile(tmp_path / f"{number}.rrd", recording_id=f"r{number}", name="n")
         for i in range(10):
             sink.columns(f"a/{i}", times, rr.Scalars.columns(scalars=values))
         sink.blueprint(layout())

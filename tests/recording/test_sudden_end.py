@@ -10,7 +10,7 @@ import textwrap
 import numpy as np
 import pytest
 
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.recording_reader import Recording
 
 pytestmark = pytest.mark.slow
 
@@ -20,10 +20,10 @@ _SCRIPT = """
     import torch
     from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.env import ManagerBasedRLEnv
-    from wheelleg_exp.jobs.episode_recording import EpisodeRecording
+    from wheelleg_exp.jobs.rollout_files import EpisodeRecording
     from wheelleg_exp.jobs.train.training_recording import TrainingRecording
-    from wheelleg_exp.recording.options import RecordingOptions
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.recording.recording_options import RecordingOptions
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     mjcf, root = Path(sys.argv[1]), Path(sys.argv[2])
     config = compose(["task=stand", "env.num_envs=2", "env.sim.nthread=1"]).config

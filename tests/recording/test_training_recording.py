@@ -13,17 +13,16 @@ import numpy as np
 import pytest
 import torch
 
-from wheelleg_exp.inspection.questions.selection import Selection
-from wheelleg_exp.inspection.questions.spans import Length
-from wheelleg_exp.inspection.questions.summary import summarize
+from wheelleg_exp.inspection.recording_summary import summarize
+from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording
-from wheelleg_exp.recording.options import RecordingOptions
-from wheelleg_exp.recording.reading.digest import entity_digests
 from wheelleg_exp.recording.reading.messages import File, spans
-from wheelleg_exp.recording.reading.reader import Recording
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.recording_options import RecordingOptions
 from wheelleg_exp.recording.writing.recorder import Recorder
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.manifest_format import FORMAT
+from wheelleg_exp.run.manifest import FORMAT
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.slow
 
@@ -150,7 +149,9 @@ def stopped(env, tmp_path_factory) -> tuple[Path, dict]:
     """A training that ran one iteration past its checkpoint of four; its second sample is under way."""
     directory = a_directory(tmp_path_factory.mktemp("stopped"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("wheelleg_exp.recording.writing.sink.finish", lambda path: None)  # as after a kill
+        patch.setattr(
+            "wheelleg_exp.recording.writing.recording_file.optimize_recording", lambda path: None
+        )  # as after a kill
         kept = train(env, directory, 5, checkpoint_at=4)
     assert kept is not None
     return directory.recording, kept

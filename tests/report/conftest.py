@@ -11,9 +11,9 @@ from jobs.small import Trained, trained_once
 
 from report.pages import Page
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.report import drawings, make_report
-from wheelleg_exp.report.blocks import Plot
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.report import inline_svg, make_report
+from wheelleg_exp.report.page_blocks import Plot
+from wheelleg_exp.run.run_directory import RunDirectory
 
 Reporter = Callable[..., Page]
 
@@ -27,7 +27,7 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the drawing itself, which takes its time, where a test does not look at drawings."""
     if "drawings_too" not in request.fixturenames:
-        monkeypatch.setattr(drawings, "_plot", lambda panel, prefix: Plot("", panel.title))
+        monkeypatch.setattr(inline_svg, "_plot", lambda panel, prefix: Plot("", panel.title))
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ from typing import Any
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.files import write_json, write_text, write_yaml
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.packages import trust
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.timestamps import parse_utc
-from wheelleg_exp.trusted_folders import trust
 
 STARTED = parse_utc("2026-03-01T10:00:00.000000Z")
 ENDED = parse_utc("2026-03-01T10:02:30.000000Z")

@@ -9,11 +9,10 @@ import pytest
 from report.pages import Page
 from report.runs import FIGURES, add_play, make_run
 from wheelleg_exp.files import write_text
-from wheelleg_exp.report.can_it_be_repeated import Verdict
-from wheelleg_exp.report.compile import compile_page
-from wheelleg_exp.report.how_it_looked import Look
-from wheelleg_exp.report.subject import open_subject
-from wheelleg_exp.report.write import render
+from wheelleg_exp.report.pictures_section import Look
+from wheelleg_exp.report.provenance_section import Verdict
+from wheelleg_exp.report.report_page import compile_page, render_page
+from wheelleg_exp.report.report_subject import open_subject
 
 pytestmark = pytest.mark.slow
 
@@ -80,16 +79,16 @@ def test_a_changed_file_damns_the_verdict(page, run):
 @pytest.mark.parametrize("value", [None, 1, "x", [1], ["x"], {"a": 1}, [{"a": 1}], 1e400], ids=repr)
 def test_whatever_a_manifest_holds_there_is_a_page(run, monkeypatch, value):
     for part in ("settings", "learning", "objective"):
-        monkeypatch.setattr(f"wheelleg_exp.report.compile.{part}", None)
+        monkeypatch.setattr(f"wheelleg_exp.report.report_page.{part}", None)
     whole = run.manifest().data
     kept = {"format", "status", "started", "files"}  # without these it is no manifest
     for key in whole.keys() - kept:
         subject = open_subject(run.path, run.root)
         subject.manifest = {**whole, key: value}
-        html = render(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
+        html = render_page(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
         assert Page(html).wrong == []
     for key in FIGURES:
         subject = open_subject(run.path, run.root)
         subject.manifest = {**whole, "additions": [{"kind": "play", "files": {}, "results": {**FIGURES, key: value}}]}
-        html = render(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
+        html = render_page(compile_page(subject, Look(subject, pictures=False), Verdict(None, None, [], subject)))
         assert Page(html).wrong == []

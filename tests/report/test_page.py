@@ -10,7 +10,7 @@ import pytest
 from report.pages import Page
 from report.runs import add_play, make_run
 from wheelleg_exp.report import make_report
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ from report.pages import Page
 from report.runs import FIGURES, make_run
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.report import make_report
-from wheelleg_exp.report.words import number
+from wheelleg_exp.report.value_format import number
 
 PICTURE = "data:image/jpeg;base64,AAAA"
 
@@ -25,8 +25,8 @@ def asked(monkeypatch) -> list[list[float]]:
         moments.append([round(time, 3) for time in times])
         return [PICTURE for _ in times]
 
-    monkeypatch.setattr("wheelleg_exp.report.how_it_looked.shots", shots)
-    monkeypatch.setattr("wheelleg_exp.inspection.pictures.pictures.scenery", lambda recording: None)
+    monkeypatch.setattr("wheelleg_exp.report.pictures_section.shots", shots)
+    monkeypatch.setattr("wheelleg_exp.inspection.recording_pictures.scenery", lambda recording: None)
     return moments
 
 
@@ -122,8 +122,8 @@ def test_without_a_renderer_the_report_says_what_to_install(run, root, monkeypat
     def nothing(*_):
         raise WheellegError("no backend draws here", expected="a driver")
 
-    monkeypatch.setattr("wheelleg_exp.report.how_it_looked.shots", nothing)
-    monkeypatch.setattr("wheelleg_exp.inspection.pictures.pictures.scenery", lambda recording: None)
+    monkeypatch.setattr("wheelleg_exp.report.pictures_section.shots", nothing)
+    monkeypatch.setattr("wheelleg_exp.inspection.recording_pictures.scenery", lambda recording: None)
     made = make_report(run.path, root)
     assert made.notes == ("no pictures of the robot: no backend draws here; expected a driver",)
     assert "no pictures of the robot: no backend draws here" in Page(made.path.read_text()).section("learning")

@@ -11,9 +11,9 @@ from jobs.small import wheelleg
 from report.pages import Page
 from report.runs import add_play, iteration, make_run
 from wheelleg_exp.files import write_text
-from wheelleg_exp.report.subject import Series, Subject, open_subject
-from wheelleg_exp.report.which_is_better import course, grouped, sentence
-from wheelleg_exp.run.sweep_index import SweepIndex
+from wheelleg_exp.report.report_subject import Series, Subject, open_subject
+from wheelleg_exp.report.several_runs_page import course, grouped, sentence
+from wheelleg_exp.run.run_index import SweepIndex
 
 # By weight of a reward: the last return of each seed. Mean 4 and 8; standard deviation of a sample 2 and sqrt(2).
 RETURNS = {"1": (2.0, 4.0, 6.0), "2": (7.0, 9.0)}

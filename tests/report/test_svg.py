@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from wheelleg_exp.report.svg import clean
+from wheelleg_exp.report.inline_svg import clean
 
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" width="90pt" height="60pt">'
 

@@ -9,8 +9,8 @@ import pytest
 from jobs.small import ITERATIONS, copied
 
 from wheelleg_exp.files import write_text
-from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.run_directory import RunDirectory
 
 pytestmark = pytest.mark.train
 

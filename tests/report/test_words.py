@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from wheelleg_exp.report import words
+from wheelleg_exp.report import value_format
 
 
 @pytest.mark.parametrize(
@@ -12,25 +12,25 @@ from wheelleg_exp.report import words
     [(24.5648, "24.6"), (-0.0479, "−0.0479"), (0.0, "0.00"), (1234.5, "1234"), (12345, "12 345"), (-3, "−3")],
 )
 def test_numbers_have_three_digits_and_whole_ones_all(value, text):
-    assert words.number(value) == text
+    assert value_format.number(value) == text
 
 
 def test_very_small_numbers_are_written_with_a_power_of_ten():
-    assert words.number(-6.74e-5) == "−6.74×10⁻⁵"
-    assert words.number(2.5e12) == "2.50×10¹²"
+    assert value_format.number(-6.74e-5) == "−6.74×10⁻⁵"
+    assert value_format.number(2.5e12) == "2.50×10¹²"
 
 
 def test_what_is_no_number_is_said_to_be_none():
-    assert words.number(math.nan) == "–"
-    assert words.numbers({"a": ["nan", math.nan, "infinite", 1.5]}) == {"a": [None, None, "infinite", 1.5]}
-    assert words.number(math.inf) == "infinite"
-    assert words.number(None) == "–"
-    assert words.number("many") == "many"
+    assert value_format.number(math.nan) == "–"
+    assert value_format.numbers({"a": ["nan", math.nan, "infinite", 1.5]}) == {"a": [None, None, "infinite", 1.5]}
+    assert value_format.number(math.inf) == "infinite"
+    assert value_format.number(None) == "–"
+    assert value_format.number("many") == "many"
 
 
 @pytest.mark.parametrize(("share", "text"), [(1.0, "100 %"), (0.9999, "99.9 %"), (0.0, "0 %"), (1e-6, "0.1 %")])
 def test_a_share_is_never_rounded_to_all_or_nothing(share, text):
-    assert words.percent(share) == text
+    assert value_format.percent(share) == text
 
 
 @pytest.mark.parametrize(
@@ -38,19 +38,19 @@ def test_a_share_is_never_rounded_to_all_or_nothing(share, text):
     [(0.5, "0.50 s"), (42, "42 s"), (157.2, "2 min 37 s"), (3600, "1 h 0 min"), (200000, "2 d 7 h")],
 )
 def test_durations_have_two_units(seconds, text):
-    assert words.duration(seconds) == text
+    assert value_format.duration(seconds) == text
 
 
 @pytest.mark.parametrize(
     ("octets", "text"), [(47, "47 B"), (2186, "2.19 kB"), (948898, "949 kB"), (4765257, "4.77 MB")]
 )
 def test_sizes_have_three_digits(octets, text):
-    assert words.size(octets) == text
+    assert value_format.size(octets) == text
 
 
 def test_a_chosen_value_is_shown_as_it_was_chosen():
-    assert [words.exact(v) for v in (5.0, -50.0, 0.07)] == ["5", "−50", "0.07"]
+    assert [value_format.exact(v) for v in (5.0, -50.0, 0.07)] == ["5", "−50", "0.07"]
 
 
 def test_long_values_are_cut():
-    assert len(words.brief("x" * 1000)) < 200
+    assert len(value_format.brief("x" * 1000)) < 200

@@ -7,15 +7,15 @@ import pytest
 from report.runs import make_run
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import sha256
-from wheelleg_exp.report import compile as compile_of
 from wheelleg_exp.report import make_report
+from wheelleg_exp.report import report_page as compile_of
 
 
 @pytest.fixture(autouse=True)
 def _short(monkeypatch):
     """A page without its slower parts: what it says does not matter here."""
     for part in ("settings", "learning", "objective"):
-        monkeypatch.setattr(f"wheelleg_exp.report.compile.{part}", None)
+        monkeypatch.setattr(f"wheelleg_exp.report.report_page.{part}", None)
 
 
 def test_it_stands_in_the_run_and_the_manifest_tells_of_it(root):

@@ -17,7 +17,7 @@ from typing import Any
 from patience import PATIENCE_S
 
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.recording.reading.digest import entity_digests
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
 
 PROJECT = Path(__file__).parent / "planted_project"
 ITERATIONS = 4

@@ -10,7 +10,7 @@ import yaml
 
 from repro import checks
 from repro.runs import Lab, Refused
-from wheelleg_exp.run import inventory
+from wheelleg_exp.run import file_inventory
 
 pytestmark = pytest.mark.train
 usual, long = pytest.mark.repro, pytest.mark.full
@@ -83,7 +83,7 @@ def test_a_changed_snapshot_is_not_what_the_source_composes_to(lab: Lab, tmp_pat
 
 @usual
 def test_a_flipped_bit_shows_digests_that_are_not_computed_anew(lab: Lab, tmp_path, monkeypatch):
-    monkeypatch.setattr(inventory, "sha256", functools.cache(inventory.sha256))
+    monkeypatch.setattr(file_inventory, "sha256", functools.cache(file_inventory.sha256))
     other = Lab(tmp_path)
     other.take(lab.once())
     assert "environment.txt" in checks.flipped_byte(other)

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.jobs.resume.loading import load
+from wheelleg_exp.jobs.train.resume_training import load_state
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.averaging import PolicyAverage, without
 from wheelleg_exp.rl.digests import of_state
-from wheelleg_exp.rl.policy import load_policy
+from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.policy_average import PolicyAverage, without_average
 
 OVER = "agent.average_iterations=2"
 
@@ -46,7 +46,7 @@ def test_training_goes_on_with_the_weights_as_it_does_without_a_mean(make_traine
     list(plain.learn(3))
     ours, theirs = of_state(averaged[-1]), of_state(plain.state_dict())
     assert {name for name in ours if ours[name] != theirs.get(name)} == {"mean", "rest"}
-    assert of_state(without(averaged[-1])) == theirs
+    assert of_state(without_average(averaged[-1])) == theirs
 
 
 def test_the_mean_is_over_the_weights_of_each_iteration(averaged):
@@ -66,9 +66,9 @@ def test_a_training_that_was_stopped_goes_on_with_its_mean_to_the_bit(make_train
 
 def test_a_training_may_go_on_without_its_mean(make_trainer, averaged):
     plain = make_trainer()
-    assert load(plain, copy.deepcopy(averaged[0]), None) == []
+    assert load_state(plain, copy.deepcopy(averaged[0]), None) == []
     list(plain.learn(3))
-    assert of_state(plain.state_dict()) == of_state(without(averaged[-1]))
+    assert of_state(plain.state_dict()) == of_state(without_average(averaged[-1]))
 
 
 @pytest.mark.parametrize(

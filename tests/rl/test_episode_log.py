@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from wheelleg_exp.rl.episode_log import EpisodeLog
+from wheelleg_exp.rl.rollout_log import EpisodeLog
 
 
 def step(log, rewards, dones, values=None):

@@ -20,7 +20,7 @@ from patience import PATIENCE_S
 from tensordict import TensorDict
 
 from wheelleg_exp.rl import export
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.verify.exported_policies import exported_part
 
 pytestmark = pytest.mark.slow

@@ -12,7 +12,7 @@ import torch
 
 from wheelleg_exp.errors import EXIT_FAILED, SimulationFailure
 from wheelleg_exp.mdp import observations, rewards
-from wheelleg_exp.rl.episode_log import FailureCount, logged
+from wheelleg_exp.rl.rollout_log import FailureCount, logged
 
 NAN, INF = math.nan, math.inf
 

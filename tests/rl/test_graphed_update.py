@@ -11,7 +11,7 @@ import torch
 from jobs.ranks import end, start
 from jobs.small import TINY
 
-from wheelleg_exp.rl.graphed_update import GraphedUpdate, can, is_plain
+from wheelleg_exp.rl.ppo_graphs import CapturedUpdate, can_capture_update, is_plain_ppo
 
 DEVICE = os.environ.get("WHEELLEG_TEST_DEVICE", "cpu")
 UPDATES = 4
@@ -41,8 +41,8 @@ def updated(trainer, update) -> tuple[list[dict], list[float]]:
 def test_an_update_is_that_of_rsl_rl(make_trainer, changes):
     words = (*changes, f"agent.device={DEVICE}", "agent.algorithm.desired_kl=0.002")
     ours, theirs = make_trainer(*words), make_trainer(*words)
-    assert is_plain(ours.algorithm)
-    found = updated(ours, GraphedUpdate(ours.algorithm))
+    assert is_plain_ppo(ours.algorithm)
+    found = updated(ours, CapturedUpdate(ours.algorithm))
     if theirs.algorithm.symmetry:
         del theirs.algorithm.symmetry.compute_loss  # ours; rsl_rl's own is behind it
     expected = updated(theirs, theirs.algorithm.update)
@@ -76,7 +76,7 @@ def test_acting_as_a_graph_is_acting(make_trainer):
 
 def test_a_loaded_state_goes_on(make_trainer):
     trainer = make_trainer(f"agent.device={DEVICE}")
-    update = GraphedUpdate(trainer.algorithm)
+    update = CapturedUpdate(trainer.algorithm)
     updated(trainer, update)
     saved, rng = copy.deepcopy(trainer.algorithm.save()), torch.get_rng_state()
     env, first = trainer.env.env.state_dict(), []
@@ -91,9 +91,9 @@ def test_a_loaded_state_goes_on(make_trainer):
 
 def test_what_it_does_not_do_is_rsl_rls(make_trainer):
     trainer = make_trainer()
-    assert not can(trainer.algorithm)  # on a CPU
-    assert not is_plain(make_trainer("agent.algorithm.optimizer=sgd").algorithm)
-    assert not is_plain(make_trainer("agent=ppo_symmetry").algorithm)
+    assert not can_capture_update(trainer.algorithm)  # on a CPU
+    assert not is_plain_ppo(make_trainer("agent.algorithm.optimizer=sgd").algorithm)
+    assert not is_plain_ppo(make_trainer("agent=ppo_symmetry").algorithm)
 
 
 # Each process updates one trainer as rsl_rl does and another as graphs would, with environments of its own.
@@ -105,7 +105,7 @@ from pathlib import Path
 import torch
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.rl.graphed_update import GraphedUpdate, is_plain
+from wheelleg_exp.rl.ppo_graphs import CapturedUpdate, is_plain_ppo
 from wheelleg_exp.rl.ranks import joined
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -117,9 +117,9 @@ with joined() as ranks:
         env = ManagerBasedRLEnv(config["env"], Path(mjcf), ranks.seed(0))
         trainer = Trainer(RslRlVecEnv(env, None), config["agent"], 0, ranks=ranks)
         algorithm = trainer.algorithm
-        assert is_plain(algorithm) and algorithm.is_multi_gpu
+        assert is_plain_ppo(algorithm) and algorithm.is_multi_gpu
         algorithm.broadcast_parameters()
-        update, rates, losses = GraphedUpdate(algorithm) if is_ours else algorithm.update, [], []
+        update, rates, losses = CapturedUpdate(algorithm) if is_ours else algorithm.update, [], []
         for index in range(3):
             torch.manual_seed(2 * index + ranks.rank)
             trainer._collect()

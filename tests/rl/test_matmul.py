@@ -14,7 +14,7 @@ from rsl_rl.modules import MLP
 from torch import nn
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.threads import dependent_products, set_threads
+from wheelleg_exp.jobs.torch_threads import dependent_products, set_threads
 from wheelleg_exp.rl import matmul
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, has_units, linear
 

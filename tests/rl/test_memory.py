@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelleg_exp import memory
+from wheelleg_exp import machine
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 
 SENSORS = "wheelleg_exp.sim.sensors"
@@ -51,23 +51,23 @@ def test_what_cannot_fit_names_its_key_and_both_sizes(override, make_trainer):
 
 @pytest.mark.parametrize(("there", "fits"), [(999, False), (1000, True)])
 def test_the_need_is_held_against_what_is_there(there, fits, monkeypatch):
-    monkeypatch.setattr(memory, "machine_memory", lambda: there)
+    monkeypatch.setattr(machine, "machine_memory", lambda: there)
     if fits:
-        memory.require_memory(1000, "a.key", "ten things")
+        machine.require_memory(1000, "a.key", "ten things")
         return
     with pytest.raises(ConfigError, match=r"a\.key: ten things take 0\.001 MB of memory at least"):
-        memory.require_memory(1000, "a.key", "ten things")
+        machine.require_memory(1000, "a.key", "ten things")
 
 
 def test_a_containers_limit_counts(monkeypatch, tmp_path):
     limit = tmp_path / "memory.max"
-    monkeypatch.setattr(memory, "_LIMIT", limit)
-    whole = memory.machine_memory()
+    monkeypatch.setattr(machine, "_LIMIT", limit)
+    whole = machine.machine_memory()
     assert whole > 1e8
     limit.write_text("max\n")
-    assert memory.machine_memory() == whole
+    assert machine.machine_memory() == whole
     limit.write_text("1000000\n")
-    assert memory.machine_memory() == 1_000_000
+    assert machine.machine_memory() == 1_000_000
 
 
 def test_a_learning_rate_that_blows_the_networks_up_is_told_with_a_key(make_trainer):

@@ -10,7 +10,7 @@ from jobs.ranks import SIZE, end, start
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.streams import stream_seed
-from wheelleg_exp.rl import rank_states
+from wheelleg_exp.rl import ranks
 from wheelleg_exp.rl.ranks import ALONE, Ranks, joined
 
 # Each process says what it has heard; the last word of the first is an error of the second.
@@ -19,7 +19,7 @@ import json, os, sys
 os.environ["MASTER_PORT"] = str(json.loads(sys.argv[2])[0])
 import torch
 from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError
-from wheelleg_exp.rl.rank_errors import Left
+from wheelleg_exp.rl.ranks import Left
 from wheelleg_exp.rl.ranks import joined
 
 with joined() as ranks:
@@ -80,7 +80,7 @@ def test_the_first_tells_of_anothers_error_and_the_others_are_silent(said):
         ["ConfigError", "is wrong [in process 1]", "env.x", None, False],
         ["SimulationFailure", "is wrong [in process 1]", "env.x", None, True],
     ]
-    assert [words[0] for words in said[1][0][6:]] == ["ToldByFirst"] * 3
+    assert [words[0] for words in said[1][0][6:]] == ["FirstRankFailed"] * 3
     assert [words[3] for words in said[1][0][6:8]] == [False, True]
 
 
@@ -97,7 +97,7 @@ def test_a_process_that_dies_is_noticed(said):
 def test_alone_nothing_is_told_and_nothing_changes():
     assert (ALONE.any(True), ALONE.any(False), ALONE.tell_all([1]), ALONE.said_by_first(2)) == (True, False, [[1]], 2)
     state = {"x": torch.ones(2)}
-    assert rank_states.whole(ALONE, state) == state
+    assert ranks.state_of_all_ranks(ALONE, state) == state
     assert ALONE.for_rsl_rl() is None
     assert ALONE.seed(5) == 5
     with pytest.raises(ConfigError), ALONE.agreed():
@@ -138,8 +138,8 @@ def test_variables_that_are_not_torchruns_are_refused(monkeypatch):
 
 
 def test_the_parts_of_a_state_are_those_of_each():
-    first = {"actor_state_dict": {"w": torch.ones(1)}, **{key: {"of": 0} for key in rank_states.OWN}}
-    state = {**first, "ranks": [{key: {"of": rank} for key in rank_states.OWN} for rank in (1, 2)]}
-    assert rank_states.of_rank(state, 0) == first
-    assert rank_states.of_rank(state, 2)["env"] == {"of": 2}
-    assert rank_states.of_rank(state, 2)["actor_state_dict"] is first["actor_state_dict"]
+    first = {"actor_state_dict": {"w": torch.ones(1)}, **{key: {"of": 0} for key in ranks.OWN_KEYS_OF_A_RANK}}
+    state = {**first, "ranks": [{key: {"of": rank} for key in ranks.OWN_KEYS_OF_A_RANK} for rank in (1, 2)]}
+    assert ranks.state_of_rank(state, 0) == first
+    assert ranks.state_of_rank(state, 2)["env"] == {"of": 2}
+    assert ranks.state_of_rank(state, 2)["actor_state_dict"] is first["actor_state_dict"]

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from wheelleg_exp.rl.step_means import StepMeans
+from wheelleg_exp.rl.rollout_log import StepMeans
 
 
 def manager(**fields):

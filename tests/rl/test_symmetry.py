@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from wheelleg_exp.config.checking.check import check
+from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.policy import load_policy
-from wheelleg_exp.rl.symmetry import left_right
-from wheelleg_exp.rl.symmetry.joints import partners, signs
-from wheelleg_exp.rl.symmetry.mirror_loss import lighten
+from wheelleg_exp.rl.mirror_images import joint_images, joint_signs
+from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.symmetry import left_right, replace_mirror_loss
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 MIRRORED = "agent=ppo_symmetry"
@@ -160,9 +159,9 @@ def test_signs_of_joints_are_those_of_their_axes():
           <body pos="0.1 0 0"><joint name="nod" axis="0 1 0"/><geom size="0.02"/></body></body>
       </body></worldbody></mujoco>""")
     names = ["l_roll", "l_pitch", "l_slide", "r_roll", "r_pitch", "r_slide", "yaw", "nod"]
-    images = partners(names, {"l_(.*)": r"r_\1"})
+    images = joint_images(names, {"l_(.*)": r"r_\1"})
     assert images == [3, 4, 5, 0, 1, 2, 6, 7]
-    assert signs(model, "base", names, images) == [-1, -1, -1, -1, -1, -1, -1, 1]
+    assert joint_signs(model, "base", names, images) == [-1, -1, -1, -1, -1, -1, -1, 1]
 
 
 @pytest.mark.parametrize(
@@ -176,13 +175,13 @@ def test_signs_of_joints_are_those_of_their_axes():
 )
 def test_pairs_that_cannot_be_are_told(pairs, said):
     with pytest.raises(ConfigError, match=r"agent\.symmetry\.joint_pairs") as caught:
-        partners(["l1", "r1", "head"], pairs)
+        joint_images(["l1", "r1", "head"], pairs)
     assert said in str(caught.value)
 
 
 def test_a_pair_that_is_null_is_none():
     """Who builds on an agent of other joints' names takes its pair back."""
-    assert partners(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
+    assert joint_images(["left", "right", "head"], {r"l(\d+)": None, "left": "right"}) == [1, 0, 2]
 
 
 def lopsided(change):
@@ -205,9 +204,9 @@ def lopsided(change):
     ],
 )
 def test_joints_that_are_no_images_are_told(change, said):
-    assert signs(lopsided({}), "base", ["l", "r"], [1, 0]) == [1, 1]
+    assert joint_signs(lopsided({}), "base", ["l", "r"], [1, 0]) == [1, 1]
     with pytest.raises(ConfigError, match="'l' and 'r' are no mirror images") as caught:
-        signs(lopsided(change), "base", ["l", "r"], [1, 0])
+        joint_signs(lopsided(change), "base", ["l", "r"], [1, 0])
     assert said in str(caught.value)
 
 
@@ -336,8 +335,8 @@ def test_what_is_a_users_own_keeps_its_own_mirror_loss(make_trainer):
     for thing, kind in zip((algorithm, algorithm.symmetry), theirs, strict=True):
         vars(algorithm.symmetry).pop("compute_loss", None)
         own, thing.__class__ = type(thing), kind
-        lighten(algorithm)
+        replace_mirror_loss(algorithm)
         assert "compute_loss" not in vars(algorithm.symmetry)
         thing.__class__ = own
-    lighten(algorithm)
+    replace_mirror_loss(algorithm)
     assert "compute_loss" in vars(algorithm.symmetry)

@@ -17,7 +17,7 @@ from patience import PATIENCE_S
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
-from wheelleg_exp.rl.policy import load_policy
+from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]

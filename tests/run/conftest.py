@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from wheelleg_exp.run.directory import RunDirectory
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.run_directory import RunDirectory
 
 Git = Callable[..., str]
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.run.directory import RunDirectory, create_exclusively
+from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
 
 NOW = datetime(2026, 1, 31, 17, 5, 9)
 

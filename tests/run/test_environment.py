@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from packaging.requirements import Requirement
 
-from wheelleg_exp import threads
+from wheelleg_exp import machine
 from wheelleg_exp.run import environment
 
 CPUINFO = """processor\t: 0
@@ -91,7 +91,7 @@ def test_a_variable_that_can_change_a_result_shows(name):
 
 def test_what_a_config_asks_for_counts_and_a_secret_never_does():
     texts = ["a: ${oc.env:SPEED}\nb: ${oc.env:MY_TOKEN,x}\n", "c: '${ oc.env: SPEED, 3 } ${oc.decode:${oc.env:MASS}}'"]
-    asked = environment.variables_asked_for(texts)
+    asked = environment.requested_variables(texts)
     assert asked == ["MASS", "MY_TOKEN", "SPEED"]
     values = {"SPEED": "3", "MY_TOKEN": "t", "MASS": "AKIA" + "A" * 16, "OTHER": "x", "OMP_X": "glpat-" + "a" * 20}
     assert environment.variables(values, also=asked) == {"SPEED": "3"}
@@ -102,7 +102,7 @@ def test_another_processor_or_container_shows(key, tmp_path, monkeypatch):
     before = environment.hardware()
     info = CPUINFO.replace("AMD EPYC", "Another").replace("avx512_bf16", "amx_tile")
     (tmp_path / "cpuinfo").write_text(info)
-    monkeypatch.setattr(threads, "_CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr(machine, "_CPUINFO", tmp_path / "cpuinfo")
     monkeypatch.setattr(environment, "usable_cores", lambda: 1000)
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(backends=Backends))
     assert environment.hardware().get(key) != before.get(key)
@@ -124,7 +124,7 @@ def test_hardware_comes_from_the_system():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file")
 def test_the_cpu_is_read_from_the_first_block(tmp_path, monkeypatch):
-    monkeypatch.setattr(threads, "_CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr(machine, "_CPUINFO", tmp_path / "cpuinfo")
     before = environment.hardware()
     assert not {"cpu_family", "cpu_flags"} & before.keys()
     (tmp_path / "cpuinfo").write_text(CPUINFO)
@@ -142,7 +142,7 @@ def test_an_absent_distribution_has_no_version(monkeypatch):
 
 
 def test_the_part_loads_neither_torch_nor_mujoco():
-    code = "import sys, wheelleg_exp.run.begin, wheelleg_exp.run.listing, wheelleg_exp.run.source.restore\n"
+    code = "import sys, wheelleg_exp.run.start_run, wheelleg_exp.run.run_list, wheelleg_exp.run.source_restore\n"
     code += "print([m for m in ('torch', 'mujoco', 'hydra') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -11,10 +11,10 @@ import pytest
 from effort import bytecodes
 from patience import wait_until
 
-from wheelleg_exp.run.directory import NEEDED
-from wheelleg_exp.run.listing import list_runs, list_sweeps, summarize
-from wheelleg_exp.run.process import is_alive, this_process
-from wheelleg_exp.run.sweep_index import SweepIndex
+from wheelleg_exp.run.run_directory import NEEDED
+from wheelleg_exp.run.run_index import SweepIndex
+from wheelleg_exp.run.run_list import list_runs, list_sweeps, summarize
+from wheelleg_exp.run.run_lock import is_alive, this_process
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 

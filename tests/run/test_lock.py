@@ -9,12 +9,12 @@ import pytest
 from patience import PATIENCE_S
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.lock import RunLock
+from wheelleg_exp.run.run_lock import RunLock
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from wheelleg_exp.run.lock import RunLock
+from wheelleg_exp.run.run_lock import RunLock
 RunLock(Path(sys.argv[1])).acquire()
 print("held", flush=True)
 time.sleep(600)

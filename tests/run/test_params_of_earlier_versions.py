@@ -7,7 +7,7 @@ import copy
 from sim.small_envs import ASSETS, env_config
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.run.params import on_reference_engine, present_form
+from wheelleg_exp.run.run_config import on_reference_engine, upgrade_env_params
 
 
 def earlier():
@@ -25,7 +25,7 @@ def earlier():
 def test_they_build_the_same_model():
     old = earlier()
     kept = copy.deepcopy(old)
-    built = ManagerBasedRLEnv(present_form(old), ASSETS / "rover.xml", 0)
+    built = ManagerBasedRLEnv(upgrade_env_params(old), ASSETS / "rover.xml", 0)
     now = ManagerBasedRLEnv(env_config(), ASSETS / "rover.xml", 0)
     assert built.scene.model_digest() == now.scene.model_digest()
     assert built.state_dict().keys() == now.state_dict().keys()
@@ -33,7 +33,7 @@ def test_they_build_the_same_model():
 
 
 def test_present_ones_stay_as_they_are():
-    assert present_form(env_config()) == env_config()
+    assert upgrade_env_params(env_config()) == env_config()
 
 
 def test_what_was_trained_on_a_gpu_is_played_on_the_cpu():

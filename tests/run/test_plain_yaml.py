@@ -11,7 +11,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.plain_yaml import dump_yaml
+from wheelleg_exp.plain_data import dump_yaml
 
 FLOATS = [1e-5, 0.008333333333333333, 1e16, 1e22, -2.5e-300, 5e-324, 0.1 + 0.2, 1e20, -0.0, 1.0]
 FLOATS += [math.inf, -math.inf]

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.source.restore import find_origin, load_source, restore_source, source_records
-from wheelleg_exp.run.source.snapshot import snapshot_source
+from wheelleg_exp.run.source_restore import find_origin, load_source, restore_source, source_records
+from wheelleg_exp.run.source_snapshot import snapshot_source
 
 
 def snapshot(root: Path, run: Path) -> dict:
@@ -200,7 +200,7 @@ def test_a_patch_that_is_not_the_recorded_one_is_refused_before_git_sees_it(repo
     snapshot(repository, tmp_path / "run")
     path = tmp_path / "run" / "source" / "source.patch"
     path.write_bytes(path.read_bytes().replace(b"x = 2", b"x = 3"))
-    monkeypatch.setattr("wheelleg_exp.run.source.restore.run_git", pytest.fail)
+    monkeypatch.setattr("wheelleg_exp.run.source_restore.run_git", pytest.fail)
     with pytest.raises(RunDirectoryError, match="changed since the run recorded it"):
         restore_source(tmp_path / "run", tmp_path / "again")
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from wheelleg_exp.run.seal import bytes_hold, sealed_text, values_hold
+from wheelleg_exp.run.manifest import bytes_match_digest, text_with_digest, values_match_digest
 
 DOCUMENT: dict[str, Any] = {"a": [1, 0.1, None, {"b": "ü"}], "c": {"x": True}}
 # What a program of format 1 wrote, whose digest is of the values.
@@ -13,17 +13,17 @@ OF_VALUES: dict[str, Any] = {**DOCUMENT, "sha256": "1be7de195f5b192e19776cdec006
 
 
 def test_a_sealed_text_holds_and_is_the_document_with_its_digest_at_the_end():
-    text = sealed_text(DOCUMENT)
-    assert bytes_hold(text.encode())
+    text = text_with_digest(DOCUMENT)
+    assert bytes_match_digest(text.encode())
     assert list(json.loads(text).items())[:-1] == list(DOCUMENT.items())
-    assert sealed_text(json.loads(text)) == text
+    assert text_with_digest(json.loads(text)) == text
 
 
 def test_every_changed_bit_breaks_it():
-    data = sealed_text(DOCUMENT).encode()
+    data = text_with_digest(DOCUMENT).encode()
     for at in range(len(data)):
         for bit in range(8):
-            assert not bytes_hold(data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :]), (at, bit)
+            assert not bytes_match_digest(data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :]), (at, bit)
 
 
 @pytest.mark.parametrize(
@@ -39,21 +39,21 @@ def test_every_changed_bit_breaks_it():
     ],
 )
 def test_other_bytes_of_the_same_values_break_it(old, new):
-    data = sealed_text(DOCUMENT).encode()
+    data = text_with_digest(DOCUMENT).encode()
     assert data.replace(old, new) != data
-    assert not bytes_hold(data.replace(old, new))
+    assert not bytes_match_digest(data.replace(old, new))
 
 
 def test_a_text_that_is_sealed_as_broken_stays_so():
-    text = sealed_text(DOCUMENT, broken=True)
-    assert not bytes_hold(text.encode())
+    text = text_with_digest(DOCUMENT, broken=True)
+    assert not bytes_match_digest(text.encode())
     assert {**json.loads(text), "sha256": None} == {**DOCUMENT, "sha256": None}
 
 
 def test_a_document_of_format_1_holds_by_its_values():
-    assert values_hold(OF_VALUES) is True
-    assert values_hold(dict(reversed(OF_VALUES.items()))) is True
-    assert values_hold(DOCUMENT) is None
+    assert values_match_digest(OF_VALUES) is True
+    assert values_match_digest(dict(reversed(OF_VALUES.items()))) is True
+    assert values_match_digest(DOCUMENT) is None
 
 
 @pytest.mark.parametrize(
@@ -69,4 +69,4 @@ def test_a_document_of_format_1_holds_by_its_values():
 def test_any_other_value_of_format_1_is_found(change):
     document = json.loads(json.dumps(OF_VALUES))
     change(document)
-    assert values_hold(document) is False
+    assert values_match_digest(document) is False

@@ -2,13 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wheelleg_exp.run.source.secrecy import (
-    secret_content,
-    secret_keys,
-    secret_name,
-    secret_variables,
-    without_credentials,
-)
+from wheelleg_exp.run.secrecy import secret_content, secret_keys, secret_name, secret_variables, without_credentials
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import yaml
 from omegaconf import OmegaConf
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.run.begin import begin, refuse_secrets
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.params import load_params, write_params
+from wheelleg_exp.run.run_config import load_params, write_params
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.start_run import refuse_secrets, start_run
 
 PARAMS = {
     "env": {
@@ -26,7 +26,7 @@ def run(tmp_path, repository, git):
     """A run below the repository itself, as users have it."""
     directory = RunDirectory.create(repository / "runs", "walk", 7)
     (repository / "package" / "new.py").write_text("y = 2\n")
-    manifest = begin(
+    manifest = start_run(
         directory,
         command=["wheelleg", "train", "task=walk"],
         params=PARAMS,
@@ -111,7 +111,7 @@ def snapshot_of(tmp_path, **changes):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
     given = {"command": ["wheelleg"], "params": PARAMS, "hydra_files": {"config": "a: 1\n"}, "source_roots": []}
     given |= {"seed": 7, "task": "walk", "threads": {"torch": 2}} | changes
-    data = begin(directory, **given).data
+    data = start_run(directory, **given).data
     source = json.loads((directory.source / "git.json").read_text())
     timeless = ("id", "started", "process", "sha256")
     return {k: v for k, v in data.items() if k not in timeless} | {"git": source}
@@ -272,7 +272,7 @@ def test_a_snapshot_that_fails_says_so_in_the_manifest(tmp_path, git):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
     params = {"env": {"a": (1, 2)}, "agent": {}}
     with pytest.raises(RunDirectoryError, match="tuple cannot be kept"):
-        begin(
+        start_run(
             directory,
             command=[],
             params=params,
@@ -294,9 +294,9 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
         seen.append(directory.manifest().status)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wheelleg_exp.run.begin.snapshot_source", look)
+    monkeypatch.setattr("wheelleg_exp.run.start_run.snapshot_source", look)
     with pytest.raises(KeyboardInterrupt):
-        begin(
+        start_run(
             directory,
             command=[],
             params=PARAMS,
@@ -313,7 +313,7 @@ def test_the_manifest_is_there_before_the_source_is_read(tmp_path, git, monkeypa
 def test_a_hydra_file_cannot_leave_its_folder(tmp_path, repository, git):
     directory = RunDirectory.create(tmp_path / "runs", "walk", 7)
     with pytest.raises(RunDirectoryError, match="no file name"):
-        begin(
+        start_run(
             directory,
             command=[],
             params=PARAMS,

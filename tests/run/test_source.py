@@ -10,10 +10,10 @@ import subprocess
 import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.run.source import git as git_module
-from wheelleg_exp.run.source.description import source_lines
-from wheelleg_exp.run.source.restore import restore_source
-from wheelleg_exp.run.source.snapshot import snapshot_source
+from wheelleg_exp.run import git_commands as git_module
+from wheelleg_exp.run.source_changes import source_lines
+from wheelleg_exp.run.source_restore import restore_source
+from wheelleg_exp.run.source_snapshot import snapshot_source
 
 ODD = ["a b.txt", "tab\there", "new\nline", 'quo"te', "back\\slash", "ünï", "-dash", ":(top)x", "*"]
 ODD += [os.fsdecode(b"\xff")]  # no UTF-8

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from wheelleg_exp.run.source.snapshot import snapshot_source
-from wheelleg_exp.run.source_changes import changes_in_words
+from wheelleg_exp.run.source_changes import describe_changes
+from wheelleg_exp.run.source_snapshot import snapshot_source
 
 
 @pytest.fixture
@@ -35,8 +35,8 @@ def test_in_a_folder_without_git_every_kind_of_change_is_named(folder, record):
     (folder / "pet" / "c.py").chmod(0o755)
     now = record(folder)
     assert was["tree"] != now["tree"]
-    assert changes_in_words(was, now, []) == (f"{folder}: changed pet/a.py, pet/c.py; added pet/d.py; removed pet/b.py")
-    assert changes_in_words(was, was, []) == f"{folder}: no file differs"
+    assert describe_changes(was, now, []) == (f"{folder}: changed pet/a.py, pet/c.py; added pet/d.py; removed pet/b.py")
+    assert describe_changes(was, was, []) == f"{folder}: no file differs"
 
 
 def test_uncommitted_changes_of_one_commit_are_named_without_a_repository(repository, record):
@@ -47,7 +47,7 @@ def test_uncommitted_changes_of_one_commit_are_named_without_a_repository(reposi
     (repository / "mine.py").unlink()
     (repository / "gone.txt").unlink()
     now = record(repository)
-    assert changes_in_words(was, now, []) == (f"{repository}: changed package/code.py; removed gone.txt, mine.py")
+    assert describe_changes(was, now, []) == (f"{repository}: changed package/code.py; removed gone.txt, mine.py")
 
 
 def test_what_has_been_committed_since_is_named_where_a_repository_holds_both(repository, record, git, tmp_path):
@@ -61,27 +61,27 @@ def test_what_has_been_committed_since_is_named_where_a_repository_holds_both(re
     (repository / "gone.txt").unlink()
     (repository / "later.py").write_text("3\n")
     now = record(repository)
-    said = changes_in_words(was, now, [tmp_path, repository])
+    said = describe_changes(was, now, [tmp_path, repository])
     assert said == f"{repository}: changed draft.py; added later.py; removed gone.txt"
-    assert "no repository here holds both" in changes_in_words(was, now, [tmp_path])
+    assert "no repository here holds both" in describe_changes(was, now, [tmp_path])
 
 
 def test_many_files_are_cut(folder, record):
     was = record(folder)
     for index in range(9):
         (folder / f"{index}.py").write_text("x")
-    assert changes_in_words(was, record(folder), []).endswith("added 0.py, 1.py, 2.py and 6 more")
+    assert describe_changes(was, record(folder), []).endswith("added 0.py, 1.py, 2.py and 6 more")
 
 
 @pytest.mark.parametrize("damage", [{"contents": None}, {"contents": {"a": 1}}, {"contents": [], "base": "--output=x"}])
 def test_a_record_that_does_not_say_is_told(folder, record, damage):
     was = record(folder)
-    assert "not recorded" in changes_in_words({**was, **damage}, was, [])
+    assert "not recorded" in describe_changes({**was, **damage}, was, [])
 
 
 def test_a_base_that_is_no_id_never_reaches_git(folder, record, monkeypatch):
     was = record(folder)
-    assert "cannot be told" in changes_in_words({**was, "base": f"--output={folder / 'x'}"}, was, [folder])
+    assert "cannot be told" in describe_changes({**was, "base": f"--output={folder / 'x'}"}, was, [folder])
     assert not (folder / "x").exists()
 
 
@@ -96,7 +96,7 @@ def test_the_file_that_this_process_prints_to_is_no_source(folder, record):
             os.dup2(kept, 2)
             os.close(kept)
     assert now["tree"] == was["tree"]
-    assert "added told.txt" in changes_in_words(was, record(folder), [])
+    assert "added told.txt" in describe_changes(was, record(folder), [])
 
 
 def test_logs_are_no_source_of_a_folder_without_git_unless_it_says_so(folder, record):
@@ -105,4 +105,4 @@ def test_logs_are_no_source_of_a_folder_without_git_unless_it_says_so(folder, re
         (folder / name).write_text("step 1\n")
     assert record(folder)["tree"] == was["tree"]
     (folder / ".gitignore").write_text("!train.log\n")
-    assert changes_in_words(was, record(folder), []).endswith("added .gitignore, train.log")
+    assert describe_changes(was, record(folder), []).endswith("added .gitignore, train.log")

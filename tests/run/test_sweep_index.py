@@ -9,9 +9,9 @@ import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import write_json
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.listing import list_runs
-from wheelleg_exp.run.sweep_index import SweepIndex
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_index import SweepIndex
+from wheelleg_exp.run.run_list import list_runs
 from wheelleg_exp.run.timestamps import folder_text
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)

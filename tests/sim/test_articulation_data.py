@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.sim.absent import absent_members
+from wheelleg_exp.sim.class_members import unsupported_members
 from wheelleg_exp.sim.engine import Engine
 
 N = 4
@@ -195,7 +195,7 @@ def test_a_changed_default_state_is_saved(make_env):
 def test_what_is_absent_says_so(make_env, owner, name, why):
     robot = make_env().scene.robot
     holder = robot.data if owner == "data" else robot
-    assert name in absent_members(type(holder))
+    assert name in unsupported_members(type(holder))
     assert not hasattr(holder, name)
     with pytest.raises(ConfigError, match=rf"'{name}'.*{why}"):
         getattr(holder, name)

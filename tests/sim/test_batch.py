@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.sim.batch import BatchEngine
+from wheelleg_exp.sim.batch_engine import BatchEngine
 
 XML = """
 <mujoco><option timestep=".005" integrator="implicitfast"/>

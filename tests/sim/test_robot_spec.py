@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.sim.robot_spec import turn_root_frame
+from wheelleg_exp.sim.robot_model import turn_root_frame
 
 FRAME = np.array([0.3, 0.5, -0.2, 0.7])
 INERTIAS = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from wheelleg_exp.state.memory import _array
+from wheelleg_exp.state.unsaved_state import _array
 
 BASE = torch.zeros(6, 4)
 

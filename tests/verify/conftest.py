@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from verify import synthetic
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run.run_directory import RunDirectory
 
 
 @pytest.fixture(scope="session")

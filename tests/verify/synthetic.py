@@ -18,11 +18,10 @@ import yaml
 
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.rl import checkpoint, digests
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.run.inventory import inventory
-from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.params import write_params
-from wheelleg_exp.run.seal import sealed_text
+from wheelleg_exp.run.file_inventory import inventory
+from wheelleg_exp.run.manifest import Manifest, text_with_digest
+from wheelleg_exp.run.run_config import write_params
+from wheelleg_exp.run.run_directory import RunDirectory
 
 ITERATIONS = 5
 CHECKPOINTS = (0, 2, 4)
@@ -152,7 +151,7 @@ def edit(run: RunDirectory, change: Callable[[dict[str, Any]], Any]) -> None:
     """Change the manifest and seal it again."""
     data = run.manifest().data
     change(data)
-    write_text(run.path / "manifest.json", sealed_text(data))
+    write_text(run.path / "manifest.json", text_with_digest(data))
 
 
 def edit_state(run: RunDirectory, iteration: int, change: Callable[[dict[str, Any]], Any]) -> None:

@@ -16,9 +16,9 @@ from onnx import helper
 from verify import synthetic
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import dump_json
-from wheelleg_exp.run.process import this_process
+from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.verify import compare_runs, environment_differences
-from wheelleg_exp.verify.settings import decides
+from wheelleg_exp.verify.run_differences import decides
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 
 from verify import synthetic
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.run.inventory import inventory
+from wheelleg_exp.run.file_inventory import inventory
 
 
 def _remove(path):

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from verify import synthetic
-from wheelleg_exp.jobs.resume.point import find_point
-from wheelleg_exp.run.log import read_log
+from wheelleg_exp.jobs.train.resume_point import find_point
+from wheelleg_exp.run.iteration_log import read_log
 
 
 def line(iteration, **more):

@@ -14,10 +14,10 @@ import torch
 
 from verify import synthetic
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.recording.reading.contents import Contents
+from wheelleg_exp.recording.reading.recording_contents import Contents
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.run import inventory
-from wheelleg_exp.run.directory import RunDirectory
+from wheelleg_exp.run import file_inventory
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.verify import verify_run
 
 
@@ -74,7 +74,7 @@ def test_a_whole_run_is_sound_and_every_check_is_made(run):
 
 
 def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(run):
-    names = list(inventory.inventory(run.path))
+    names = list(file_inventory.inventory(run.path))
     assert len(names) == 17
     for name in names:
         whole = (run.path / name).read_bytes()
@@ -180,14 +180,14 @@ def test_a_symbolic_link_in_place_of_a_file_is_wrong_and_another_is_told(run, tm
 
 
 def test_a_file_that_cannot_be_read_is_named_and_the_others_are_still_checked(run, monkeypatch):
-    read = inventory.sha256
+    read = file_inventory.sha256
 
     def deny(path):
         if path.name == "environment.txt":
             raise RunDirectoryError(f"cannot read '{path}'")
         return read(path)
 
-    monkeypatch.setattr(inventory, "sha256", deny)
+    monkeypatch.setattr(file_inventory, "sha256", deny)
     synthetic.flip(run.path / "events.out.tfevents.1")
     assert [f.split()[0] for f in failures(run)["files"]] == ["events.out.tfevents.1", "environment.txt"]
 
@@ -374,7 +374,7 @@ def test_a_file_beside_the_snapshot_of_a_crashed_run_is_wrong(run):
 def test_a_running_run_is_sound(run):
     synthetic.crash(run)
     data = run.manifest().data
-    from wheelleg_exp.run.process import this_process
+    from wheelleg_exp.run.run_lock import this_process
 
     synthetic.edit(run, lambda d: d.update(process=this_process()))
     assert failures(run) == {}

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from wheelleg_exp.verify.tensors import count_leaves, relative_distance, tree_differences
+from wheelleg_exp.verify.tensor_differences import count_leaves, relative_distance, tree_differences
 
 NAN = float("nan")
 INF = float("inf")

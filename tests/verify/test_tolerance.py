@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from wheelleg_exp.run.log import Line
+from wheelleg_exp.run.iteration_log import Line
 from wheelleg_exp.verify.tolerance import END, START, judge
 
 LONG = 100

@@ -23,8 +23,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.asset.description import BaseMode, RobotDescription
-from wheelleg_exp.asset.report import Report
+from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.asset.robot_description import BaseMode, RobotDescription
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset.cache import CachedConversion, convert_cached, source_digest

@@ -1,4 +1,8 @@
-"""Keeps conversions in a folder, keyed by the content of everything that went into them."""
+"""Store conversions in a folder, keyed by the content of every file that they were made from.
+
+Files that a config names in addition to the robot (networks of learned actuators, the terrain's own file) are
+copied next to the cached MJCF.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +10,54 @@ import functools
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
-from wheelleg_exp.asset.allocation import bounded_memory
 from wheelleg_exp.asset.conversion import convert, is_urdf
-from wheelleg_exp.asset.description import BaseMode
-from wheelleg_exp.asset.report import Report
-from wheelleg_exp.asset.urdf.robot import source_files
-from wheelleg_exp.asset.usd.stage import open_stage
+from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.asset.file_limits import bounded_memory
+from wheelleg_exp.asset.robot_description import BaseMode
+from wheelleg_exp.asset.urdf.urdf_robot import source_files
+from wheelleg_exp.asset.usd.usd_stage import open_stage
+from wheelleg_exp.constraints import PathBelow
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import sha256, temporary_folder
-from wheelleg_exp.paths import CACHE_KEY, GROUND, NETWORKS
-from wheelleg_exp.reading import json_value
+from wheelleg_exp.paths import CACHE_KEY, GROUND, NETWORKS, find_asset
+from wheelleg_exp.plain_data import json_value
+from wheelleg_exp.terms.config_values import require_fit
+
+
+def find_beside(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
+    """Return the files that an ``env`` section names, by the paths that they get beside the MJCF.
+
+    Args:
+        env: the section.
+        roots: folders of the user's own assets.
+
+    Raises:
+        ConfigError: a name is no path below a folder.
+        AssetError: a file is not there.
+    """
+    groups = env["robot"].get("actuators")
+    named = [
+        (node.get("network_file"), f"env.robot.actuators.{name}.network_file", NETWORKS, "network")
+        for name, node in (groups.items() if isinstance(groups, Mapping) else ())
+        if isinstance(node, Mapping)
+    ]
+    terrain = (env.get("scene") or {}).get("terrain")
+    if isinstance(terrain, Mapping):
+        named.append((terrain.get("file"), "env.scene.terrain.file", GROUND, "ground"))
+    found = {}
+    for file, key, folder, what in named:
+        if file is not None:
+            require_fit(key, file, PathBelow)
+            found[f"{folder}/{file}"] = find_asset(file, roots, key=key, what=what)
+    return found
+
 
 MODEL, REPORT, CONTENTS = "model.xml", "report.json", "contents.json"
 _ATTEMPTS = 3  # to put an entry in place while others do the same

@@ -10,25 +10,28 @@ from pathlib import Path
 
 import mujoco
 
-from wheelleg_exp.asset.allocation import bounded_memory
-from wheelleg_exp.asset.description import BaseMode, Body, RobotDescription
-from wheelleg_exp.asset.findings import UNITS, size_problem
-from wheelleg_exp.asset.geometry import Frame
-from wheelleg_exp.asset.mjcf.acceleration_drives import with_force_gains
-from wheelleg_exp.asset.mjcf.document import Writer, file_name, obj_text
-from wheelleg_exp.asset.mjcf.refused import without_refused
-from wheelleg_exp.asset.mjcf.verify import ModelRefused, load, told_by_mujoco, verify
-from wheelleg_exp.asset.report import Assumption, Report
-from wheelleg_exp.asset.shape_findings import measure_sizes
-from wheelleg_exp.asset.sources import POINT_BYTES, require_near
-from wheelleg_exp.asset.urdf.robot import SUFFIXES as URDF
-from wheelleg_exp.asset.urdf.robot import read_urdf
-from wheelleg_exp.asset.usd.robot import read_usd
-from wheelleg_exp.asset.usd.stage import SUFFIXES as USD
-from wheelleg_exp.asset.values import values_of
+from wheelleg_exp.asset.conversion_report import UNITS, Assumption, Report, size_problem
+from wheelleg_exp.asset.file_limits import POINT_BYTES, bounded_memory, require_near
+from wheelleg_exp.asset.mjcf.compile_mjcf import (
+    ModelRefused,
+    load,
+    told_by_mujoco,
+    verify,
+    with_force_gains,
+    without_refused,
+)
+from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
+from wheelleg_exp.asset.report_writer import measure_sizes
+from wheelleg_exp.asset.rigid_geometry import Frame
+from wheelleg_exp.asset.robot_description import BaseMode, Body, RobotDescription
+from wheelleg_exp.asset.robot_values import values_of
+from wheelleg_exp.asset.urdf.urdf_robot import SUFFIXES as URDF
+from wheelleg_exp.asset.urdf.urdf_robot import read_urdf
+from wheelleg_exp.asset.usd.usd_robot import read_usd
+from wheelleg_exp.asset.usd.usd_stage import SUFFIXES as USD
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.files import temporary_folder
-from wheelleg_exp.memory import machine_memory, shown_bytes
+from wheelleg_exp.machine import machine_memory, shown_bytes
 
 MESHES = "_meshes"  # what an MJCF's folder of meshes is called, after its own name
 

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelleg_exp.asset.description import Quat, Vec3
-from wheelleg_exp.asset.geometry import Array, Frame, quaternion, rotation_matrix
+from wheelleg_exp.asset.rigid_geometry import Array, Frame, quaternion, rotation_matrix
+from wheelleg_exp.asset.robot_description import Quat, Vec3
 
 WATER = 1000.0  # kg/m³, the density of what has none
 BARE_MASS, BARE_RADIUS = 1.0, 0.1  # PhysX: a body without mass and colliders is a sphere of 1 kg

@@ -10,7 +10,7 @@ from wheelleg_exp.cli.common import add_json, add_overrides, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 
 if TYPE_CHECKING:
-    from wheelleg_exp.jobs.agents import AgentKind
+    from wheelleg_exp.jobs.run_agent import AgentKind
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,15 +31,15 @@ def run_random(args: argparse.Namespace) -> int:
 
 
 def _run(kind: AgentKind, args: argparse.Namespace) -> int:
-    from wheelleg_exp.config.checking.collect import compose_valid
+    from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     if args.steps is not None and args.steps < 1:
         raise WheellegError(f"is {args.steps}", key="--steps", expected="at least 1")
     composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.figures import print_contacts, print_figures, print_recording
-    from wheelleg_exp.jobs.agents import run_agent
+    from wheelleg_exp.cli.printing.figures_table import print_contacts, print_figures, print_recording
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.jobs.run_agent import run_agent
 
     with ConsoleDisplay(quiet=args.json) as display:
         made = run_agent(kind, composed, args.steps, display)

@@ -15,9 +15,9 @@ from wheelleg_exp.files import dump_json, json_plain
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.provenance import Source
-    from wheelleg_exp.jobs.stop import StopRequest
     from wheelleg_exp.rl.ranks import Ranks
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
+    from wheelleg_exp.stop_request import StopRequest
 
     First = Callable[[argparse.Namespace, StopRequest, Ranks], int]
     Other = Callable[[argparse.Namespace, StopRequest, Ranks], None]
@@ -99,7 +99,7 @@ def add_primary(parser: argparse.ArgumentParser) -> None:
 
 def primary_of(args: argparse.Namespace, key: str = "") -> str:
     """Return the primary config that a command composes: the one asked for, or that of its overrides or its key."""
-    from wheelleg_exp.config.composing.primaries import PIPELINE, names_pipeline
+    from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
     named = any(map(names_pipeline, [*args.overrides, key]))
     return args.primary or (PIPELINE if named else "train")
@@ -143,8 +143,8 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
     Raises:
         RunDirectoryError: the run has no checkpoint, or none of that iteration, or its manifest is damaged.
     """
-    from wheelleg_exp.cli.printing.figures import shown
-    from wheelleg_exp.cli.printing.tables import hanging
+    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.terminal import hanging
 
     checkpoint = _checkpoint_named(directory, asked)
     own = checkpoint.is_file() and checkpoint.resolve().parent == directory.path.resolve()
@@ -187,8 +187,7 @@ def together(first: First, other: Other, args: argparse.Namespace, stop: StopReq
     Raises:
         WheellegError: in the first process, or where another one is gone.
     """
-    from wheelleg_exp.rl.rank_errors import ToldByFirst
-    from wheelleg_exp.rl.ranks import joined
+    from wheelleg_exp.rl.ranks import FirstRankFailed, joined
 
     with joined() as ranks:
         if ranks.first:
@@ -197,6 +196,6 @@ def together(first: First, other: Other, args: argparse.Namespace, stop: StopReq
             other(args, stop, ranks)
         except KeyboardInterrupt:
             return EXIT_INTERRUPTED
-        except ToldByFirst as error:
+        except FirstRankFailed as error:
             return error.exit_code
         return EXIT_OK

@@ -144,10 +144,12 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
     if action.choices is not None:
         return [str(choice) for choice in action.choices]
     if name in ("OVERRIDE", "KEY", ROBOT):
-        from wheelleg_exp.config.explaining import candidates as config
+        from wheelleg_exp.config.explaining import alternatives as config
 
         files = _files(word) if name == ROBOT and "=" not in word else []
-        return files + (config.keys if name == "KEY" else config.overrides)(word, before, folders, primary)
+        return files + (config.complete_key if name == "KEY" else config.complete_override)(
+            word, before, folders, primary
+        )
     if name in ("RUN", "A", "B"):
         root = Path(given.get("root", ["runs"])[-1])
         first = [] if name == "RUN" else _tasks(folders)
@@ -163,7 +165,7 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
 
 def _primary(words: list[str]) -> str:
     """Return the primary config of words that name none: a pipeline's where they are of one."""
-    from wheelleg_exp.config.composing.primaries import PIPELINE, names_pipeline
+    from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
     return PIPELINE if any("." in word and names_pipeline(word) for word in words) else "train"
 
@@ -175,14 +177,13 @@ def _tasks(folders: list[Path]) -> list[str]:
 
 
 def _runs(root: Path) -> list[str]:
-    from wheelleg_exp.run.directory import LATEST, run_folders
+    from wheelleg_exp.run.run_directory import LATEST, run_folders
 
     return [LATEST, *(folder.name for folder in run_folders(root))]
 
 
 def _pipelines(root: Path) -> list[str]:
-    from wheelleg_exp.run.directory import PIPELINES
-    from wheelleg_exp.run.pipeline_index import PIPELINE_NAME
+    from wheelleg_exp.run.run_directory import PIPELINE_NAME, PIPELINES
 
     return sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
 

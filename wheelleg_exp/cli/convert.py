@@ -9,7 +9,7 @@ from typing import Any
 
 from wheelleg_exp.cli.common import add_json
 from wheelleg_exp.errors import EXIT_OK, AssetError
-from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.stop_request import StopRequest
 
 DESCRIPTION = "Convert a USD or URDF robot to MJCF: masses, joints, colliders, drives and visuals."
 
@@ -56,14 +56,14 @@ def run(args: argparse.Namespace) -> int:
     variants = dict(_variant(text) for text in args.variant)
     with StopRequest() as stop:  # the USD library swallows an interrupt of its import
         from wheelleg_exp.asset.conversion import convert
-        from wheelleg_exp.asset.mjcf.scene import write_scene
+        from wheelleg_exp.asset.mjcf.preview_scene import write_scene
     stop.check()
     conversion = convert(args.source, args.output, base=args.base, variants=variants)
     scene = write_scene(conversion.description, conversion.output)
     if args.json:
         sys.stdout.write(conversion.report.to_json())
     else:
-        from wheelleg_exp.cli.printing.conversion import show
+        from wheelleg_exp.cli.printing.conversion_summary import show
 
         show(conversion, scene)
     return EXIT_OK

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
-from wheelleg_exp.terms.keys import is_override
+from wheelleg_exp.terms.key_syntax import is_override
 
 if TYPE_CHECKING:
-    from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.jobs.evaluate.evaluate import Evaluated
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.jobs.evaluate_policy import Evaluated
+    from wheelleg_exp.run.run_directory import RunDirectory
 
 REFERENCE = "reference"
 
@@ -50,9 +50,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate policies, print the metrics, keep them under the runs, and compare them where there are several."""
-    from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.evaluation import print_evaluation
-    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.cli.printing.evaluation_tables import print_evaluation
+    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
 
     names = [args.run, *(word for word in args.overrides if not is_override(word))]
     overrides = [word for word in args.overrides if is_override(word)]
@@ -82,9 +82,9 @@ def run(args: argparse.Namespace) -> int:
 def _compare(
     args: argparse.Namespace, made: Sequence[Evaluated], against: Sequence[Evaluated], reference: Evaluated | None
 ) -> int:
-    from wheelleg_exp.cli.printing.comparison import print_comparison, print_differences
-    from wheelleg_exp.cli.printing.figures import shown
-    from wheelleg_exp.jobs.evaluate.compare import compare
+    from wheelleg_exp.cli.printing.evaluation_tables import print_comparison, print_differences
+    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.jobs.evaluate_policy import compare
 
     found = compare(made, against, reference, args.command)
     if args.json:
@@ -104,7 +104,7 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
     Raises:
         WheellegError: there is no such run or checkpoint, or a run is named twice.
     """
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
     for index, directory in enumerate(runs):
@@ -122,18 +122,17 @@ def evaluated(
     display: ConsoleDisplay,
 ) -> Evaluated:
     """Evaluate one run as the words of a command say, or take what it has kept."""
-    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_run
+    from wheelleg_exp.jobs.evaluate_policy import evaluate_run
 
     if args.kept:
         from wheelleg_exp.files import sha256
-        from wheelleg_exp.jobs.evaluate.kept import as_evaluated, find_kept
-        from wheelleg_exp.jobs.evaluate.settings import settings
+        from wheelleg_exp.jobs.evaluate_policy import evaluation_settings, find_saved, load_evaluated
 
-        tree = settings(directory, overrides, args.config_dirs)
-        folder = find_kept(directory, sha256(checkpoint), tree, overrides)
+        tree = evaluation_settings(directory, overrides, args.config_dirs)
+        folder = find_saved(directory, sha256(checkpoint), tree, overrides)
         if folder is not None:
-            return as_evaluated(directory, checkpoint, folder)
-    from wheelleg_exp.inspection.plots.evaluation import draw
+            return load_evaluated(directory, checkpoint, folder)
+    from wheelleg_exp.inspection.evaluation_plots import draw
 
     return evaluate_run(directory, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
 
@@ -142,7 +141,7 @@ def reference_of(
     args: argparse.Namespace, made: Evaluated, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
     """Evaluate the reference controller on the robot and task of an evaluated run."""
-    from wheelleg_exp.inspection.plots.evaluation import draw
-    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_reference
+    from wheelleg_exp.inspection.evaluation_plots import draw
+    from wheelleg_exp.jobs.evaluate_policy import evaluate_reference
 
     return evaluate_reference(made.run, overrides, args.command, display.test, args.config_dirs, draw)

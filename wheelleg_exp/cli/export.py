@@ -22,13 +22,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write a deployer's bundle and print how much its policies differ from the simulation."""
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = chosen_checkpoint(directory, args.checkpoint)
 
-    from wheelleg_exp.cli.printing.figures import shown
-    from wheelleg_exp.jobs.export.export import export
+    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.jobs.export.export_bundle import export
 
     made = export(directory, checkpoint, args.output, args.command)
     if args.json:

@@ -10,10 +10,17 @@ import argparse
 import sys
 
 from wheelleg_exp.cli.common import add_json, add_root, print_json
-from wheelleg_exp.cli.inspecting.action import Action, Inspected, require_used
-from wheelleg_exp.cli.inspecting.pictures import ACTIONS as PICTURES
-from wheelleg_exp.cli.inspecting.reading import ACTIONS as READING
-from wheelleg_exp.cli.inspecting.reading import STATISTICS, SUMMARY, add_selection, selection_of
+from wheelleg_exp.cli.inspect_actions import PICTURE_ACTIONS as PICTURES
+from wheelleg_exp.cli.inspect_actions import READING_ACTIONS as READING
+from wheelleg_exp.cli.inspect_actions import (
+    STATISTICS,
+    SUMMARY,
+    Action,
+    Inspected,
+    add_selection,
+    require_used,
+    selection_of,
+)
 
 # Files and figures first and the viewer last, because that one stays open.
 ACTIONS: tuple[Action, ...] = (*READING, *PICTURES)
@@ -33,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do what was asked for; the summary when nothing was."""
-    from wheelleg_exp.inspection.questions.target import find_target
+    from wheelleg_exp.inspection.recording_target import find_target
 
     chosen = [action for action in ACTIONS if action.is_chosen(args)] or [STATISTICS if args.term else SUMMARY]
     require_used(args, chosen, ACTIONS)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json
-from wheelleg_exp.cli.printing.tables import print_blocks, print_table
+from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry
 from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
@@ -130,14 +130,14 @@ def _terms(args: argparse.Namespace) -> Table:
 
 def _section(name: str) -> str | None:
     """Return the section that a group or a section name stands for: reward, rewards."""
-    from wheelleg_exp.terms.binding import RESERVED
+    from wheelleg_exp.terms.term_binding import RESERVED
 
     return next((section for section in RESERVED if name in (section, section.removesuffix("s"))), None)
 
 
 def _stock_row(entry: Entry) -> list[Any]:
     from wheelleg_exp.config.explaining.catalog import signature_of
-    from wheelleg_exp.terms.binding import resolve_target
+    from wheelleg_exp.terms.term_binding import resolve_target
 
     try:
         takes = signature_of(resolve_target(str(entry.target), f"{entry.group}.{entry.name}"))
@@ -154,13 +154,14 @@ def _entries(columns: list[str], entries: list[Entry]) -> Table:
 def _pipelines(args: argparse.Namespace) -> Table:
     """Return the declared pipelines, and those that were begun, the newest first."""
     from wheelleg_exp.cli.list_runs import runs_folder
-    from wheelleg_exp.jobs.pipeline.settings import PRIMARY, declared
-    from wheelleg_exp.run.pipeline_index import pipelines_below
+    from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_pipeline
+    from wheelleg_exp.run.run_index import pipelines_below
+    from wheelleg_exp.terms.key_syntax import PIPELINE
 
     rows: list[list[Any]] = []
-    for entry in catalog.options(PRIMARY, args.config_dirs):
+    for entry in catalog.options(PIPELINE, args.config_dirs):
         try:
-            phases = ", ".join(declared([f"{PRIMARY}={entry.name}"], args.config_dirs).phases)
+            phases = ", ".join(compose_pipeline([f"{PIPELINE}={entry.name}"], args.config_dirs).phases)
         except WheellegError as error:  # told in full when it is used
             phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])

@@ -8,12 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.cli.printing.tables import hanging, print_table, screen_width, table_width
-from wheelleg_exp.definitions.definition import percent
-from wheelleg_exp.definitions.training import LAST, LISTED
+from wheelleg_exp.cli.printing.terminal import hanging, print_table, screen_width, table_width
+from wheelleg_exp.definitions import LAST, LISTED, percent
 from wheelleg_exp.errors import WheellegError, nearest_name
-from wheelleg_exp.run import choosing
-from wheelleg_exp.run.listing import RunSummary, SweepSummary, list_runs, list_sweeps
+from wheelleg_exp.run import run_list
+from wheelleg_exp.run.run_list import RunSummary, SweepSummary, list_runs, list_sweeps
 from wheelleg_exp.run.timestamps import utc_text
 
 ROOT = Path("runs")
@@ -56,10 +55,10 @@ def runs(
         WheellegError: there is no such folder or sweep, or a condition or key is wrong.
     """
     folder = runs_folder(root)
-    swept = choosing.swept_runs(folder)
-    found = choosing.chosen(_of_sweep(list_runs(folder), sweep, folder), conditions)
+    swept = run_list.swept_runs(folder)
+    found = run_list.filter_runs(_of_sweep(list_runs(folder), sweep, folder), conditions)
     if sort is not None:
-        found = choosing.ordered(found, sort, reverse=reverse)
+        found = run_list.sort_runs(found, sort, reverse=reverse)
     elif reverse:
         found.reverse()
     mine = {run.path: swept.get(run.path.resolve()) for run in found}
@@ -87,18 +86,18 @@ def no_match(root: Path | None, sweep: str | None) -> str:
 def _of_sweep(found: list[RunSummary], name: str | None, root: Path) -> list[RunSummary]:
     if name is None:
         return found
-    index = choosing.find_sweep(name, root)
+    index = run_list.find_sweep(name, root)
     if index is None:
         known = [sweep.id for sweep in list_sweeps(root)]
         expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
         raise WheellegError(
             f"there is no sweep '{name}'", key="--sweep", expected=expected, nearest=nearest_name(name, known)
         )
-    members = choosing.runs_of(index)
+    members = run_list.runs_of(index)
     return [run for run in found if run.path.resolve() in members]
 
 
-def _differing(swept: Sequence[choosing.Swept | None]) -> list[str] | None:
+def _differing(swept: Sequence[run_list.SweptRun | None]) -> list[str] | None:
     """Return the keys in which runs of one sweep differ; None where they are not of one."""
     if not swept or None in swept or len({own.sweep for own in swept if own}) > 1:
         return None
@@ -118,11 +117,11 @@ def _short(keys: Sequence[str]) -> list[str]:
     return [next((name(k, n) for n in range(1, k.count(".") + 1) if fits(k, n)), k) for k in keys]
 
 
-def _values_of(own: choosing.Swept | None, keys: Sequence[str]) -> list[str | None]:
+def _values_of(own: run_list.SweptRun | None, keys: Sequence[str]) -> list[str | None]:
     return [own.values.get(key) if own else None for key in keys]
 
 
-def _swept_document(own: choosing.Swept | None) -> dict[str, Any]:
+def _swept_document(own: run_list.SweptRun | None) -> dict[str, Any]:
     return {"sweep": own.sweep if own else None, "swept": dict(own.values) if own else {}}
 
 

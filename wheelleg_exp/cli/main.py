@@ -17,8 +17,7 @@ from types import FrameType
 
 from wheelleg_exp import __version__
 from wheelleg_exp.cli.common import Parser, UsageError
-from wheelleg_exp.cli.printing.streams import lasting_streams
-from wheelleg_exp.cli.printing.tables import hanging
+from wheelleg_exp.cli.printing.terminal import hanging, lasting_streams
 from wheelleg_exp.errors import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -28,12 +27,10 @@ from wheelleg_exp.errors import (
     WheellegError,
     nearest_name,
 )
-from wheelleg_exp.jobs.stop import stop_signals
-from wheelleg_exp.memory import START_SPACE, require_room
-from wheelleg_exp.packages import with_current
-from wheelleg_exp.threads import prepare_threads
-from wheelleg_exp.trusted_folders import trust
-from wheelleg_exp.user_code import in_words
+from wheelleg_exp.machine import START_SPACE, prepare_threads, require_room
+from wheelleg_exp.packages import trust, with_current
+from wheelleg_exp.stop_request import stop_signals
+from wheelleg_exp.user_exceptions import in_words
 
 
 @dataclass(frozen=True)

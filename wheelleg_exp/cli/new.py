@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         WheellegError: the name, the place or the robot's file is not good; nothing has been made.
     """
-    from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:  # the USD library swallows an interrupt of its import
         from wheelleg_exp.project.create import create

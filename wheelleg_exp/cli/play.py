@@ -1,12 +1,19 @@
-"""``wheelleg play RUN``."""
+"""``wheelleg play RUN``, also with ``--drive`` and ``--script FILE``."""
 
 from __future__ import annotations
 
 import argparse
+import shlex
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_root, chosen_checkpoint, print_json
-from wheelleg_exp.cli.driving import add_driving, is_driven, run_drive
+from wheelleg_exp.cli.common import UsageError, add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.errors import EXIT_OK
+
+if TYPE_CHECKING:
+    from wheelleg_exp.jobs.drive.run_drive import Drive
+    from wheelleg_exp.run.run_directory import RunDirectory
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -23,16 +30,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play a policy for one episode, print the figures and record it."""
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
     checkpoint = chosen_checkpoint(directory, args.checkpoint)
     if is_driven(args):
         return run_drive(args, directory, checkpoint)
 
-    from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.figures import print_figures, print_recording, shown
-    from wheelleg_exp.jobs.play import play
+    from wheelleg_exp.cli.printing.figures_table import print_figures, print_recording, shown
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.jobs.play_policy import play
 
     with ConsoleDisplay(quiet=True) as display:
         played = play(directory, checkpoint, args.overrides, args.command, display)
@@ -46,3 +53,79 @@ def run(args: argparse.Namespace) -> int:
         print_recording(played.recording)
     played.failures.require_few("in this play")
     return EXIT_OK
+
+
+_PORT = 8080
+_OWN = {"--scene": "scene", "--port": "port"}  # options that mean nothing when nobody drives
+
+
+def add_driving(parser: argparse.ArgumentParser) -> None:
+    """Add what a drive takes."""
+    parser.add_argument("--drive", action="store_true", help="drive the robot by hand, live in the browser")
+    parser.add_argument("--script", type=Path, metavar="FILE", help="drive it by a list of commands (docs/drive.md)")
+    parser.add_argument("--scene", metavar="NAME", help="the ground to drive on; by default the run's own")
+    parser.add_argument("--port", type=int, help=f"port of the page, on this machine alone (default: {_PORT})")
+
+
+def is_driven(args: argparse.Namespace) -> bool:
+    """Return whether the robot is to be driven.
+
+    Raises:
+        UsageError: an option is given that only a drive has.
+    """
+    if args.drive or args.script is not None:
+        return True
+    for option, name in _OWN.items():
+        if getattr(args, name) is not None:
+            raise UsageError("is for driving", key=option, expected="--drive or --script FILE beside it")
+    return False
+
+
+def run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | None) -> int:
+    """Drive, and print what was driven."""
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive
+
+    wish = DriveRequest(run, checkpoint, args.overrides, args.scene, args.script, args.command)
+    with ConsoleDisplay(quiet=True) as display, _page(args, run) as page:
+        drives = drive(wish, display, page)
+    if args.json:
+        documents = [{"folder": str(made.folder), "figures": made.figures} for made in drives]
+        print_json({"run": str(run.path), "drives": documents})
+        return EXIT_OK
+    for made in drives:
+        _print(made)
+    return EXIT_OK
+
+
+def _page(args: argparse.Namespace, run: RunDirectory) -> Any:
+    if not args.drive:
+        return nullcontext()
+    from wheelleg_exp.jobs.drive.drive_page import DrivePage
+    from wheelleg_exp.jobs.drive.run_drive import scenes
+
+    return DrivePage(_PORT if args.port is None else args.port, scenes(), run.checkpoints())
+
+
+def _print(made: Drive) -> None:
+    from wheelleg_exp.cli.printing.figures_table import print_recording, shown, tool
+    from wheelleg_exp.cli.printing.terminal import print_table
+    from wheelleg_exp.definitions import drive_rows
+
+    print(f"drove {shown(made.checkpoint)} without exploration noise")
+    print_table(("figure", "value"), drive_rows(made.figures))
+    print(f"\nagain: {tool('wheelleg')} {shlex.join(_again(made))}")
+    print_recording(made.recording)
+
+
+def _again(made: Drive) -> list[str]:
+    """Return the words that drive the same again."""
+    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND
+
+    run, scene = made.folder.parent.parent, made.figures["scene"]
+    own = made.checkpoint.resolve().is_relative_to(run)
+    words = ["play", shown(run), *made.figures["overrides"]]
+    words += ["--checkpoint", made.checkpoint.name if own else shown(made.checkpoint)]
+    words += [] if scene == OWN_GROUND else ["--scene", scene]
+    return [*words, "--script", shown(made.folder / "driven.yaml")]

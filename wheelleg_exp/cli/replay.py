@@ -10,7 +10,7 @@ from wheelleg_exp.cli.common import add_json, print_json
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
 if TYPE_CHECKING:
-    from wheelleg_exp.jobs.replay.replay import Replayed
+    from wheelleg_exp.jobs.replay.replay_run import Replayed
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -45,15 +45,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Restore, train, compare, and say how equal it is."""
-    from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:
-        from wheelleg_exp.run.directory import RunDirectory
+        from wheelleg_exp.run.run_directory import RunDirectory
 
         directory = RunDirectory.open(args.run, args.root)
 
-        from wheelleg_exp.cli.printing.display import ConsoleDisplay
-        from wheelleg_exp.jobs.replay.replay import replay
+        from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+        from wheelleg_exp.jobs.replay.replay_run import replay
 
         with ConsoleDisplay() as display:
             found = replay(
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(found: Replayed) -> None:
-    from wheelleg_exp.cli.printing.figures import shown
+    from wheelleg_exp.cli.printing.figures_table import shown
 
     iterations = f"{found.iterations} iteration{'' if found.iterations == 1 else 's'}"
     part = "all" if found.whole else "the first"

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from wheelleg_exp.cli.common import add_json, add_root, print_json
-from wheelleg_exp.config.tree import show_file
 from wheelleg_exp.errors import EXIT_OK
+from wheelleg_exp.paths import show_file
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

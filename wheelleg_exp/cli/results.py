@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wheelleg_exp.cli.common import add_config_dir, add_root
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
-from wheelleg_exp.terms.keys import is_override
+from wheelleg_exp.terms.key_syntax import is_override
 
 FOLDER = Path("docs/results")
 
@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate runs and write their table, or get a written one again."""
-    from wheelleg_exp.run.options import NAME, NAME_WORDS
+    from wheelleg_exp.run.run_directory import NAME, NAME_WORDS
 
     if re.fullmatch(NAME, args.name) is None:
         raise WheellegError(f"{args.name!r} is no name of a page", key="NAME", expected=NAME_WORDS)
@@ -48,11 +48,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import evaluated, found, reference_of
-    from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.figures import shown, tool
-    from wheelleg_exp.jobs.results.record import (
-        compared_with,
-        manifests_of_earlier,
+    from wheelleg_exp.cli.printing.figures_table import shown, tool
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.jobs.result_record import (
+        compare_with_reference,
+        earlier_manifests,
         require_one_method,
         write_results,
     )
@@ -61,13 +61,13 @@ def _write(args: argparse.Namespace) -> int:
     words = [word for word in args.runs if is_override(word)]
     if not names:
         raise WheellegError("names no run", key="RUN", expected="the runs that the table is of")
-    manifests_of_earlier(args.name, args.into)  # what is no result is not written over
+    earlier_manifests(args.name, args.into)  # what is no result is not written over
     chosen = found(args, names)
     require_one_method([directory for directory, _ in chosen])  # and what cannot be made again is no result
     with ConsoleDisplay(quiet=True) as display:
         made = [evaluated(args, *one, words, display) for one in chosen]
         reference = reference_of(args, made[0], words, display) if args.reference else None
-    compared = compared_with(args.name, made, reference, args.command)
+    compared = compare_with_reference(args.name, made, reference, args.command)
     for path in write_results(args.name, args.into, compared, made, reference, words):
         print(shown(path.absolute()))
     print(f"again: {tool('wheelleg')} results {args.name} --again" + _told_into(args.into))
@@ -79,9 +79,9 @@ def _told_into(folder: Path) -> str:
 
 
 def _again(args: argparse.Namespace) -> int:
-    from wheelleg_exp.jobs.results.again import again
-    from wheelleg_exp.jobs.results.record import read_result
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.jobs.reproduce_result import reproduce
+    from wheelleg_exp.jobs.result_record import read_result
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     names = list(dict.fromkeys((args.name, *args.runs)))
     _require_results(args, names)
@@ -90,7 +90,7 @@ def _again(args: argparse.Namespace) -> int:
     trained: dict[str, RunDirectory] = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
         for name, (record, manifests) in records.items():
-            found = again(record, manifests, Path(folder), _say, args.config_dirs, trained)
+            found = reproduce(record, manifests, Path(folder), _say, args.config_dirs, trained)
             for line in (*found.differences, f"{name}: {found.verdict}"):
                 _say(line)
             differ = differ or bool(found.differences)

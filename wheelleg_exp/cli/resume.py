@@ -7,13 +7,13 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, together
-from wheelleg_exp.cli.printing.outcome import tell_trained, train_on
+from wheelleg_exp.cli.train import tell_trained, train_on
 from wheelleg_exp.torchrun import require_alone, world_size
 
 if TYPE_CHECKING:
-    from wheelleg_exp.jobs.stop import StopRequest
     from wheelleg_exp.rl.ranks import Ranks
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
+    from wheelleg_exp.stop_request import StopRequest
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -32,14 +32,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Go on with a run from its last whole checkpoint, as if it had never stopped."""
-    from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:
         return together(_resume, _follow, args, stop) if world_size() > 1 else _resume(args, stop)
 
 
 def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
-    from wheelleg_exp.run.pipeline_index import find_pipeline
+    from wheelleg_exp.run.run_index import find_pipeline
 
     with ranks.agreed() if ranks else nullcontext():
         pipeline = find_pipeline(args.run, args.root)
@@ -48,19 +48,21 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
         else:
             directory = _opened(args)
     if pipeline is not None:
-        from wheelleg_exp.cli.pipeline import resume_pipeline
+        from wheelleg_exp.cli.train_pipeline import resume_pipeline
 
         return resume_pipeline(args, pipeline, stop)
 
-    from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.figures import shown
-    from wheelleg_exp.jobs.resume import resume
+    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.jobs.train import resume_training
     from wheelleg_exp.rl.ranks import ALONE
 
     with ConsoleDisplay(quiet=True) as display:
         stop.check(ranks.any(stop.requested) if ranks else None)
         display.note(f"run directory: {shown(directory.path)}")
-        ready = resume.prepare(directory, args.overrides, args.command, display, args.config_dirs, ranks or ALONE)
+        ready = resume_training.prepare_resume(
+            directory, args.overrides, args.command, display, args.config_dirs, ranks or ALONE
+        )
         results = train_on(ready, display, stop)
     return tell_trained(directory, results, as_json=args.json)
 
@@ -70,17 +72,17 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
     with ranks.agreed():
         _opened(args)
 
-    from wheelleg_exp.jobs.resume.others import follow
-    from wheelleg_exp.jobs.train.follow import run
+    from wheelleg_exp.jobs.train.other_ranks import run_other_rank
+    from wheelleg_exp.jobs.train.resume_training import prepare_other_rank
 
     stop.check(ranks.any(stop.requested))
-    run(*follow(ranks, args.config_dirs), stop)
+    run_other_rank(*prepare_other_rank(ranks, args.config_dirs), stop)
 
 
 def _opened(args: argparse.Namespace) -> RunDirectory:
     """Return the run, and let MKL go on with its kernels, which importing the trainer settles."""
-    from wheelleg_exp.run.directory import RunDirectory
-    from wheelleg_exp.threads import keep_kernels
+    from wheelleg_exp.machine import keep_kernels
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     directory = RunDirectory.open(args.run, args.root)
     keep_kernels(directory.manifest().data.get("environment_variables") or {})

@@ -1,19 +1,23 @@
-"""``wheelleg train``."""
+"""``wheelleg train``, and how the commands that train report their result."""
 
 from __future__ import annotations
 
 import argparse
 from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.common import add_json, add_overrides, together
-from wheelleg_exp.cli.printing.outcome import tell_trained, train_on
+from wheelleg_exp.cli.common import add_json, add_overrides, print_json, together
+from wheelleg_exp.cli.printing.figures_table import shown, tool
+from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, SimulationFailure
 from wheelleg_exp.torchrun import require_alone, world_size
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose import Composed
-    from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.jobs.job_display import Display
+    from wheelleg_exp.jobs.train.run_training import Training
     from wheelleg_exp.rl.ranks import Ranks
+    from wheelleg_exp.run.run_directory import RunDirectory
+    from wheelleg_exp.stop_request import StopRequest
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,18 +35,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compose, check, train, and say what was made."""
-    from wheelleg_exp.config.composing.primaries import names_pipeline
-    from wheelleg_exp.jobs.stop import StopRequest
+    from wheelleg_exp.stop_request import StopRequest
+    from wheelleg_exp.terms.key_syntax import names_pipeline
 
     # From the first moment on: an interrupt inside the import of a C++ library may be lost or become another error.
     with StopRequest() as stop:
         if any(map(names_pipeline, args.overrides)):
-            from wheelleg_exp.cli.pipeline import train_pipeline
+            from wheelleg_exp.cli.train_pipeline import train_pipeline
 
             require_alone("pipeline")
             return train_pipeline(args, stop)
         if args.multirun:
-            from wheelleg_exp.cli.sweep import train_all
+            from wheelleg_exp.cli.train_sweep import train_all
 
             require_alone("--multirun")
             return train_all(args, stop)
@@ -51,23 +55,23 @@ def run(args: argparse.Namespace) -> int:
 
 def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
     """Train one run; among several processes, as the first of them."""
-    from wheelleg_exp.config.checking.collect import compose_valid
+    from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed() if ranks else nullcontext():
         composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.cli.printing.display import ConsoleDisplay
-    from wheelleg_exp.cli.printing.figures import shown
-    from wheelleg_exp.cli.printing.tables import hanging
-    from wheelleg_exp.jobs.train import training
-    from wheelleg_exp.lint.examine import examine
+    from wheelleg_exp.cli.printing.figures_table import shown
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.cli.printing.terminal import hanging
+    from wheelleg_exp.jobs.train import run_training
+    from wheelleg_exp.lint.physics_check import examine
     from wheelleg_exp.rl.ranks import ALONE
 
     with ConsoleDisplay() as display:
         stop.check(ranks.any(stop.requested) if ranks else None)
         if ranks:
             ranks.require_equal(_digests(composed))
-        ready = training.prepare(composed, args.command, display, ranks or ALONE)
+        ready = run_training.prepare(composed, args.command, display, ranks or ALONE)
         directory = ready.directory
         display.note(f"run directory: {shown(directory.path)}")
         for finding in examine(composed).open:
@@ -78,19 +82,72 @@ def train_one(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None =
 
 def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
     """Train with the first process."""
-    from wheelleg_exp.config.checking.collect import compose_valid
+    from wheelleg_exp.config.checking.find_mistakes import compose_valid
 
     with ranks.agreed():
         composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.jobs.train import follow
+    from wheelleg_exp.jobs.train import other_ranks
 
     stop.check(ranks.any(stop.requested))
     ranks.require_equal(_digests(composed))
-    follow.run(follow.prepare(composed, ranks), composed.config["agent"], stop)
+    other_ranks.run_other_rank(other_ranks.prepare_other_rank(composed, ranks), composed.config["agent"], stop)
 
 
 def _digests(composed: Composed) -> dict[str, str]:
-    from wheelleg_exp.config.composing.sweep import digest_of
+    from wheelleg_exp.config.composing.compose_sweep import digest_of
 
     return {"the composed config": digest_of(composed)}
+
+
+def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, Any] | None:
+    """Train, and say how a training that does not end goes on; return the results, None when it was interrupted."""
+    from wheelleg_exp.jobs.train import run_training
+    from wheelleg_exp.run.run_directory import FAILURE
+
+    try:
+        return run_training.run(ready, display, stop)
+    except KeyboardInterrupt:
+        found = ready.directory.checkpoints()
+        last = f"the last checkpoint is {shown(found[-1])}" if found else "there is no checkpoint yet"
+        display.note(f"interrupted; {last}")
+        display.note(resume_hint(ready.directory))
+        return None
+    except SimulationFailure:
+        state = ready.directory.path / FAILURE
+        if state.is_file():
+            display.note(f"what it failed with: {shown(state)}")
+        if ready.directory.path.is_dir():
+            display.note(resume_hint(ready.directory))
+        raise
+
+
+def resume_hint(directory: RunDirectory) -> str:
+    """Return the command that goes on with a run."""
+    return f"go on with: {tool('wheelleg')} resume {shown(directory.path)}"
+
+
+def tell_trained(directory: RunDirectory, results: dict[str, Any] | None, *, as_json: bool) -> int:
+    """Say what a training made and what may come next, unless it was interrupted; return the exit status."""
+    if results is None:
+        return EXIT_INTERRUPTED
+    if as_json:
+        facts = directory.manifest().data
+        last = facts["resumes"][-1] if facts["resumes"] else None
+        document = {"run": str(directory.path), "status": "finished", "results": results}
+        if last is not None:
+            document["resume"] = {key: last.get(key) for key in ("iteration", "overrides", "exact", "why", "proved")}
+        print_json(document)
+        return EXIT_OK
+    from wheelleg_exp.run.run_list import non_finite_note
+
+    path = shown(directory.path)
+    print(f"trained {results['iterations']} iterations in {results['seconds']:.0f} s: {path}")
+    if note := non_finite_note(results):
+        print(f"warning: {note}")
+    print(f"next: {tool('wheelleg')} play {path}")
+    if list(directory.path.glob("events.out.tfevents.*")):
+        print(f"      {tool('tensorboard')} --logdir {path}")
+    if directory.recording.is_file():
+        print(f"      {tool('rerun')} {path}/recording.rrd")
+    return EXIT_OK

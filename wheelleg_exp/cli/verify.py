@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import UsageError, add_json, add_root, print_json
-from wheelleg_exp.cli.printing.tables import hanging
+from wheelleg_exp.cli.printing.terminal import hanging
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what was found; exit status 0 for sound, identical or within tolerance, else 1."""
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
     from wheelleg_exp.verify import compare_runs, verify_run
 
     _require_sensible(args)

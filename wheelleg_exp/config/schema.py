@@ -12,17 +12,17 @@ from importlib import import_module
 from typing import Literal
 
 from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
-from wheelleg_exp.terms.sections import Env, Section
+from wheelleg_exp.terms.config_sections import Env, Section
 
 # Section of the tree -> the dataclass whose fields are its keys; imported when it is needed.
 OPTIONS: dict[str, str] = {
     "env.sim": "wheelleg_exp.sim.options.SimOptions",
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",
     "env.robot": "wheelleg_exp.sim.options.RobotOptions",
-    "pipeline": "wheelleg_exp.jobs.pipeline.options.Pipeline",
-    "recording": "wheelleg_exp.recording.options.RecordingOptions",
-    "protocol": "wheelleg_exp.evaluation.options.Protocol",
-    "run": "wheelleg_exp.run.options.RunOptions",
+    "pipeline": "wheelleg_exp.jobs.pipeline.pipeline_phases.Pipeline",
+    "recording": "wheelleg_exp.recording.recording_options.RecordingOptions",
+    "protocol": "wheelleg_exp.evaluation.protocol_options.Protocol",
+    "run": "wheelleg_exp.run.run_directory.RunOptions",
 }
 
 

@@ -10,7 +10,7 @@ import torch
 
 from wheelleg_exp.env.captured import Captured, Counting
 from wheelleg_exp.env.recorders import CudaGraph
-from wheelleg_exp.managers.finite import note_observations
+from wheelleg_exp.managers.non_finite import note_observations
 
 _MOST_COUNTS = 128  # of environments that end together, each with a graph of its own
 # A number that came up so often in so many resets has one: recording costs as much as eight resets without.

@@ -11,8 +11,9 @@ import torch
 
 from wheelleg_exp.env.captured import Memory
 from wheelleg_exp.env.captured_step import CapturedReset, CapturedStep, captured_commands, captured_look
-from wheelleg_exp.env.faces import Cfg, EnvFaces
+from wheelleg_exp.env.isaaclab_attributes import Cfg, IsaacLabAttributes
 from wheelleg_exp.env.state_elsewhere import TermState
+from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers import (
     ActionManager,
     CommandManager,
@@ -24,17 +25,16 @@ from wheelleg_exp.managers import (
     SceneManager,
     TerminationManager,
 )
-from wheelleg_exp.managers.asking import Asked
-from wheelleg_exp.managers.finite import failures, require_finite_observations
+from wheelleg_exp.managers.async_queries import AsyncMaskQuery
+from wheelleg_exp.managers.non_finite import failures, require_finite_observations
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
-from wheelleg_exp.memory import require_memory
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
 from wheelleg_exp.sim.timers import forget
-from wheelleg_exp.sim.warp.library import require_device
+from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
-from wheelleg_exp.terms.sections import Dataset, Env, read_section, read_value
+from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
 
 _LEAST_PER_ENV = 10_000  # bytes: state, outputs and observations of one small robot
 
@@ -43,7 +43,7 @@ AutoresetMode = Literal["same_step", "next_step", "disabled"]
 StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
-class ManagerBasedRLEnv(EnvFaces):
+class ManagerBasedRLEnv(IsaacLabAttributes):
     """N environments under nine managers, after Isaac Lab's ``ManagerBasedRLEnv``.
 
     Args:
@@ -102,7 +102,7 @@ class ManagerBasedRLEnv(EnvFaces):
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self._no_ids = torch.zeros(0, dtype=torch.long, device=self.device)
         self._action = torch.zeros(self.num_envs, self.action_manager.total_action_dim, device=self.device)
-        self._asked = Asked(self.num_envs, self.device)
+        self._asked = AsyncMaskQuery(self.num_envs, self.device)
         self._captured_memory = Memory(is_told=True)
         self._sensors_refresh = any(sensor.refreshes for sensor in self.scene.sensors.values())
         self._captured = CapturedStep(self) if self.scene.sim.is_captured else None

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.managers.term import Term, TermBase
+from wheelleg_exp.managers.manager_base import Term, TermBase
 
 _PLAIN = (bool, int, float, str, type(None))
 _OWN = ("wheelleg_exp.", "functools")

@@ -9,9 +9,8 @@ import torch
 
 from wheelleg_exp.managers import Env
 from wheelleg_exp.state import Memory, Outside, Stateful
-from wheelleg_exp.state.rebuilding import made_again, writable
-from wheelleg_exp.state.saved_or_refused import refusal
-from wheelleg_exp.state.values import NOTHING, Reference, Unsaveable, look, same
+from wheelleg_exp.state.saved_values import NOTHING, Reference, Unsaveable, look, made_again, same, writable
+from wheelleg_exp.state.stateful import refusal
 
 # What the environment and those who drive it change themselves.
 _OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg")

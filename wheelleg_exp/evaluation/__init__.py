@@ -1,23 +1,21 @@
-"""How good a policy is, in physical units, on fixed scenarios that are the same for every policy.
+"""Evaluate a policy in physical units, on fixed scenarios that are the same for every policy.
 
-``evaluate(env_cfg, mjcf, make_policy, protocol, seed)`` rolls a policy through the scenarios of a protocol and returns
-an ``Evaluation``: one row for each episode, and the metrics with their intervals. Nothing heavy is imported before.
+``evaluate(env_cfg, mjcf, make_policy, protocol, seed)`` rolls a policy through the scenarios of a protocol. It
+returns an ``Evaluation``: one row per episode, and metrics with their intervals. Heavy libraries are imported at the
+first use.
 
-| module | what it offers |
+| module | offers |
 |---|---|
-| `options` | what a protocol says: `configs/protocol/` |
-| `scenarios` | the table of commands, and its sha256 |
-| `task` | the environment of a task as an evaluation wants it |
-| `held_command` | the task's command, held from outside |
-| `robot_parts` | which joints are wheels, which mirror which |
-| `rollout` | N episodes without a reset, as whole tensors over time |
-| `over_time` | means, exits and slopes over the steps that count |
-| `measuring` | columns of the episodes, by test |
-| `metrics`, `catalogue` | what a metric is of the episodes, and its interval; which there are |
-| `protocol` | all tests of a protocol: the entry |
-| `result` | the evaluation itself |
-| `statistics`, `comparison` | intervals over training seeds; tests of paired episodes |
-| `reference` | a linear-quadratic balancer to hold policies against |
+| ``protocol_options`` | the options of a protocol: ``configs/protocol/`` |
+| ``scenarios`` | the table of commands, and its sha256 |
+| ``evaluation_env`` | the environment of a task for an evaluation; its wheels and mirrored joints |
+| ``policy_rollout``, ``trajectories`` | N episodes without a reset, as tensors over time |
+| ``motion_columns``, ``terrain_tests``, ``disturbance_tests`` | columns of episodes, by test |
+| ``metric_catalogue`` | all metrics, and their intervals |
+| ``protocol`` | all tests of a protocol: the entry point |
+| ``result`` | the evaluation's result |
+| ``significance``, ``method_comparison`` | intervals over training seeds; tests of paired episodes |
+| ``lqr_balancer`` | a linear-quadratic balancer as a reference |
 """
 
 from typing import TYPE_CHECKING, Any
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.evaluation.result import Evaluation, Figure
 
 __all__ = ["Evaluation", "Figure", "evaluate"]
+
 
 _HOME = {"evaluate": "protocol", "Evaluation": "result", "Figure": "result"}
 

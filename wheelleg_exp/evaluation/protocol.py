@@ -12,21 +12,18 @@ import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.evaluation import scenarios
-from wheelleg_exp.evaluation.catalogue import metrics_of
-from wheelleg_exp.evaluation.measuring import motors, on_terrain, standing, stepping, strip, walking
-from wheelleg_exp.evaluation.measuring.changed_world import Late, worlds
-from wheelleg_exp.evaluation.measuring.pushing import push_columns
-from wheelleg_exp.evaluation.measuring.standing import Columns
-from wheelleg_exp.evaluation.metrics import Array, figure
-from wheelleg_exp.evaluation.options import Protocol
-from wheelleg_exp.evaluation.over_time import Trajectories
+from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
+from wheelleg_exp.evaluation.disturbance_tests import Late, push_columns, worlds
+from wheelleg_exp.evaluation.evaluation_env import base_link, build, evaluation_cfg, target_height
+from wheelleg_exp.evaluation.metric_catalogue import Array, figure, metrics_of
+from wheelleg_exp.evaluation.motion_columns import Columns
+from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
+from wheelleg_exp.evaluation.policy_rollout import Tell as RolloutTell
+from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import Evaluation, Figure
-from wheelleg_exp.evaluation.rollout import Policy, Rollout
-from wheelleg_exp.evaluation.rollout import Tell as RolloutTell
 from wheelleg_exp.evaluation.scenarios import Scenarios, combined_digest
-from wheelleg_exp.evaluation.task import base_link, build, evaluation_cfg, target_height
-from wheelleg_exp.terms.sections import read_section
+from wheelleg_exp.evaluation.trajectories import Trajectories
+from wheelleg_exp.terms.config_sections import read_section
 
 MakePolicy = Callable[[ManagerBasedRLEnv], Policy]
 Tell = Callable[[str, int, int], None]
@@ -165,7 +162,7 @@ def _run(subject: Subject, table: Scenarios) -> Part:
     policy, tell = subject.make_policy(rollout.env), subject.teller(table.test)
     if table.test == "push" and subject.protocol.push is not None:
         columns, made = push_columns(rollout, policy, subject.protocol.push, subject.seed, subject.target, tell)
-        columns |= standing.survival(made, [])
+        columns |= motion_columns.survival(made, [])
     else:
         made = rollout.roll(policy, subject.seed, tell)
         columns = _columns(subject, rollout, made)
@@ -176,14 +173,14 @@ def _placed(subject: Subject, table: Scenarios) -> Rollout:
     """Build the environment of a table's episodes on the ground of its test."""
     cfg, options = subject.cfg(table), subject.protocol
     if table.test == "terrain" and options.terrain is not None:
-        cfg["scene"]["terrain"] = on_terrain.tiles(options.terrain, subject.seed)
+        cfg["scene"]["terrain"] = terrain_tests.tiles(options.terrain, subject.seed)
         rollout = subject.rollout(table, cfg)
-        on_terrain.place(rollout, options.terrain)
+        terrain_tests.place_on_tiles(rollout, options.terrain)
         return rollout
     if table.test == "strip" and options.strip is not None:
-        cfg["scene"]["terrain"] = strip.ground(options.strip, cfg["scene"]["terrain"], subject.seed)
+        cfg["scene"]["terrain"] = terrain_tests.strip_ground(options.strip, cfg["scene"]["terrain"], subject.seed)
         rollout = subject.rollout(table, cfg)
-        strip.place(rollout, options.strip)
+        terrain_tests.place_before_strip(rollout, options.strip)
         return rollout
     return subject.rollout(table, cfg)
 
@@ -200,8 +197,10 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
         rollout = subject.rollout(table, world.cfg)
         policy = subject.make_policy(rollout.env)
         made = rollout.roll(Late(policy, world.late) if world.late else policy, subject.seed)
-        columns = standing.survival(made, []) | standing.posture(made, subject.protocol.settle_s, subject.target)
-        columns |= walking.errors(made, subject.protocol.settle_s)
+        columns = motion_columns.survival(made, []) | motion_columns.posture(
+            made, subject.protocol.settle_s, subject.target
+        )
+        columns |= motion_columns.errors(made, subject.protocol.settle_s)
         told = {"sweep": np.full(table.size, world.sweep), "value": np.full(table.size, world.value)}
         told["world"] = np.full(table.size, float(number))
         found.append(identity(rollout, made) | told | _numbers(columns))
@@ -216,20 +215,20 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     options, settle, parts = subject.protocol, subject.protocol.settle_s, rollout.parts
     test = rollout.scenarios.test
     moments = options.stand.survival_s if test == "stand" and options.stand is not None else []
-    columns = standing.survival(made, moments) | standing.posture(made, settle, subject.target)
-    columns |= standing.drift(made, settle) | standing.stance(made, parts, settle)
-    columns |= motors.effort(made, parts, settle)
-    columns |= motors.energy(made, parts, settle) | motors.smoothness(made, parts, settle)
+    columns = motion_columns.survival(made, moments) | motion_columns.posture(made, settle, subject.target)
+    columns |= motion_columns.drift(made, settle) | motion_columns.stance(made, parts, settle)
+    columns |= motion_columns.effort(made, parts, settle)
+    columns |= motion_columns.energy(made, parts, settle) | motion_columns.smoothness(made, parts, settle)
     if test == "walk" and options.walk is not None:
-        columns |= walking.tracking(made, settle, options.walk) | walking.wheel_error(made, parts, settle)
-        columns |= walking.within_band(made, columns, options.walk)
+        columns |= motion_columns.tracking(made, settle, options.walk) | motion_columns.wheel_error(made, parts, settle)
+        columns |= motion_columns.within_band(made, columns, options.walk)
     if test == "steps" and options.steps is not None:
         told = rollout.scenarios.commands()[:, 1].to(made.command.device)
-        columns |= stepping.responses(made, options.steps, told)
+        columns |= motion_columns.responses(made, options.steps, told)
     if test == "terrain" and options.terrain is not None:
-        columns |= walking.errors(made, settle) | on_terrain.ways(made, rollout, options.terrain)
+        columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)
     if test == "strip" and options.strip is not None:
-        columns |= strip.crossing(made, options.strip, settle)
+        columns |= terrain_tests.crossing(made, options.strip, settle)
     return columns
 
 

@@ -10,7 +10,7 @@ from itertools import product
 
 import torch
 
-from wheelleg_exp.evaluation.options import Push, Robust, Stand, Steps, Strip, Terrain, Walk
+from wheelleg_exp.evaluation.protocol_options import Push, Robust, Stand, Steps, Strip, Terrain, Walk
 
 Vec3 = tuple[float, float, float]
 

@@ -11,8 +11,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wheelleg_exp.gym.pictures import RENDER_MODES, Pictures
-from wheelleg_exp.gym.task import Arrays, action_space, as_arrays, log_of, observation_space, task_env
+from wheelleg_exp.gym.task_env import (
+    RENDER_MODES,
+    Arrays,
+    Pictures,
+    action_space,
+    as_arrays,
+    log_of,
+    observation_space,
+    task_env,
+)
 
 
 class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):

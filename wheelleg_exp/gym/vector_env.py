@@ -13,10 +13,18 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.gym.pictures import RENDER_MODES, Pictures
-from wheelleg_exp.gym.task import Arrays, action_space, as_arrays, log_of, observation_space, task_env
+from wheelleg_exp.gym.task_env import (
+    RENDER_MODES,
+    Arrays,
+    Pictures,
+    action_space,
+    as_arrays,
+    log_of,
+    observation_space,
+    task_env,
+)
+from wheelleg_exp.state.tensor_trees import host_copy
 
 _MODES = {
     "same_step": AutoresetMode.SAME_STEP,

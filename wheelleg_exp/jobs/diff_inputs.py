@@ -9,24 +9,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.config.composing.amend import amend
-from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.config.composing.mounts import Mount
+from wheelleg_exp.config.composing.compose import Composed, apply_overrides, compose
+from wheelleg_exp.config.composing.provenance import Mount
+from wheelleg_exp.config.config_tree import line_table
 from wheelleg_exp.config.explaining import catalog
-from wheelleg_exp.config.explaining.difference import Side
-from wheelleg_exp.config.tree import dotted, line_table, split_path
+from wheelleg_exp.config.explaining.config_diff import Side
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.files import read_json, require_mapping
 from wheelleg_exp.jobs.train.source_roots import source_roots
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.run import environment
-from wheelleg_exp.run.directory import LATEST, RunDirectory
-from wheelleg_exp.run.inventory import MANIFEST_NAME
-from wheelleg_exp.run.params import PARTS, load_params
-from wheelleg_exp.run.recorded import CONFIG, ROBOT, recorded_config, recorded_overrides
-from wheelleg_exp.run.source.snapshot import RECORD_NAME, entries, snapshot_source
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, recorded_config, recorded_overrides
+from wheelleg_exp.run.run_directory import LATEST, RunDirectory
 from wheelleg_exp.run.source_changes import states
-from wheelleg_exp.terms.keys import is_override
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, entries, snapshot_source
+from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
 
 # What decides the numbers of a run; where the run goes, and which findings are silenced, does not.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
@@ -124,7 +122,7 @@ def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
 def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     env, agent = load_params(run)
     kept = _kept(run)
-    tree = amend({**kept, "env": env, "agent": agent}, overrides)
+    tree = apply_overrides({**kept, "env": env, "agent": agent}, overrides)
     typed = [*recorded_overrides(run), *overrides]
 
     def where(path: str) -> str | None:
@@ -207,8 +205,7 @@ def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
 
 
 def _layers(composed: Composed) -> dict[str, str]:
-    from wheelleg_exp.asset.beside import find_beside
-    from wheelleg_exp.asset.cache import source_digest
+    from wheelleg_exp.asset.cache import find_beside, source_digest
 
     try:
         env, roots = composed.config["env"], composed.asset_roots

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from wheelleg_exp.jobs.processes import Child, Event, listen
-from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.stop_request import StopRequest
 
 _WAIT_S = 0.2
 _PATIENCE_S = 10.0

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, Interrupted, WheellegError
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.threads import prepare_threads
+from wheelleg_exp.machine import prepare_threads
+from wheelleg_exp.stop_request import StopRequest
 
 if TYPE_CHECKING:
     from wheelleg_exp.rl.trainer import Iteration

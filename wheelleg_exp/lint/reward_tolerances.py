@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from wheelleg_exp.lint.case import Case, TermView, largest
+from wheelleg_exp.lint.rule import Case, TermView, largest
 
 ANGLE = 0.1  # rad: 6 degrees
 SHARE = 0.1  # of a natural size: height, speed, effort, command

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
-from wheelleg_exp.lint.case import Case
-from wheelleg_exp.lint.findings import Finding, at_least, at_most, rule
-from wheelleg_exp.lint.robot_facts import Drive, Joint
+from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
+from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
 
 _ARMATURE = 10.0  # times the inertia of what hangs on the joint
 _TRACTION = 10.0  # times the torque at which a wheel slips

@@ -16,14 +16,13 @@
 from wheelleg_exp.managers.action_manager import ActionManager, ActionTerm
 from wheelleg_exp.managers.command_manager import CommandManager, CommandTerm
 from wheelleg_exp.managers.curriculum_manager import CurriculumManager
-from wheelleg_exp.managers.entity import SceneEntityCfg, bounds, member
-from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.event_manager import EventManager
+from wheelleg_exp.managers.manager_base import ManagerTermBase, Term, TermBase
 from wheelleg_exp.managers.observation_manager import ObservationManager
 from wheelleg_exp.managers.recorder_manager import RecorderManager, RecorderTerm
 from wheelleg_exp.managers.reward_manager import RewardManager
 from wheelleg_exp.managers.scene_manager import SceneManager
-from wheelleg_exp.managers.term import ManagerTermBase, Term, TermBase
+from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg, bounds, member
 from wheelleg_exp.managers.termination_manager import TerminationManager
 
 __all__ = [

@@ -8,13 +8,12 @@ from typing import Any, ClassVar
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.buffers import made_delay
-from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import require_form, row_form
-from wheelleg_exp.managers.term import Term, TermBase
+from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase, table
+from wheelleg_exp.managers.return_checks import require_form, row_form
+from wheelleg_exp.managers.sample_history import made_delay
+from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.names import shared_errors
-from wheelleg_exp.terms.failures import code_place
+from wheelleg_exp.terms.term_errors import code_place
 
 
 class ActionTerm(TermBase):

@@ -9,12 +9,12 @@ import torch
 
 from wheelleg_exp.constraints import PositiveInterval
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import described, require_form, row_form
-from wheelleg_exp.managers.term import TermBase
+from wheelleg_exp.managers.manager_base import ManagerBase, TermBase, table
+from wheelleg_exp.managers.return_checks import require_form, row_form
+from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.timers import may_be_due
+from wheelleg_exp.terms.term_errors import described
 
 
 class CommandTerm(TermBase):

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import FiguresForm
+from wheelleg_exp.managers.return_checks import FiguresForm
+from wheelleg_exp.managers.term_interface import Env
 
 
 class CurriculumManager(ManagerBase):

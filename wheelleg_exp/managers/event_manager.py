@@ -9,14 +9,13 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import nearest_name
-from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.finite import require_finite_writes
-from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import NoForm
-from wheelleg_exp.managers.term import Term, instantiate_term
+from wheelleg_exp.managers.manager_base import ManagerBase, Term, instantiate_term, table
+from wheelleg_exp.managers.non_finite import require_finite_writes
+from wheelleg_exp.managers.return_checks import NoForm
+from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.timers import may_be_due
-from wheelleg_exp.terms.binding import EVENT_MODES
+from wheelleg_exp.terms.term_binding import EVENT_MODES
 
 
 class EventManager(ManagerBase):

@@ -1,10 +1,18 @@
-"""What the managers of terms share: binding, listing, printing and state."""
+"""Bound terms, and the base class of the managers.
+
+A term node is bound to its target once, when the environment is built. ``ManagerBase`` lists, prints, resets,
+saves, and restores the terms of one section of the config.
+"""
 
 from __future__ import annotations
 
+import copy
+import inspect
 import io
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, cast
 
 import torch
 from rich.box import SIMPLE
@@ -12,10 +20,339 @@ from rich.console import Console
 from rich.table import Table
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.term import Term, TermBase, bind_terms
+from wheelleg_exp.managers.return_checks import Form, require_form
+from wheelleg_exp.managers.streams import lent
+from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg
 from wheelleg_exp.sim.names import match_names
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Kept, Settings, Stateful, adopt, made
+from wheelleg_exp.terms.term_binding import (
+    FIELD_TYPES,
+    TARGET,
+    TermNode,
+    cfg_class,
+    read_from,
+    resolve_target,
+    split_node,
+    takes_cfg,
+    target_arguments,
+    walk_nodes,
+    written_for_isaac_lab,
+)
+from wheelleg_exp.terms.term_errors import failure, field_errors, nested_errors, parameter_errors, placed
+from wheelleg_exp.user_exceptions import ending_as, in_words
+
+_STATEFUL_FIELDS = ("modifiers", "noise")  # their state is saved with the observation's
+
+
+class TermBase(Stateful):
+    """A term with state of its own. Subclasses take ``env``, their parameters and, to draw, ``generator``.
+
+    Its attributes are saved and restored without its help (``state``): tensors always, unless ``settings`` names
+    them, everything else once it has changed.
+    """
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Reset the state of ``env_ids``."""
+
+
+class ManagerTermBase(TermBase):
+    """A class term as Isaac Lab writes it: made by ``(cfg, env)``, called with the environment and the parameters.
+
+    Args:
+        cfg: the term, with ``func``, ``params`` and the manager's fields.
+        env: the environment.
+    """
+
+    def __init__(self, cfg: Term, env: Env) -> None:
+        self.cfg = cfg
+        self._env = env
+
+    @property
+    def num_envs(self) -> int:
+        """Number of environments, N."""
+        return self._env.num_envs
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors are."""
+        return self._env.device
+
+
+@dataclass
+class Term(Kept):
+    """A bound term: ``func(env, **params)`` for functions, ``func(env)`` for term objects.
+
+    Attributes:
+        name: the term's name.
+        path: its config key.
+        target: dotted name of the function or class.
+        func: the function, or the term object.
+        params: the keyword arguments of every call; empty for term objects.
+        fields: the manager's own settings.
+        arguments: of a term object, what the config made it with; ``take_arguments`` takes up what has changed.
+        generator: the term's random stream, where it draws.
+        form: what it has to return, where the manager needs something.
+    """
+
+    name: str
+    path: str
+    target: str
+    func: Callable[..., Any]
+    params: dict[str, Any] = field(default_factory=dict)
+    fields: dict[str, Any] = field(default_factory=dict)
+    arguments: dict[str, Any] = field(default_factory=dict)
+    generator: torch.Generator | None = None
+    settings: Settings | None = field(default=None, init=False)
+    form: Form | None = field(default=None, init=False)
+    _has_worked: bool = field(default=False, init=False)
+    _make: Callable[[], TermBase] | None = field(default=None, init=False)
+    _made_with: dict[str, Any] = field(default_factory=dict, init=False)
+    _keeps_params: bool = field(default=False, init=False)
+    lends: bool = field(default=False, init=False)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a field of the manager's by its name, as Isaac Lab's configs of terms have it."""
+        if name in FIELD_TYPES:
+            return vars(self).get("fields", {}).get(name)
+        raise AttributeError(f"a term has no '{name}'; it has func, params, {', '.join(FIELD_TYPES)}")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in FIELD_TYPES:
+            self.fields[name] = value
+        else:
+            super().__setattr__(name, value)
+
+    def take(self, cfg: Any) -> None:
+        """Become what another config of a term says: its function, its parameters, its fields."""
+        if cfg is self:
+            return
+        if getattr(cfg, "func", None) is not None:
+            self.func = cfg.func
+        if getattr(cfg, "params", None) is not None:
+            self.params = dict(cfg.params)
+        for name in self.fields:
+            self.fields[name] = getattr(cfg, name, self.fields[name])
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the term with the environment (and ids), and hold what it returns against ``form``.
+
+        Raises:
+            ConfigError: it raises an error in its first call, or returns something else.
+            SimulationFailure: it raises an error later.
+        """
+        try:
+            if self.lends:
+                with lent(self.generator):
+                    value = self.func(*args, **self.params)
+            else:
+                value = self.func(*args, **self.params)
+        except BaseException as error:
+            raise self.failure(error) from error
+        if self.form is not None and not self.form.fits(value):
+            require_form(self.form, value, f"'{self.target}'", self.path, self.func)
+        if not self._has_worked:
+            self._has_worked = True
+        return value
+
+    def failure(self, error: BaseException) -> BaseException:
+        """Return an error of the term's code with its key and its place in the code."""
+        return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
+
+    def blamed(self) -> AbstractContextManager[None]:
+        """Tell an error of a part of the term that is not called by ``__call__``."""
+        return self._lending() if self.lends else _Blamed(self)
+
+    @contextmanager
+    def _lending(self) -> Iterator[None]:
+        with _Blamed(self), lent(self.generator):
+            yield
+
+    def lend(self, generator: torch.Generator) -> None:
+        """Let the term's code draw from a stream by torch's global generator, as code written for Isaac Lab does."""
+        self.generator, self.lends = generator, True
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the settings that have changed, and the term object's state."""
+        settings = {} if self.settings is None else self.settings.state_dict()
+        return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        if self.settings is not None:
+            self.settings.load_state_dict(saved["settings"])
+        self.take_arguments()
+        if self.stateful is not None:
+            self.stateful.load_state_dict(saved["object"])
+
+    @property
+    def stateful(self) -> TermBase | None:
+        """The term object, or None for a plain function."""
+        return self.func if isinstance(self.func, TermBase) else None
+
+    def bound(self) -> None:
+        """Note the settings that the config gave: what differs from them later is state."""
+        if self.settings is None:
+            params = self.params if self._make is None or self._keeps_params else self.arguments
+            self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=_STATEFUL_FIELDS)
+
+    def take_arguments(self) -> None:
+        """Let a term object be what its arguments say now, where they have changed; its state stays.
+
+        Raises:
+            ConfigError: they are not what they may be.
+        """
+        if self._make is None or self._keeps_params or self.arguments == self._made_with:
+            return
+        assert self.stateful is not None
+        adopt(self.stateful, self._make(), self.path)
+        self._made_with = copy.deepcopy(self.arguments)
+
+    def made_by(self, make: Callable[[], TermBase], keeps_params: bool = False) -> None:
+        """Make the term object, and know how to make another; one that keeps its parameters is called with them."""
+        self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
+        term_object = make()
+        made(term_object, self.path)
+        self.func = cast(Any, term_object)
+        if not keeps_params:
+            self.params = {}
+        self.bound()
+
+
+class _Blamed:
+    """Tells what goes wrong within it as an error of a term; a step enters dozens, so it is no generator."""
+
+    __slots__ = ("_term",)
+
+    def __init__(self, term: Term) -> None:
+        self._term = term
+
+    def __enter__(self) -> None:
+        """Begin."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Tell the error."""
+        if error is not None and (told := self._term.failure(error)) is not error:
+            raise told from error
+
+
+def bind_terms(
+    kind: str, section: str, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True
+) -> dict[str, Term]:
+    """Bind every term of a section, in declaration order; null terms are skipped.
+
+    Args:
+        kind: a key of ``terms.RESERVED``.
+        section: config key of the section, such as ``env.rewards``.
+        nodes: the composed terms by name.
+        env: the environment under construction.
+        instantiate: whether to make term objects now; else ``instantiate_term`` does it later.
+
+    Raises:
+        ConfigError: a node, a target or a parameter is wrong.
+    """
+    terms = {
+        name: bind_term(kind, split_node(kind, f"{section}.{name}", node), env)
+        for name, node in (nodes or {}).items()
+        if node is not None
+    }
+    if instantiate:
+        for term in terms.values():
+            instantiate_term(term, env)
+    return terms
+
+
+def bind_term(kind: str, node: TermNode, env: Env) -> Term:
+    """Bind one node: import its target, hold its parameters against the signature, resolve what they name."""
+    target = resolve_target(node.target, node.path)
+    for error in (*field_errors(kind, node), *parameter_errors(kind, node, target)):
+        raise error
+    fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
+    term = Term(node.name, node.path, node.target, target, {}, fields)
+    if "generator" in inspect.signature(read_from(target)).parameters:
+        term.generator = env.streams.get(node.path)
+    elif written_for_isaac_lab(target):
+        term.lend(env.streams.get(node.path))
+    term.params = _params(term, node.params, env)
+    term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
+    return term
+
+
+def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any]:
+    """Return what a target is called with: nodes built, entities resolved, and the term's random stream."""
+    params = {name: build(value, f"{term.path}.{name}") for name, value in arguments.items()}
+    for name, value in params.items():
+        if isinstance(value, SceneEntityCfg):
+            value.resolve(env.scene, f"{term.path}.{name}")
+    return params if term.generator is None or term.lends else {**params, "generator": term.generator}
+
+
+def _made_by(kind: Any, term: Term, env: Env) -> dict[str, Any]:
+    """Return what the term object of a class is made by, beside the environment."""
+    if not takes_cfg(kind):
+        return _params(term, term.arguments, env)
+    config = cfg_class(kind)  # of an action or a command, which reads its config itself
+    return {"cfg": config(**_params(term, term.arguments, env)) if config is read_from(kind) and config else term}
+
+
+def instantiate_term(term: Term, env: Env) -> None:
+    """Make the term object of a class term, and note what every term was made with; functions stay as they are."""
+    kind: Any = term.func
+    if not inspect.isclass(kind):
+        term.bound()
+        return
+    if not issubclass(kind, TermBase):
+        raise ConfigError(
+            f"'{term.target}' is not a term class",
+            key=term.path,
+            expected="a subclass of TermBase or a function",
+        )
+
+    def make() -> TermBase:
+        node = TermNode(term.name, term.path, term.target, {}, term.arguments)
+        for error in parameter_errors("commands", node, kind):  # a section without fields of its manager's
+            raise error
+        with term.blamed():
+            made_object: TermBase = cast(Any, kind)(env=env, **_made_by(kind, term, env))
+        return made_object
+
+    term.made_by(make, keeps_params=takes_cfg(kind) and read_from(kind) is not cfg_class(kind))
+
+
+def build(value: Any, path: str) -> Any:
+    """Return a parameter with the ``_target_`` nodes in it called, the innermost first.
+
+    The tree is taken as it stands: what it holds was composed before, and no text in it is resolved again.
+
+    Raises:
+        ConfigError: a target is not allowed, or its arguments are not what they may be.
+    """
+    for where, node in walk_nodes(value, path):
+        if TARGET in node:
+            for error in nested_errors(where, node, resolve_target(str(node[TARGET]), where)):
+                raise error
+    return _built(value, path)
+
+
+def _built(value: Any, path: str) -> Any:
+    """Return a copy, so that what a curriculum changes in it is not the config, with its nodes called."""
+    if isinstance(value, (list, tuple)):
+        return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
+    if not isinstance(value, Mapping):
+        return copy.deepcopy(value)
+    if TARGET not in value:
+        return {key: _built(item, f"{path}.{key}") for key, item in value.items()}
+    arguments = {key: _built(item, f"{path}.{key}") for key, item in target_arguments(value, path).items()}
+    try:
+        with ending_as(ConfigError):
+            return resolve_target(str(value[TARGET]), path)(**arguments)
+    except ConfigError as error:
+        raise placed(error, path) from error
+    except Exception as error:
+        raise ConfigError(
+            f"'{value[TARGET]}' refuses its arguments: {in_words(error).splitlines()[0]}",
+            key=path,
+            expected="arguments that the target takes",
+        ) from error
 
 
 class ManagerBase(Kept):

@@ -8,17 +8,15 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.buffers import HistoryBuffer, RowHistory
-from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.manager_base import table
-from wheelleg_exp.managers.observation_layout import Group, GroupLayout
-from wheelleg_exp.managers.observation_term import ObservationTerm, Values
-from wheelleg_exp.managers.term import Term, bind_terms
-from wheelleg_exp.memory import require_memory
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.managers.manager_base import Term, bind_terms, table
+from wheelleg_exp.managers.observation_term import Group, GroupLayout, ObservationTerm, Values
+from wheelleg_exp.managers.sample_history import HistoryBuffer, RowHistory
+from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.state import Kept, cloned, merged
-from wheelleg_exp.terms.sections import ObservationGroup as GroupOptions
-from wheelleg_exp.terms.sections import read_section
+from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
+from wheelleg_exp.terms.config_sections import read_section
 
 _SLICE = 100  # bytes of a Python slice and its two numbers: one for each term and step where history_order is time
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.terms.failures import code_place, described
+from wheelleg_exp.terms.term_errors import code_place, described
 
 _FIRST_ROOM = 64
 

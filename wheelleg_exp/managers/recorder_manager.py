@@ -9,12 +9,11 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.environment import Env
-from wheelleg_exp.managers.manager_base import ManagerBase, table
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase, table
 from wheelleg_exp.managers.recorded_rows import Rows, noted
-from wheelleg_exp.managers.term import Term, TermBase
-from wheelleg_exp.memory import require_memory
-from wheelleg_exp.terms.sections import Dataset
+from wheelleg_exp.managers.term_interface import Env
+from wheelleg_exp.terms.config_sections import Dataset
 
 Noted = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
 Arrays = dict[str, np.ndarray]

@@ -7,9 +7,9 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.managers.environment import Env
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import TensorForm
+from wheelleg_exp.managers.return_checks import TensorForm
+from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import not_finite
 
 

@@ -9,15 +9,14 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.manager_base import table
+from wheelleg_exp.managers.manager_base import build, table
 from wheelleg_exp.managers.streams import Streams
-from wheelleg_exp.managers.term import build
 from wheelleg_exp.sim.actuators import ActuatorBase
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.sim.sensors import SensorBase
 from wheelleg_exp.sim.terrain import TerrainBase
-from wheelleg_exp.terms.sections import read_section
+from wheelleg_exp.terms.config_sections import read_section
 
 
 class SceneManager:

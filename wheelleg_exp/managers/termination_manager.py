@@ -8,10 +8,10 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.definitions.definition import NOT_FINITE, ending
-from wheelleg_exp.managers.environment import Env
+from wheelleg_exp.definitions import NOT_FINITE, ending
 from wheelleg_exp.managers.manager_base import ManagerBase, table
-from wheelleg_exp.managers.returned import TensorForm
+from wheelleg_exp.managers.return_checks import TensorForm
+from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import narrowed
 
 

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.asset.allocation import bounded_memory
 from wheelleg_exp.asset.conversion import is_urdf
-from wheelleg_exp.asset.sources import LARGEST_FILE, LOOKS, MESHES, TEXTURES
-from wheelleg_exp.asset.urdf.document import open_document
-from wheelleg_exp.asset.urdf.files import Files
-from wheelleg_exp.asset.usd.layers import open_layers
-from wheelleg_exp.asset.usd.stage import SUFFIXES, library
+from wheelleg_exp.asset.file_limits import LARGEST_FILE, LOOKS, MESHES, TEXTURES, bounded_memory
+from wheelleg_exp.asset.urdf.mesh_files import Files
+from wheelleg_exp.asset.urdf.urdf_document import open_document
+from wheelleg_exp.asset.usd.usd_layers import open_layers
+from wheelleg_exp.asset.usd.usd_stage import SUFFIXES, library
 from wheelleg_exp.errors import AssetError
 
 if TYPE_CHECKING:

@@ -1,15 +1,225 @@
-"""Writes a project's robot YAML from what was measured."""
+"""Write a project's robot YAML from measurements.
+
+Gains and limits are the file's own if it gives them, else modest ones from the inertias.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from wheelleg_exp.project.gains import Gains, leg_gains, wheel_gains
+from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.project.survey import Survey
 from wheelleg_exp.project.yaml_text import by_joint, mapping, names, number, word
 
+_LEG_RATE = 2 * math.pi * 3  # rad/s: how fast a leg joint follows its target
+_DAMPING_RATIO = 0.7
+_SAG = 0.05  # rad (m) that the weight may bend a leg joint by
+_STRENGTH = 3.0  # times the torque that holds the pose
+_LEVER = 0.25  # of the leg's length: least lever that the weight is taken to have, whatever the default pose
+_BENDS = 0.35  # rad (m): with a stiffness that lets the weight bend a joint by more, the leg buckles
+_FULL = 4.0  # times the effort: a stiffness that asks for more at an error of 0.05 rad only switches
+_SLIPS = 5.0  # times the torque at which a wheel slips: a larger effort stands for none
+_FAST = 100.0  # rad/s, from here on a limit of speed stands for none
+_WEAK = 0.3  # of the torque that holds the weight at its least lever
+_STEP = 0.005  # s, physics time step of the task
+_LEG_SPEED = 15.0  # rad/s
+_WHEEL_TIME = 0.1  # s in which a wheel takes up a speed
+_TRACTION = 1.5  # times the torque at which a wheel slips
+_GROUND_SPEED = 2.0  # m/s
+_ENDLESS = 1e6  # from here on a limit is none
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Numbers of an actuator group, by joint.
+
+    Attributes:
+        stiffness: N·m/rad.
+        damping: N·m·s/rad.
+        effort: largest torque, N·m.
+        velocity: largest speed, rad/s.
+        given: what of these the file says.
+        refused: what the file says and is not taken, and why.
+    """
+
+    stiffness: dict[str, float]
+    damping: dict[str, float]
+    effort: dict[str, float]
+    velocity: dict[str, float]
+    given: list[str]
+    refused: list[str]
+
+
+def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
+    """Return the gains of joints that hold angles, by default the legs'.
+
+    Without a usable drive in the file: a stiffness with which the joint follows at 3 Hz, and the weight bends it by
+    0.05 rad at most, at a damping ratio of 0.7 under load; three times the torque that holds the weight. A stiffness
+    of the file's is not taken when the weight would bend the joint by more than 0.35 rad, or when the physics step
+    cannot carry it.
+    """
+    dofs, refused, untaken = robot.dofs, list[str](), set[str]()
+    held = robot.legs if joints is None else list(joints)
+    loads = {name: _load(robot, name) for name in held}
+
+    def modest_stiffness(name: str) -> float:
+        wanted = max(loads[name].inertia * _LEG_RATE**2, loads[name].hold / _SAG)
+        return min(wanted, 2 * loads[name].stiffest)
+
+    def said_stiffness(name: str) -> float | None:
+        kp, effort = _stiffness(dofs[name]), _effort(dofs[name])
+        reason = ""
+        if kp is not None and kp * _BENDS < loads[name].holds_now:
+            reason = f"lets the weight bend {name} by more than {_BENDS} rad"
+        elif kp is not None and effort is not None and kp * _SAG > _FULL * effort:
+            reason = f"asks {name} for its whole effort at {effort / kp:.2g} rad"
+        elif kp is not None and kp > 4 * loads[name].stiffest:
+            reason = f"is more than steps of {_STEP} s can carry on {name}"
+        if not reason:
+            return kp
+        refused.append(f"a stiffness of {kp:.3g} {reason}")
+        untaken.add(name)
+        return None
+
+    stiffness, given = _filled(robot, held, said_stiffness, modest_stiffness)
+
+    def said_damping(name: str) -> float | None:
+        return _damping(dofs[name]) if name not in untaken else None
+
+    def modest_damping(name: str) -> float:
+        return 2 * _DAMPING_RATIO * math.sqrt(stiffness[name] * max(loads[name].inertia, loads[name].carried))
+
+    def said_effort(name: str) -> float | None:
+        effort = _effort(dofs[name])
+        if effort is not None and effort < max(loads[name].holds_now, _WEAK * loads[name].hold):
+            refused.append(f"an effort of {effort:.3g} does not hold the weight at {name}")
+            return None
+        return effort
+
+    def modest_effort(name: str) -> float:
+        return max(_STRENGTH * loads[name].hold, stiffness[name] * _SAG * _STRENGTH)
+
+    damping, own = _filled(robot, held, said_damping, modest_damping)
+    effort, limited = _filled(robot, held, said_effort, modest_effort)
+    velocity, fast = _filled(robot, held, lambda name: _velocity(dofs[name]), lambda _: _LEG_SPEED)
+    found = {"stiffness": given, "damping": own, "effort": limited, "velocity": fast}
+    return Gains(stiffness, damping, effort, velocity, [name for name, said in found.items() if said], refused)
+
+
+@dataclass(frozen=True)
+class _Load:
+    """What a leg joint has to carry.
+
+    Attributes:
+        inertia: that a torque on it meets while everything is free, kg·m².
+        carried: of its share of the robot at the lever of its weight, kg·m².
+        holds_now: torque that holds the default pose, N·m.
+        hold: the same at a lever of a quarter of the leg's length, if that is more.
+        stiffest: stiffness at which an undamped joint turns by one radian a step, which integrators bear, N·m/rad.
+    """
+
+    inertia: float
+    carried: float
+    holds_now: float
+    hold: float
+    stiffest: float
+
+
+def _load(robot: Survey, name: str) -> _Load:
+    joint, share = robot.facts.joints[name], 1 / max(1, len(robot.wheels))
+    weight = robot.facts.weight * share
+    on_chain = any(name in leg.joints for leg in robot.anatomy.legs) or not robot.wheels
+    least = _LEVER * max(0.0, robot.size - robot.radius) * weight if on_chain else 0.0
+    hold = max(abs(joint.hold), least)
+    lever = hold / weight if weight > 0 else 0.0
+    carried = robot.facts.mass * share * lever**2
+    return _Load(joint.effective, carried, abs(joint.hold), hold, joint.effective / _STEP**2)
+
+
+def wheel_gains(robot: Survey) -> Gains:
+    """Return the wheels' gains: no stiffness, because they follow speeds.
+
+    Without a usable drive in the file: a damping that accelerates the wheel's share of the robot in 0.1 s, 1.5 times
+    the torque at which the wheel slips, and a speed of 2 m/s on the ground.
+    """
+    facts, count = robot.facts, max(1, len(robot.wheels))
+    share = facts.mass / count * robot.radius**2
+
+    def modest_damping(name: str) -> float:
+        return (facts.joints[name].effective + share) / _WHEEL_TIME
+
+    def modest_effort(_: str) -> float:
+        return _TRACTION * _traction(robot)
+
+    dofs = robot.dofs
+    damping, own = _filled(robot, robot.wheels, lambda name: _speed_gain(dofs[name]), modest_damping)
+    slips = _traction(robot)
+    refused: list[str] = []
+
+    def said_effort(name: str) -> float | None:
+        said = _effort(dofs[name])
+        if said is not None and said > _SLIPS * slips and robot.standing is not None:
+            refused.append(f"an effort of {said:.3g} at {name}, which slips at {slips:.2g}")
+            return None
+        return said
+
+    effort, limited = _filled(robot, robot.wheels, said_effort, modest_effort)
+    velocity, fast = _filled(
+        robot, robot.wheels, lambda name: _velocity(dofs[name]), lambda _: _GROUND_SPEED / robot.radius
+    )
+    found = {"damping": own, "effort": limited, "velocity": fast}
+    none = dict.fromkeys(robot.wheels, 0.0)
+    return Gains(none, damping, effort, velocity, [name for name, said in found.items() if said], refused)
+
+
+def _traction(robot: Survey) -> float:
+    """Return the torque at which a wheel slips, N·m."""
+    facts = robot.facts
+    return max(facts.friction, 0.5) * facts.weight / max(1, len(robot.wheels)) * robot.radius
+
+
+def _filled(
+    robot: Survey, joints: list[str], said: Callable[[str], float | None], modest: Callable[[str], float]
+) -> tuple[dict[str, float], bool]:
+    """Return a value for each joint, alike on both sides, and whether the file says all of them."""
+    found = {name: said(name) for name in joints}
+    values = {name: value if value is not None else float(f"{modest(name):.2g}") for name, value in found.items()}
+    for pair in robot.anatomy.mirrored:
+        if pair.left in values and pair.right in values and found[pair.left] is None and found[pair.right] is None:
+            values[pair.left] = values[pair.right] = max(values[pair.left], values[pair.right])
+    return values, bool(joints) and all(value is not None for value in found.values())
+
+
+def _stiffness(dof: Dof) -> float | None:
+    return dof.drive.stiffness if dof.drive is not None and dof.drive.stiffness > 0 else None
+
+
+def _damping(dof: Dof) -> float | None:
+    drive = dof.drive
+    return drive.damping if drive is not None and drive.stiffness > 0 and drive.damping > 0 else None
+
+
+def _speed_gain(dof: Dof) -> float | None:
+    """Return the damping of a drive that follows speeds; that of one that holds an angle is meant for another use."""
+    drive = dof.drive
+    return drive.damping if drive is not None and drive.stiffness == 0 and drive.damping > 0 else None
+
+
+def _effort(dof: Dof) -> float | None:
+    limits = [dof.drive.effort] if dof.drive is not None else []
+    limits += [max(map(abs, dof.force_range))] if dof.force_range is not None else []
+    return min((limit for limit in limits if limit is not None and 0 < limit < _ENDLESS), default=None)
+
+
+def _velocity(dof: Dof) -> float | None:
+    limit = dof.max_velocity
+    return limit if limit is not None and 0 < limit < _FAST else None
+
+
 _TOUCH = "whether the robot's own bodies may touch; null is what the asset says"
-_STEP = 1e-4  # m to which the height is rounded, upwards: nothing begins inside the ground
+_HEIGHT_STEP = 1e-4  # m to which the height is rounded, upwards: nothing begins inside the ground
 
 
 def robot_yaml(name: str, asset: str, robot: Survey) -> str:
@@ -48,7 +258,7 @@ friction_source: static            # static | dynamic: which coefficient MuJoCo'
 
 def spawn_height(robot: Survey) -> float:
     """Return the height of the root link at which the lowest collider touches the ground, m, rounded upwards."""
-    return round(math.ceil(robot.facts.standing_height / _STEP - 1e-6) * _STEP, 6)
+    return round(math.ceil(robot.facts.standing_height / _HEIGHT_STEP - 1e-6) * _HEIGHT_STEP, 6)
 
 
 def _frame(robot: Survey) -> str:

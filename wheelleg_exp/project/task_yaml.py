@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from wheelleg_exp.lint.findings import at_most
-from wheelleg_exp.project.gains import leg_gains, wheel_gains
+from wheelleg_exp.lint.rule import at_most
+from wheelleg_exp.project.robot_yaml import leg_gains, wheel_gains
 from wheelleg_exp.project.survey import Survey
 from wheelleg_exp.project.yaml_text import names, number
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
-from wheelleg_exp.definitions.training import EPISODE_REWARD, title
+from wheelleg_exp.definitions import EPISODE_REWARD, curve_title
 from wheelleg_exp.recording.layout import (
     DOCUMENTS,
     GROUND,
@@ -219,7 +219,7 @@ def _training(keys: Sequence[str]) -> Any:
 
 def _overview(keys: Sequence[str]) -> Any:
     """The curves that tell how the training goes, as far as there are such."""
-    plots = [_plot(title(key), join_key(TRAINING, key), legend=False) for key in _HEADLINES if key in keys]
+    plots = [_plot(curve_title(key), join_key(TRAINING, key), legend=False) for key in _HEADLINES if key in keys]
     for group, words in _GROUPS.items():
         members = [key for key in keys if key.startswith(f"{group}/") and key not in _HEADLINES]
         found = [join_key(TRAINING, key) for key in members]

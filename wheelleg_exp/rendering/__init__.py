@@ -1,12 +1,11 @@
-"""Pictures of bodies and shapes, drawn by MuJoCo in a process of its own.
+"""Pictures of bodies and shapes, drawn by MuJoCo in a child process.
 
 | module | offers |
 |---|---|
-| ``shapes``, ``scene``, ``viewpoint`` | what is drawn, and from where it is seen |
-| ``compiled``, ``poses`` | the scene of a compiled model, and where its bodies are |
-| ``renderer``, ``render_job``, ``render_model`` | the process that draws, seen from both sides, and its model |
-| ``camera_job``, ``camera_pictures`` | what a camera of a compiled model sees, from both sides of such a process |
-| ``limits`` | how many environments may be drawn |
-| ``film`` | pictures into a video file |
-| ``live`` | pictures of simulations as they run |
+| ``render_scene`` | shapes, the scene, and the camera's place |
+| ``scene_models`` | scene of a compiled model, poses of its bodies, and the MuJoCo model of a scene |
+| ``renderer``, ``render_job`` | the child process that draws, and its parent's side |
+| ``camera_job`` | the child process that draws the pictures of camera sensors |
+| ``live_pictures`` | pictures of running simulations, and of camera sensors |
+| ``video_file`` | pictures encoded as a video file |
 """

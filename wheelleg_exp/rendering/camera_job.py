@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 
 from wheelleg_exp.rendering.render_job import READY
-from wheelleg_exp.rendering.shapes import Array
+from wheelleg_exp.rendering.render_scene import Array
 
 Layer = Literal["colour", "depth", "geom"]
 # Of one pixel: how many numbers, and their type.
@@ -80,7 +80,7 @@ def _serve(source: BinaryIO, target: BinaryIO, draw: _Draw) -> None:
 
 def _prepared(order: CameraOrder) -> Any:
     """Return the model with a picture's size and range; of a body's shapes those are drawn that are to be seen."""
-    from wheelleg_exp.rendering.compiled import body_geoms, is_plane
+    from wheelleg_exp.rendering.scene_models import body_geoms, is_plane
 
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height

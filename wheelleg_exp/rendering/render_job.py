@@ -14,8 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from wheelleg_exp.rendering.scene import Scene
-from wheelleg_exp.rendering.shapes import Array
+from wheelleg_exp.rendering.render_scene import Array, Scene
 
 READY = b"ready\n"
 
@@ -64,9 +63,9 @@ def main() -> None:
     order: Order = pickle.load(source)
     import mujoco
 
-    from wheelleg_exp.rendering.render_model import build
+    from wheelleg_exp.rendering.scene_models import build_model
 
-    model = build(order.scene, order.width, order.height, order.samples)
+    model = build_model(order.scene, order.width, order.height, order.samples)
     data = mujoco.MjData(model)
     with mujoco.Renderer(model, order.height, order.width) as renderer:
         target.write(READY)

@@ -1,4 +1,4 @@
-"""Draws views of a scene in a process of its own, with the first of MuJoCo's backends that works."""
+"""Draw views of a scene in a child process, with the first MuJoCo backend that works."""
 
 from __future__ import annotations
 
@@ -16,8 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 import wheelleg_exp
-from wheelleg_exp.errors import SimulationFailure, WheellegError
+from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError
 from wheelleg_exp.rendering.render_job import READY, Order, View
+
+
+def too_many(num_envs: int, limit: int, sensor_key: str) -> ConfigError | None:
+    """Return the mistake of more environments than a camera may draw, or None.
+
+    Args:
+        num_envs: the environments.
+        limit: the camera's ``max_num_envs``.
+        sensor_key: its config key.
+    """
+    if num_envs <= limit:
+        return None
+    return ConfigError(
+        f"{num_envs} environments would be drawn one after another at every reading",
+        key=f"{sensor_key}.max_num_envs",
+        expected=f"env.num_envs at most {limit}, or a higher limit here; a RayCasterCamera measures distances of many",
+    )
+
 
 BACKENDS = ("egl", "osmesa")
 INSTALL = (

@@ -1,15 +1,14 @@
-"""One HTML file about a run, for people; a section is a module, named by the question that it answers.
+"""Write one HTML file about a run, or about several runs.
 
 | module | offers |
 |---|---|
-| ``subject`` | the files of a run, read as far as they can be read |
-| ``compile`` | the sections one after the other |
-| ``does_it_stand``, ``how_it_stood``, ``how_it_looked``, ``how_it_learned`` | the robot, and the training |
-| ``what_was_measured``, ``what_was_set``, ``what_it_optimises``, ``what_it_ran_on`` | recording, config, machine |
-| ``several``, ``which_is_better`` | the page of several runs: settings, and the spread over seeds |
-| ``can_it_be_repeated`` | the run against its own manifest, replays and equal runs |
-| ``blocks``, ``drawings``, ``svg``, ``words`` | what a page is made of |
-| ``write`` | the text of the page, and where it goes |
+| ``report_subject`` | the files of a run, read as far as they can be read |
+| ``report_page`` | the page of a run: its sections in order, rendered and written |
+| ``headline`` | the sentence and key figures at the top |
+| ``performance_section``, ``pictures_section``, ``training_section`` | the robot, and its training |
+| ``settings_section``, ``provenance_section`` | settings; machine, files, and reproducibility |
+| ``several_runs_page`` | the page of several runs: settings, and the spread over seeds |
+| ``page_blocks``, ``inline_svg``, ``value_format`` | the elements of a page |
 """
 
 from __future__ import annotations
@@ -56,24 +55,23 @@ def make_report(
     Raises:
         WheellegError: there is no such run, or the file cannot be written or is something else.
     """
-    from wheelleg_exp.report import can_it_be_repeated as trust
-    from wheelleg_exp.report.compile import compile_page
-    from wheelleg_exp.report.how_it_looked import Look
-    from wheelleg_exp.report.several import COMPARISON, open_several, several_page
-    from wheelleg_exp.report.subject import open_subject
-    from wheelleg_exp.report.write import place, render, write
+    from wheelleg_exp.report import provenance_section as trust
+    from wheelleg_exp.report.pictures_section import Look
+    from wheelleg_exp.report.report_page import compile_page, render_page, report_path, write_report
+    from wheelleg_exp.report.report_subject import open_subject
+    from wheelleg_exp.report.several_runs_page import COMPARISON, open_several, several_page
 
     names = [run] if isinstance(run, (str, Path)) else list(run)
     several = open_several(names, root)
     if several is not None:
         about, runs = several
-        path = place(about, Path(COMPARISON) if output is None and len(names) > 1 else output)
-        written = write(about, path, render(several_page(about, runs, command)), command)
+        path = report_path(about, Path(COMPARISON) if output is None and len(names) > 1 else output)
+        written = write_report(about, path, render_page(several_page(about, runs, command)), command)
         return Report(about.path, written.path, written.size, ())
     run = names[0]
     subject = open_subject(run, root)
-    path = place(subject, output)
+    path = report_path(subject, output)
     look = Look(subject, pictures)
-    html = render(compile_page(subject, look, trust.judge(subject)))
-    written = write(subject, path, html, command)
+    html = render_page(compile_page(subject, look, trust.judge(subject)))
+    written = write_report(subject, path, html, command)
     return Report(subject.path, written.path, written.size, tuple(look.notes))

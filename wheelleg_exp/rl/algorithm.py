@@ -14,15 +14,14 @@ import torch
 from rsl_rl.utils import resolve_callable
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.memory import require_memory
+from wheelleg_exp.machine import require_memory
 from wheelleg_exp.packages import make_classes_importable
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.options import SymmetryOptions, require_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks
-from wheelleg_exp.rl.symmetry.mirror import Half, Mirror, options_of
-from wheelleg_exp.rl.symmetry.mirror_loss import lighten
+from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, options_of, replace_mirror_loss
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
-from wheelleg_exp.user_code import ending_as, in_words
+from wheelleg_exp.user_exceptions import ending_as, in_words
 
 # Keys of the agent section that are this program's, not rsl_rl's.
 OWN_KEYS = (
@@ -84,11 +83,11 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
             key="agent",
             expected="rsl_rl's own configuration",
         ) from error
-    lighten(algorithm)
+    replace_mirror_loss(algorithm)
     return algorithm
 
 
-def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Half | None:
+def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | None:
     """Return what makes images of every second environment's observations and actions, of a training that asks for it.
 
     Raises:
@@ -101,7 +100,7 @@ def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> Half | None:
         message, key = "every second robot is met in a mirror, and there is one", "agent.symmetry.mirrored_envs"
         raise ConfigError(message, key=key, expected="false, or env.num_envs of at least 2")
     groups = _seen(agent, env.get_observations(), options)
-    return Half(Mirror(env.env, options, groups, env.device), env.num_envs)
+    return MirroredHalf(Mirror(env.env, options, groups, env.device), env.num_envs)
 
 
 def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions) -> list[str]:

@@ -13,8 +13,8 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.reading import require_bounded
-from wheelleg_exp.rl.averaging import STATE
+from wheelleg_exp.plain_data import require_bounded
+from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state import cloned
 
 FORMAT_VERSION = 2

@@ -18,7 +18,7 @@ from torch import nn
 from torch.autograd.function import once_differentiable
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.threads import is_intel
+from wheelleg_exp.machine import is_intel
 
 if TYPE_CHECKING:
     from rsl_rl.modules import MLP

@@ -21,9 +21,9 @@ from wheelleg_exp.constraints import (
     Share,
 )
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.terms.keys import below
-from wheelleg_exp.terms.sections import Section, section_errors
-from wheelleg_exp.terms.values import value_errors
+from wheelleg_exp.terms.config_sections import Section, section_errors
+from wheelleg_exp.terms.config_values import value_errors
+from wheelleg_exp.terms.key_syntax import below
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,9 @@
-"""The processes that train one policy together, as torchrun starts them: each simulates environments of its own.
+"""The processes (ranks) that train one policy together, as torchrun starts them.
 
-What they tell each other goes over gloo, as JSON or as a checkpoint's bytes, and nothing of it is unpickled. The
-gradients of networks on GPUs go over NCCL.
+Each rank simulates its own environments. Ranks exchange plain values as JSON and states as checkpoint bytes over
+gloo; nothing is unpickled. Gradients of networks on GPUs go over NCCL. A checkpoint of several ranks is one tree:
+networks and optimizer are stored once, and what each rank has for itself (environments, random streams, episode
+sums, hidden states) is stored at the top level for the first rank and under ``ranks`` for the others.
 """
 
 from __future__ import annotations
@@ -10,22 +12,93 @@ import io
 import json
 import os
 import socket
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import torch
 import torch.distributed as dist
 
-from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.errors import EXIT_FAILED, ConfigError, SimulationFailure, WheellegError
+from wheelleg_exp.machine import usable_cores
 from wheelleg_exp.managers.streams import stream_seed
-from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.episode_log import SCALAR
-from wheelleg_exp.rl.rank_errors import Left, ToldByFirst, communicating, plain, rebuilt
-from wheelleg_exp.threads import usable_cores
+from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl.rollout_log import SCALAR
 from wheelleg_exp.torchrun import number, world_size
+
+_COMMUNICATION = Path(dist.__file__).parent
+
+
+class FirstRankFailed(WheellegError):
+    """The training has failed, and the first process says why.
+
+    Args:
+        keeps: whether the first keeps what it failed with, and a checkpoint of the last iteration that was whole.
+    """
+
+    exit_code = EXIT_FAILED
+
+    def __init__(self, keeps: bool) -> None:
+        super().__init__("the training has failed, and the first process says why")
+        self.keeps = keeps
+
+
+class Left(SimulationFailure):
+    """Another process of the training is gone."""
+
+
+@contextmanager
+def communicating() -> Iterator[None]:
+    """Say of an error in the body, if it came up in a word between processes, that another one is gone."""
+    try:
+        yield
+    except Exception as error:
+        if not is_communication(error):
+            raise
+        raise left() from error
+
+
+def is_communication(error: BaseException) -> bool:
+    """Return whether an error came up where processes talk to each other."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return bool(frames) and Path(frames[-1].filename).is_relative_to(_COMMUNICATION)
+
+
+def left() -> Left:
+    """Return the error of a process whose others are gone."""
+    return Left(
+        "another process of the training has ended",
+        key=f"rank {os.environ.get('RANK', '0')}",
+        expected="all of them to go on; the one that ended first says why, or torchrun's table names the signal",
+    )
+
+
+def error_facts(error: WheellegError | None) -> dict[str, str | None]:
+    """Return an error for people as text by name; empty for none."""
+    if error is None:
+        return {}
+    facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
+    return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
+
+
+def error_from_facts(rank: int, told: Mapping[str, str | None], evidence: Mapping[str, Any]) -> WheellegError:
+    """Return the error of another process.
+
+    Args:
+        rank: the process's number.
+        told: what ``plain`` gave there.
+        evidence: what it failed with.
+    """
+    fields = {name: told[name] for name in ("key", "where", "expected", "nearest")}
+    message = f"{told['message']} [in process {rank}]"
+    if told["failed"]:
+        return SimulationFailure(message, evidence=evidence, **fields)
+    return ConfigError(message, **fields)
+
 
 _PATIENCE = timedelta(minutes=30)  # for a process that converts a robot or compiles kernels while the others wait
 
@@ -157,7 +230,7 @@ class Ranks:
 
         Raises:
             WheellegError: in the first, its own or that of the one that has it, with what it failed with.
-            ToldByFirst: in the others.
+            FirstRankFailed: in the others.
         """
         if not self.together:
             yield
@@ -165,7 +238,7 @@ class Ranks:
         mine: WheellegError | None = None
         try:
             yield
-        except (Left, ToldByFirst):
+        except (Left, FirstRankFailed):
             raise
         except WheellegError as error:
             mine = error
@@ -173,12 +246,12 @@ class Ranks:
             self._fail(mine)
 
     def _fail(self, mine: WheellegError | None) -> None:
-        told = self.gather({"error": plain(mine), "evidence": dict(getattr(mine, "evidence", {}))})
+        told = self.gather({"error": error_facts(mine), "evidence": dict(getattr(mine, "evidence", {}))})
         rank, found = next(((rank, found) for rank, found in enumerate(told) if found["error"]), (0, {}))
         keeps = self.said_by_first(bool(found.get("evidence")))
         if not self.first:
-            raise ToldByFirst(keeps) from mine
-        raise mine or rebuilt(rank, found["error"], found["evidence"])
+            raise FirstRankFailed(keeps) from mine
+        raise mine or error_from_facts(rank, found["error"], found["evidence"])
 
     def require_equal(self, values: Mapping[str, str]) -> None:
         """Refuse values that are not the same in all processes.
@@ -251,3 +324,41 @@ def _put_together(key: str, times: Sequence[str]) -> Callable[[list[float]], flo
     if key.startswith(SCALAR) or key == "Perf/total_fps":
         return sum
     return lambda values: sum(values) / len(values)
+
+
+OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")
+RANKS_KEY = "ranks"
+
+
+def state_of_all_ranks(ranks: Ranks, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the state of all processes in the first, and in the others their own; all must call it.
+
+    Args:
+        ranks: the processes.
+        state: this one's, as ``Trainer.state_dict`` gives it.
+    """
+    parts = ranks.gather({key: state[key] for key in OWN_KEYS_OF_A_RANK}) if ranks.together else []
+    return {**state, RANKS_KEY: parts[1:]} if parts else dict(state)
+
+
+def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
+    """Return one process's state out of that of all."""
+    own = state[RANKS_KEY][rank - 1] if rank else {}
+    return {**{key: value for key, value in state.items() if key != RANKS_KEY}, **own}
+
+
+def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
+    """Return the digests that the state of all will have, and whether all have the same networks; all must call it.
+
+    Args:
+        ranks: the processes.
+        state: this one's, or a part of it.
+    """
+    mine = digests.of_state(state)
+    if not ranks.together:
+        return mine, True
+    own = digests.of_state({key: state[key] for key in OWN_KEYS_OF_A_RANK if key in state})
+    shared = {name: digest for name, digest in mine.items() if name not in own}
+    told = ranks.tell_all({"own": own, "shared": shared})
+    equal = all(one["shared"] == told[0]["shared"] for one in told)
+    return digests.joined(told[0]["shared"] | told[0]["own"], [one["own"] for one in told[1:]]), equal

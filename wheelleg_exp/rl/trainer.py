@@ -13,25 +13,21 @@ import torch
 from rsl_rl.models import MLPModel
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
-from wheelleg_exp.managers.finite import require_finite_actions
+from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
-from wheelleg_exp.rl import averaging, checkpoint
+from wheelleg_exp.rl import checkpoint, policy_average
 from wheelleg_exp.rl.algorithm import build_algorithm, mirrored_half
-from wheelleg_exp.rl.averaging import PolicyAverage
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
-from wheelleg_exp.rl.episode_log import EpisodeLog, FailureCount
-from wheelleg_exp.rl.global_draws import no_global_draws
-from wheelleg_exp.rl.graphed_acting import GraphedActing, can_act
-from wheelleg_exp.rl.graphed_update import GraphedUpdate, can
-from wheelleg_exp.rl.initial import Initial, load_initial, load_teacher
+from wheelleg_exp.rl.determinism import no_global_draws, one_thread
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
-from wheelleg_exp.rl.one_thread import one_thread
-from wheelleg_exp.rl.rank_errors import communicating, is_communication, left
-from wheelleg_exp.rl.ranks import ALONE, Ranks
-from wheelleg_exp.rl.step_means import StepMeans
+from wheelleg_exp.rl.network_loading import Initial, load_initial, load_teacher
+from wheelleg_exp.rl.policy_average import PolicyAverage
+from wheelleg_exp.rl.ppo_graphs import CapturedActing, CapturedUpdate, can_capture_acting, can_capture_update
+from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication, left
+from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.state import cloned
-from wheelleg_exp.user_code import in_words, place
+from wheelleg_exp.user_exceptions import in_words, place
 
 
 @dataclass(frozen=True)
@@ -93,9 +89,9 @@ class Trainer:
         self._means = StepMeans(env.env)
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
         self._matmul = chosen_matmul(agent)
-        graphs = bool(agent.get("graph_update")) and can(self.algorithm)
-        self._graphed = GraphedUpdate(self.algorithm) if graphs else None
-        self._acts = GraphedActing(self.algorithm) if graphs and can_act(self.algorithm) else None
+        graphs = bool(agent.get("graph_update")) and can_capture_update(self.algorithm)
+        self._graphed = CapturedUpdate(self.algorithm) if graphs else None
+        self._acts = CapturedActing(self.algorithm) if graphs and can_capture_acting(self.algorithm) else None
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train up to ``until`` iterations in total; yields after each, when everything is whole.
@@ -261,7 +257,7 @@ class Trainer:
         """Lend the policy on the CPU as it is played: with the mean of its weights where they are averaged."""
         policy = self.algorithm.get_policy().to("cpu")
         own = cloned(policy.state_dict())
-        policy.load_state_dict(self.average.state_dict().get(averaging.STATE, own))
+        policy.load_state_dict(self.average.state_dict().get(policy_average.STATE, own))
         try:
             yield policy
         finally:

@@ -1,6 +1,6 @@
-"""What the numbers depend on besides the source: distributions, hardware, and environment variables.
+"""What the numbers depend on apart from the source: distributions, hardware, and environment variables.
 
-Nothing here imports torch or MuJoCo: versions come from the installed metadata.
+This module imports neither torch nor MuJoCo. Versions come from the installed metadata.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import wheelleg_exp
-from wheelleg_exp.run.source.secrecy import is_secret_variable, secret_content, without_credentials
-from wheelleg_exp.threads import first_processor, usable_cores
+from wheelleg_exp.machine import first_processor, usable_cores
+from wheelleg_exp.run.secrecy import is_secret_variable, secret_content, without_credentials
 
 # The distributions whose version can change a number or a file of a run.
 _DISTRIBUTIONS = (
@@ -38,20 +38,20 @@ _DISTRIBUTIONS = (
 )
 
 # Variables on which numbers and threads depend; then those that choose devices, which code is found, or how it runs.
-_OF_NUMBERS = (
+_NUMERICAL = (
     *("MKL", "OMP", "GOMP", "KMP", "TBB", "OPENBLAS", "GOTO", "BLIS", "VECLIB", "NUMEXPR", "NPY", "NUMPY", "GLIBC"),
     *("ATEN", "ONEDNN", "DNNL", "TORCH", "PYTORCH", "TENSORDICT", "CUBLAS"),
 )
-_OF_THE_MACHINE = (
+_OF_MACHINE = (
     *("TRITON", "RSL_RL", "CUDA", "CUDNN", "NVIDIA", "NCCL", "HIP", "ROCR", "HSA"),
     *("MUJOCO", "PXR", "USD", "WHEELLEG", "PYTHON", "LC"),
 )
-_NUMERIC = re.compile(rf"({'|'.join(_OF_NUMBERS)})_\w+|PYTHONHASHSEED")
+_NUMERIC = re.compile(rf"({'|'.join(_NUMERICAL)})_\w+|PYTHONHASHSEED")
 _VARIABLES = re.compile(
-    rf"({'|'.join(_OF_NUMBERS + _OF_THE_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
+    rf"({'|'.join(_NUMERICAL + _OF_MACHINE)})_\w+|PYTHON[A-Z]+|LANG|LD_(PRELOAD|LIBRARY_PATH|BIND_NOW)|DYLD_\w+"
 )
 
-_ASKED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
+_REQUESTED = re.compile(r"\$\{\s*oc\.env\s*:\s*([A-Za-z_]\w*)")
 
 _CPU_FLAGS = re.compile(r"(avx|fma|amx|f16c|sse4|bf16|asimd|sve)\w*")
 
@@ -126,9 +126,9 @@ def _is_numeric(name: str, value: str) -> bool:
     return _NUMERIC.fullmatch(name) is not None and not value.startswith(("/", "~"))
 
 
-def variables_asked_for(texts: Iterable[str]) -> list[str]:
+def requested_variables(texts: Iterable[str]) -> list[str]:
     """Return the names of the environment variables that configs ask for with ``${oc.env:NAME}``, sorted."""
-    return sorted({name for text in texts for name in _ASKED.findall(text)})
+    return sorted({name for text in texts for name in _REQUESTED.findall(text)})
 
 
 def distributions() -> list[str]:

@@ -1,4 +1,8 @@
-"""``manifest.json``: what a run is, how it went, and the digest of every file that it left."""
+"""``manifest.json``: what a run is, how it went, and the digest of every file that it wrote.
+
+The last key of the file, ``sha256``, is the digest of the file's own bytes, so that a changed byte is noticed.
+Every value is checked for its type before it is used.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,23 +18,203 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import for_people, json_plain, read_json, sha256, write_text
+from wheelleg_exp.errors import RunDirectoryError, nearest_name
+from wheelleg_exp.files import dump_json, for_people, json_plain, read_json, sha256, write_text
 from wheelleg_exp.run import environment
-from wheelleg_exp.run.inventory import (
+from wheelleg_exp.run.file_inventory import (
     MANIFEST_NAME,
     FileFindings,
     FileRecord,
     compare_files,
     inventory,
+    is_inside,
     record_files,
 )
-from wheelleg_exp.run.lock import MANIFEST_LOCK, RunLock
-from wheelleg_exp.run.manifest_format import FORMAT, STATUSES, VALUES_DIGESTED, require_manifest
-from wheelleg_exp.run.process import this_process
-from wheelleg_exp.run.seal import bytes_hold, sealed_text, values_hold
+from wheelleg_exp.run.run_lock import MANIFEST_LOCK, RunLock, this_process
 from wheelleg_exp.run.timestamps import parse_utc, utc_now, utc_text
-from wheelleg_exp.user_code import is_interrupt
+from wheelleg_exp.user_exceptions import is_interrupt
+
+
+@dataclass(frozen=True)
+class Optional:
+    """A kind of value that may be missing or null."""
+
+    kind: Any
+
+
+def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
+    """Yield the keys at or below ``path`` whose values are not of their kind.
+
+    Args:
+        value: a plain value.
+        kind: a type; ``[kind]`` for a list; ``{str: kind}`` for a mapping with any keys, else the kinds by key. Keys of
+            which nothing is said may hold anything.
+        path: the key of the value.
+    """
+    if isinstance(kind, Optional):
+        if value is not None:
+            yield from mistyped_keys(value, kind.kind, path)
+    elif isinstance(kind, list) and isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from mistyped_keys(item, kind[0], f"{path}[{index}]")
+    elif isinstance(kind, dict) and isinstance(value, dict):
+        kinds = dict.fromkeys(value, kind[str]) if str in kind else kind
+        for key, inner in kinds.items():
+            yield from mistyped_keys(value.get(key), inner, f"{path}.{key}" if path else str(key))
+    elif not isinstance(kind, type) or not _is_instance(value, kind):
+        yield path
+
+
+def _is_instance(value: Any, kind: type) -> bool:
+    return kind is bool if isinstance(value, bool) else isinstance(value, kind)
+
+
+FORMAT = 2
+FORMAT_WITH_VALUE_DIGEST = 1  # the format whose digest is of the values and not of the bytes, if it has one
+STATUSES = ("running", "finished", "interrupted", "failed")
+
+
+_FILES = {str: {"sha256": str, "size": int}}
+WRITER = {
+    "pid": Optional(int),
+    "host": Optional(str),
+    "boot_id": Optional(str),
+    "start_ticks": Optional(int),
+}  # a process
+_PROCESS: dict[Any, Any] = {
+    "error": Optional({"type": Optional(str), "message": Optional(str)}),
+    "ended": Optional(str),
+    "process": Optional(WRITER),
+    "failure": Optional({"key": Optional(str), "iteration": int, "message": str}),
+    "versions": Optional(dict),
+    "hardware": Optional(dict),
+    "threads": Optional(dict),
+    "environment_variables": Optional({str: str}),
+}
+_RESULTS = {"non_finite": Optional({str: int})}
+_RESUME = {
+    "when": Optional(str),
+    "iteration": Optional(int),
+    "command": Optional([str]),
+    "overrides": Optional([str]),
+    "changes": Optional([dict]),
+    "why": Optional([str]),
+    "notes": Optional([str]),
+    "proved": Optional(list),
+    "differences": Optional([dict]),
+    "before": Optional({**_PROCESS, "files": Optional(_FILES)}),
+    "files_to_write": Optional({str: str}),
+}
+_MANIFEST = {
+    **_PROCESS,
+    "status": str,
+    "task": str,
+    "started": str,
+    "results": _RESULTS,
+    "resumes": [_RESUME],
+    "additions": [{"kind": Optional(str), "when": str, "files": _FILES, "results": Optional(_RESULTS)}],
+    "files": _FILES,
+    "id": Optional(str),
+    "command": Optional([str]),
+    "working_directory": Optional(str),
+    "seeds": Optional(list),
+    "source": Optional(dict),
+    "engine": Optional(dict),
+    "config_dirs": Optional([str]),
+    "config_variables": Optional({str: str}),
+    "recording_unfinished": Optional(str),
+    "replay_of": Optional(str),
+    "replay": Optional(dict),
+    "ranks": Optional({"world_size": int, "backend": Optional(str), "seeds": Optional(list)}),
+}
+
+
+def require_manifest(data: Any, path: Path) -> None:
+    """Raise RunDirectoryError unless ``data``, read from ``path``, is a manifest of the format known here."""
+    where = os.fspath(path)
+    if not isinstance(data, dict) or "format" not in data:
+        raise RunDirectoryError("this is not a run's manifest", where=where, expected="a mapping with 'format'")
+    if type(data["format"]) is not int or data["format"] not in (FORMAT_WITH_VALUE_DIGEST, FORMAT):
+        raise RunDirectoryError(
+            f"manifest format {data['format']!r} is not known here",
+            where=where,
+            expected=f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it",
+        )
+    for wrong in mistyped_keys(data, _MANIFEST):
+        raise RunDirectoryError(f"broken manifest: '{wrong}' is missing or wrong", where=where)
+    if data["status"] not in STATUSES:
+        raise RunDirectoryError(
+            f"status '{data['status']}' is not known",
+            where=where,
+            expected="one of " + ", ".join(STATUSES),
+            nearest=nearest_name(data["status"], STATUSES),
+        )
+    _require_times(data, where)
+    _require_inside(data, where)
+
+
+def _require_times(data: dict[str, Any], where: str) -> None:
+    times = [data["started"], *([data["ended"]] if data.get("ended") else [])]
+    times += [entry["when"] for entry in data["additions"]]
+    for text in times:
+        try:
+            parse_utc(text)
+        except ValueError:
+            raise RunDirectoryError(f"broken manifest: {text!r} is no time", where=where) from None
+
+
+def _require_inside(data: dict[str, Any], where: str) -> None:
+    tables = [data["files"], *(entry["files"] for entry in data["additions"])]
+    for entry in data["resumes"]:
+        tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
+    for name in (name for table in tables for name in table):
+        if not is_inside(name):
+            raise RunDirectoryError(f"the manifest names {name!r}, outside its directory", where=where)
+
+
+DIGEST_KEY = "sha256"
+_NO_DIGEST = "0" * 64
+_END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
+
+
+def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
+    """Return the document as JSON whose last key, ``sha256``, is the digest of all bytes of the text.
+
+    What is digested has 64 zeros in the digest's place. An earlier digest is replaced.
+
+    Args:
+        document: what is written.
+        broken: write a digest that does not hold, because the document was changed by others before.
+    """
+    text = dump_json({**_without_digest(document), DIGEST_KEY: _NO_DIGEST})
+    digest = _NO_DIGEST if broken else hashlib.sha256(text.encode("utf-8")).hexdigest()
+    head, _, tail = text.rpartition(_NO_DIGEST)
+    return f"{head}{digest}{tail}"
+
+
+def bytes_match_digest(data: bytes) -> bool:
+    """Return whether these are, byte for byte, what ``sealed_text`` returned."""
+    found = _END.search(data)
+    if found is None:
+        return False
+    unsealed = data[: found.start(1)] + _NO_DIGEST.encode() + data[found.end(1) :]
+    return hashlib.sha256(unsealed).hexdigest() == found.group(1).decode()
+
+
+def values_match_digest(document: Mapping[str, Any]) -> bool | None:
+    """Return whether a document holds the values that were digested, as format 1 did; None when it has no digest.
+
+    Other bytes of the same value, such as the last digits of a number that rounds alike, go unseen.
+    """
+    if DIGEST_KEY not in document:
+        return None
+    text = json.dumps(json_plain(_without_digest(document)), sort_keys=True, allow_nan=False)
+    return document[DIGEST_KEY] == hashlib.sha256(text.encode()).hexdigest()
+
+
+def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in document.items() if key != DIGEST_KEY}
+
 
 Ended = Literal["finished", "interrupted", "failed"]
 
@@ -107,7 +292,7 @@ class Manifest:
             "additions": [],
             "files": inventory(directory),
         }
-        write_text(path, sealed_text(manifest.data))
+        write_text(path, text_with_digest(manifest.data))
         return manifest
 
     @classmethod
@@ -150,10 +335,10 @@ class Manifest:
         Raises:
             RunDirectoryError: the file cannot be read.
         """
-        if self.data["format"] == VALUES_DIGESTED:
-            return values_hold(self.data)
+        if self.data["format"] == FORMAT_WITH_VALUE_DIGEST:
+            return values_match_digest(self.data)
         with for_people(self.path, "read"):
-            return bytes_hold(self.path.read_bytes())
+            return bytes_match_digest(self.path.read_bytes())
 
     def snapshot_taken(self, source: Mapping[str, Any]) -> None:
         """Record that all that decides the run is written: the source, and the files there are now."""
@@ -335,7 +520,7 @@ class Manifest:
             data = before.data
             change(data)
             data["format"] = FORMAT
-            text = sealed_text(data, broken=was_changed)
+            text = text_with_digest(data, broken=was_changed)
             write_text(self.path, text)
             self.data = json.loads(text)
 

@@ -1,4 +1,4 @@
-"""Which files differ between two recorded source trees."""
+"""Name the files that differ between two recorded source trees, and summarize a recorded source for the console."""
 
 from __future__ import annotations
 
@@ -7,10 +7,55 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.run.source.git import OBJECT_ID, GitError, run_git, split_nul
+from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nul
+
+_SHOWN_REFUSALS = 5
+
+
+def source_lines(content: Mapping[str, Any]) -> list[str]:
+    """Return one line for each repository or folder of a ``git.json``, and one more for those that leave files out.
+
+    Args:
+        content: what ``restore.load_source`` returns.
+    """
+    lines = []
+    for record in (content, *content["others"]):
+        lines.append(_source_line(record))
+        if record["refused"]:
+            lines.append(f"warning: left out of the source of {record['root']}: {_refusals(record['refused'])}")
+    return lines
+
+
+def _source_line(record: Mapping[str, Any]) -> str:
+    if record["patch"] is not None:
+        return f"source: {_stored(record)}"
+    if record["status"] == "installed":
+        return f"source: {record['note']}"
+    return f"warning: the source is not kept: {record['note']}"
+
+
+def _stored(record: Mapping[str, Any]) -> str:
+    patch, count = record["patch"], len(record["changed"])
+    files = f"{count} file{'' if count == 1 else 's'}"
+    if record["commit"] is None:
+        where = "has no commit yet" if record["status"] == "no_commits" else "is in no repository that git reads"
+        return f"{record['root']} {where}; {files}, kept in source/{patch}"
+    place = f"commit {record['commit'][:10]} of {record['root']}"
+    branch = f" on {record['branch']}" if record["branch"] else ", no branch"
+    if not record["dirty"]:
+        return f"{place}{branch}, clean"
+    untracked = f" ({len(record['untracked'])} untracked)" if record["untracked"] else ""
+    return f"{place}{branch}, with changes: {files}{untracked}, kept in source/{patch}"
+
+
+def _refusals(entries: list[Mapping[str, str]]) -> str:
+    shown = [f"{entry['path']!r} ({entry['reason']})" for entry in entries[:_SHOWN_REFUSALS]]
+    more = len(entries) - _SHOWN_REFUSALS
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+
 
 _SHOWN = 3
-_NONE = "000000"
+_ABSENT = "000000"
 
 State = str | None  # mode and blob id of a path, None where it is absent
 
@@ -25,10 +70,10 @@ class FileChanges:
 
     def __str__(self) -> str:
         kinds = ((self.changed, "changed"), (self.added, "added"), (self.removed, "removed"))
-        return "; ".join(f"{word} {_some(paths)}" for paths, word in kinds if paths)
+        return "; ".join(f"{word} {_first_paths(paths)}" for paths, word in kinds if paths)
 
 
-def changes_in_words(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
+def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
     """Return which files differ between two records of ``git.json``, or why that cannot be told.
 
     Args:
@@ -64,7 +109,7 @@ def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
 
 def state(mode: str, blob: str) -> State:
     """Return the state of a path with git's mode and blob id."""
-    return None if mode == _NONE else f"{mode} {blob}"
+    return None if mode == _ABSENT else f"{mode} {blob}"
 
 
 def _compare(
@@ -102,6 +147,6 @@ def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[St
     return None
 
 
-def _some(paths: list[str]) -> str:
+def _first_paths(paths: list[str]) -> str:
     more = len(paths) - _SHOWN
     return ", ".join(paths[:_SHOWN]) + (f" and {more} more" if more > 0 else "")

@@ -1,12 +1,368 @@
-"""All that Isaac Lab's ``ArticulationData`` has, as far as MuJoCo has it."""
+"""The robot's state and parameters under all names of Isaac Lab's ``ArticulationData``."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import torch
 
-from wheelleg_exp.sim.data_bodies import BodyData
-from wheelleg_exp.sim.data_joints import JointData
-from wheelleg_exp.sim.data_root import RootData
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.class_members import alias_of, cached_until_change, declare_unsupported
+from wheelleg_exp.sim.ids import fill_rows
+from wheelleg_exp.sim.robot_data import RobotData
+
+
+class RootData(RobotData):
+    """Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity; world axes.
+
+    Attributes:
+        GRAVITY_VEC_W: unit vector of gravity, world axes, (N, 3).
+        FORWARD_VEC_B: the link's x axis, link axes, (N, 3).
+        default_root_state: where resets begin: pose of the link from the environment's origin, velocity, (N, 13).
+    """
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        n, layout = self._sim.num_envs, self._layout
+        self.GRAVITY_VEC_W = self._gravity_dir.repeat(n, 1)
+        self.FORWARD_VEC_B = torch.tensor([1.0, 0.0, 0.0], device=self._sim.device).repeat(n, 1)
+        still = torch.zeros(6, device=self._sim.device)
+        start = torch.cat((layout.default_root_pos, layout.default_root_quat, still))
+        self.default_root_state = start.repeat(n, 1)
+
+    def settings(self) -> dict[str, torch.Tensor]:
+        """Return the tensors that come from the config and the model, and that an event may change."""
+        return {**super().settings(), "default_root_state": self.default_root_state}
+
+    @cached_until_change
+    def root_link_pose_w(self) -> torch.Tensor:
+        """Pose of the root link, m and (w, x, y, z), (N, 7)."""
+        return torch.cat((self.root_pos_w, self.root_quat_w), dim=1)
+
+    @cached_until_change
+    def root_link_vel_w(self) -> torch.Tensor:
+        """Velocity of the root link's origin, m/s and rad/s, (N, 6)."""
+        return torch.cat((self.root_link_lin_vel_w, self.root_ang_vel_w), dim=1)
+
+    @cached_until_change
+    def root_com_pos_w(self) -> torch.Tensor:
+        """Position of the root body's centre of mass, m, (N, 3)."""
+        return self.root_pos_w + rotation.rotate(self.root_rot_w, self.com_b)
+
+    @cached_until_change
+    def root_com_quat_w(self) -> torch.Tensor:
+        """Orientation of the root body's principal axes of inertia (w, x, y, z), (N, 4)."""
+        return rotation.quat_mul(self.root_quat_w, self._of_bodies("body_iquat")[:, 0])
+
+    @cached_until_change
+    def root_com_pose_w(self) -> torch.Tensor:
+        """Pose of the root body's centre of mass and principal axes, m and (w, x, y, z), (N, 7)."""
+        return torch.cat((self.root_com_pos_w, self.root_com_quat_w), dim=1)
+
+    @cached_until_change
+    def root_com_vel_w(self) -> torch.Tensor:
+        """Velocity of the root body's centre of mass, m/s and rad/s, (N, 6)."""
+        return torch.cat((self.root_lin_vel_w, self.root_ang_vel_w), dim=1)
+
+    @cached_until_change
+    def root_state_w(self) -> torch.Tensor:
+        """Pose of the root link and velocity of its centre of mass, (N, 13)."""
+        return torch.cat((self.root_link_pose_w, self.root_com_vel_w), dim=1)
+
+    @cached_until_change
+    def root_link_state_w(self) -> torch.Tensor:
+        """Pose and velocity of the root link's origin, (N, 13)."""
+        return torch.cat((self.root_link_pose_w, self.root_link_vel_w), dim=1)
+
+    @cached_until_change
+    def root_com_state_w(self) -> torch.Tensor:
+        """Pose and velocity of the root body's centre of mass, (N, 13)."""
+        return torch.cat((self.root_com_pose_w, self.root_com_vel_w), dim=1)
+
+    root_pose_w = alias_of("root_link_pose_w")
+    root_vel_w = alias_of("root_com_vel_w")
+    root_link_pos_w = alias_of("root_pos_w")
+    root_link_quat_w = alias_of("root_quat_w")
+    root_link_ang_vel_w = alias_of("root_ang_vel_w")
+    root_link_ang_vel_b = alias_of("root_ang_vel_b")
+    root_com_lin_vel_w = alias_of("root_lin_vel_w")
+    root_com_ang_vel_w = alias_of("root_ang_vel_w")
+    root_com_lin_vel_b = alias_of("root_lin_vel_b")
+    root_com_ang_vel_b = alias_of("root_ang_vel_b")
+
+
+_ONE_FRICTION = "MuJoCo has one friction of a joint at rest and in motion, joint_friction_coeff"
+_TENDONS = "a robot's tendons are not read here; env.scene.model has MuJoCo's"
+_FIXED = ("stiffness", "damping", "limit_stiffness", "rest_length", "offset", "pos_limits")
+_SPATIAL = ("stiffness", "damping", "limit_stiffness", "offset")
+
+# Model fields of a joint's degree of freedom, by Isaac Lab's name of them.
+_FIELDS = {
+    "armature": "dof_armature",
+    "friction_coeff": "dof_frictionloss",
+    "viscous_friction_coeff": "dof_damping",
+}
+
+
+@declare_unsupported(
+    {
+        "joint_dynamic_friction_coeff": _ONE_FRICTION,
+        "default_joint_dynamic_friction_coeff": _ONE_FRICTION,
+        "fixed_tendon_limit": _TENDONS,
+        "default_fixed_tendon_limit": _TENDONS,
+    }
+    | {f"{start}fixed_tendon_{name}": _TENDONS for start in ("", "default_") for name in _FIXED}
+    | {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "default_") for name in _SPATIAL}
+)
+class JointData(RobotData):
+    """Joint parameters, (N, J) in the robot's order.
+
+    Attributes:
+        default_joint_stiffness: kp that the config gave, N·m/rad.
+        default_joint_damping: kd that the config gave, N·m·s/rad.
+        default_joint_armature: of the model, kg·m^2.
+        default_joint_friction_coeff: friction loss of the model, N·m.
+        default_joint_viscous_friction_coeff: of the model, N·m·s/rad.
+        default_joint_pos_limits: of the model, rad, (N, J, 2).
+        gear_ratio: 1: actuators act on the joints themselves.
+    """
+
+    def __init__(self, *args: Any, gains: Callable[[str, bool], torch.Tensor]) -> None:
+        super().__init__(*args)
+        self._gains = gains
+        self.default_joint_stiffness = gains("stiffness", False)
+        self.default_joint_damping = gains("damping", False)
+        self.default_joint_armature = self._of_joints("armature").clone()
+        self.default_joint_friction_coeff = self._of_joints("friction_coeff").clone()
+        self.default_joint_viscous_friction_coeff = self._of_joints("viscous_friction_coeff").clone()
+        self.default_joint_pos_limits = self.joint_pos_limits.clone()
+        self.gear_ratio = torch.ones_like(self.default_joint_pos)
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Names of the joints in the order that terms see."""
+        return self._layout.joint_names
+
+    @property
+    def joint_stiffness(self) -> torch.Tensor:
+        """Stiffness of the drives inside the solver, N·m/rad, (N, J); 0 of explicit actuators."""
+        return self._gains("stiffness", True)
+
+    @property
+    def joint_damping(self) -> torch.Tensor:
+        """Damping of the drives inside the solver, N·m·s/rad, (N, J); 0 of explicit actuators."""
+        return self._gains("damping", True)
+
+    @property
+    def joint_armature(self) -> torch.Tensor:
+        """Reflected rotor inertia, kg·m^2, (N, J)."""
+        return self._of_joints("armature")
+
+    @property
+    def joint_friction_coeff(self) -> torch.Tensor:
+        """Friction loss, N·m, (N, J)."""
+        return self._of_joints("friction_coeff")
+
+    @property
+    def joint_viscous_friction_coeff(self) -> torch.Tensor:
+        """Passive damping, N·m·s/rad, (N, J)."""
+        return self._of_joints("viscous_friction_coeff")
+
+    def _of_joints(self, name: str) -> torch.Tensor:
+        return self._model(_FIELDS[name])[:, self._dof_ids].float()
+
+    joint_limits = alias_of("joint_pos_limits")
+    joint_velocity_limits = alias_of("joint_vel_limits")
+    joint_friction = alias_of("joint_friction_coeff")
+    default_joint_limits = alias_of("default_joint_pos_limits")
+    default_joint_friction = alias_of("default_joint_friction_coeff")
+
+
+@declare_unsupported(
+    {
+        "body_incoming_joint_wrench_b": "MuJoCo works out what acts between links only for force and torque sensors"
+        " of the model; applied_torque has what the actuators apply"
+    }
+)
+class BodyData(RobotData):
+    """Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity; world axes.
+
+    Attributes:
+        default_mass: of the model, kg, (N, B).
+        default_inertia: of the model, about the centre of mass in link axes, kg·m^2, row by row, (N, B, 9).
+    """
+
+    def __init__(self, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        n, bodies = self._sim.num_envs, len(self._body_ids)
+        self.default_mass = self._of_bodies("body_mass").clone()
+        axes = rotation.quat_to_matrix(self._of_bodies("body_iquat")[0])
+        inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
+        self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
+        self._vel_before: torch.Tensor | None = None  # once somebody has asked for accelerations
+        self._acc_valid = torch.zeros(n, 1, 1, device=self._sim.device)
+
+    @property
+    def body_names(self) -> list[str]:
+        """Names of the bodies, breadth first."""
+        return self._layout.body_names
+
+    @cached_until_change
+    def body_link_pose_w(self) -> torch.Tensor:
+        """Poses of the link frames, m and (w, x, y, z), (N, B, 7)."""
+        return torch.cat((self.body_pos_w, self.body_quat_w), dim=2)
+
+    @cached_until_change
+    def body_link_lin_vel_w(self) -> torch.Tensor:
+        """Velocities of the links' origins, m/s, (N, B, 3)."""
+        lever = self.body_pos_w - self.body_com_pos_w
+        return self.body_lin_vel_w + torch.linalg.cross(self.body_ang_vel_w, lever)
+
+    @cached_until_change
+    def body_link_vel_w(self) -> torch.Tensor:
+        """Velocities of the links' origins, m/s and rad/s, (N, B, 6)."""
+        return torch.cat((self.body_link_lin_vel_w, self.body_ang_vel_w), dim=2)
+
+    @cached_until_change
+    def body_com_pos_w(self) -> torch.Tensor:
+        """Positions of the bodies' centres of mass, m, (N, B, 3)."""
+        return self._output("xipos")[:, self._body_ids].float()
+
+    @cached_until_change
+    def body_com_quat_w(self) -> torch.Tensor:
+        """Orientations of the bodies' principal axes of inertia (w, x, y, z), (N, B, 4)."""
+        link, inertial = self.body_quat_w.reshape(-1, 4), self.body_com_quat_b.reshape(-1, 4)
+        return rotation.quat_mul(link, inertial).view_as(self.body_quat_w)
+
+    @cached_until_change
+    def body_com_pose_w(self) -> torch.Tensor:
+        """Poses of the bodies' centres of mass and principal axes, m and (w, x, y, z), (N, B, 7)."""
+        return torch.cat((self.body_com_pos_w, self.body_com_quat_w), dim=2)
+
+    @cached_until_change
+    def body_com_vel_w(self) -> torch.Tensor:
+        """Velocities of the bodies' centres of mass, m/s and rad/s, (N, B, 6)."""
+        return torch.cat((self.body_lin_vel_w, self.body_ang_vel_w), dim=2)
+
+    @cached_until_change
+    def body_state_w(self) -> torch.Tensor:
+        """Poses of the links and velocities of their centres of mass, (N, B, 13)."""
+        return torch.cat((self.body_link_pose_w, self.body_com_vel_w), dim=2)
+
+    @cached_until_change
+    def body_link_state_w(self) -> torch.Tensor:
+        """Poses and velocities of the links' origins, (N, B, 13)."""
+        return torch.cat((self.body_link_pose_w, self.body_link_vel_w), dim=2)
+
+    @cached_until_change
+    def body_com_state_w(self) -> torch.Tensor:
+        """Poses and velocities of the bodies' centres of mass, (N, B, 13)."""
+        return torch.cat((self.body_com_pose_w, self.body_com_vel_w), dim=2)
+
+    @cached_until_change
+    def body_com_pos_b(self) -> torch.Tensor:
+        """Centres of mass in their link's frame, m, (N, B, 3)."""
+        return self._of_bodies("body_ipos")
+
+    @cached_until_change
+    def body_com_quat_b(self) -> torch.Tensor:
+        """Principal axes of inertia in their link's frame (w, x, y, z), (N, B, 4)."""
+        return self._of_bodies("body_iquat")
+
+    @cached_until_change
+    def body_com_pose_b(self) -> torch.Tensor:
+        """Centres of mass and principal axes in their link's frame, m and (w, x, y, z), (N, B, 7)."""
+        return torch.cat((self.body_com_pos_b, self.body_com_quat_b), dim=2)
+
+    @cached_until_change
+    def body_com_acc_w(self) -> torch.Tensor:
+        """Accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); a body at rest has 0.
+
+        Finite difference over the last physics step, 0 after a reset or a written velocity until the next one.
+        """
+        if self._vel_before is None:
+            self._vel_before = self._velocity_before()
+            self._acc_valid.copy_(self._torque_valid.unsqueeze(2))
+        return (self.body_com_vel_w - self._vel_before) / self._dt * self._acc_valid
+
+    @cached_until_change
+    def body_com_lin_acc_w(self) -> torch.Tensor:
+        """Linear accelerations of the bodies' centres of mass, m/s^2, (N, B, 3)."""
+        return self.body_com_acc_w[..., :3]
+
+    @cached_until_change
+    def body_com_ang_acc_w(self) -> torch.Tensor:
+        """Angular accelerations of the bodies, rad/s^2, (N, B, 3)."""
+        return self.body_com_acc_w[..., 3:]
+
+    body_link_pos_w = alias_of("body_pos_w")
+    body_link_quat_w = alias_of("body_quat_w")
+    body_link_ang_vel_w = alias_of("body_ang_vel_w")
+    body_com_lin_vel_w = alias_of("body_lin_vel_w")
+    body_com_ang_vel_w = alias_of("body_ang_vel_w")
+    body_pose_w = alias_of("body_link_pose_w")
+    body_vel_w = alias_of("body_com_vel_w")
+    body_acc_w = alias_of("body_com_acc_w")
+    body_lin_acc_w = alias_of("body_com_lin_acc_w")
+    body_ang_acc_w = alias_of("body_com_ang_acc_w")
+    com_pos_b = alias_of("body_com_pos_b")
+    com_quat_b = alias_of("body_com_quat_b")
+
+    def _velocity_before(self) -> torch.Tensor:
+        """Return the bodies' velocities at the start of the last physics step, from the state kept of it."""
+        sim, now, has_stepped = self._sim, (self._qpos.clone(), self._qvel.clone()), self._torque_valid > 0.0
+        self._qpos.copy_(torch.where(has_stepped, self._qpos_before, now[0]))
+        self._qvel.copy_(torch.where(has_stepped, self._qvel_before, now[1]))
+        self.invalidate()
+        for name in ("xpos", "xquat", "xipos", "cvel", "subtree_com"):
+            sim.derived(name)
+        sim.forward()
+        velocity = self.body_com_vel_w
+        self._qpos.copy_(now[0])
+        self._qvel.copy_(now[1])
+        sim.forward()
+        self.invalidate()
+        return velocity
+
+    def forget_accelerations(self, ids: torch.Tensor) -> None:
+        """Report no acceleration of bodies whose velocity was written, until the next physics step."""
+        if self._vel_before is not None:
+            fill_rows(self._acc_valid, ids, 0.0)
+
+    def before_step(self) -> None:
+        """Keep the motion state that the coming physics step starts from."""
+        super().before_step()
+        if self._vel_before is not None:
+            self._vel_before = self.body_com_vel_w
+
+    def mark_stepped(self) -> None:
+        """Note that the last solve belongs to every environment's present episode."""
+        super().mark_stepped()
+        if self._vel_before is not None:
+            self._acc_valid.fill_(1.0)
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Report zero torque and acceleration for ``ids`` until their next physics step."""
+        super().reset(ids)
+        self.forget_accelerations(ids)
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return what is kept of the last physics step."""
+        if self._vel_before is None:
+            return super().state_dict()
+        return {
+            **super().state_dict(),
+            "body_vel_before": self._vel_before.clone(),
+            "acc_valid": self._acc_valid.clone(),
+        }
+
+    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        found = saved.get("body_vel_before")
+        self._vel_before = None if found is None else found.clone()
+        self._acc_valid.copy_(saved.get("acc_valid", torch.zeros_like(self._acc_valid)))
 
 
 class ArticulationData(BodyData, JointData, RootData):

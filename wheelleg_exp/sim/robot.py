@@ -12,20 +12,20 @@ import torch
 
 from wheelleg_exp.sim.actuators import ONE_GROUP, ActuatorBase, ImplicitActuator
 from wheelleg_exp.sim.articulation_data import ArticulationData
-from wheelleg_exp.sim.data import RobotData
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import EnvIds, ids_where
-from wheelleg_exp.sim.layout import JointTargets, RobotLayout
 from wheelleg_exp.sim.names import shared_errors
 from wheelleg_exp.sim.options import RobotOptions
-from wheelleg_exp.sim.robot_parameters import RobotParameters
+from wheelleg_exp.sim.robot_data import RobotData
+from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
+from wheelleg_exp.sim.robot_writers import RobotParameterWriters
 from wheelleg_exp.state import cloned, made, same
-from wheelleg_exp.terms.failures import blamed
+from wheelleg_exp.terms.term_errors import blamed
 
 ACTUATORS_KEY = "env.robot.actuators"
 
 
-class Robot(RobotParameters):
+class Robot(RobotParameterWriters):
     """The robot of the scene: names, limits, actuators, and writing of state, targets and wrenches.
 
     Args:

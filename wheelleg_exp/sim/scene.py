@@ -16,15 +16,15 @@ import torch
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim.actuators import ActuatorBase
-from wheelleg_exp.sim.batch import BatchEngine
+from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.sim.engine import WRENCHES, Engine
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import ACTUATORS_KEY, Robot
-from wheelleg_exp.sim.robot_spec import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
+from wheelleg_exp.sim.robot_model import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase, require_base_called
 from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, is_ground
 from wheelleg_exp.state import Kept
-from wheelleg_exp.terms.failures import blamed
+from wheelleg_exp.terms.term_errors import blamed
 
 _ROBOT_PRIORITY = 1
 _PLACES = ("paths", "npaths", "nbuffer")  # of a model: where its files lie, and what counts them
@@ -293,7 +293,7 @@ def make_engine(options: SimOptions, model: mujoco.MjModel, num_envs: int) -> En
         ConfigError: a package or a device of the engine's is not there, or it does not simulate the model.
     """
     if options.engine == "warp":
-        from wheelleg_exp.sim.warp.engine import WarpEngine  # its packages are heavy, and need not be there
+        from wheelleg_exp.sim.warp_engine import WarpEngine  # its packages are heavy, and need not be there
 
         return WarpEngine(model, num_envs, options)
     return BatchEngine(model, num_envs, options.nthread)

@@ -11,12 +11,10 @@
 | `Memory` | tensors of one object that lie in the memory of another: refused |
 """
 
-from wheelleg_exp.state.memory import Memory
-from wheelleg_exp.state.outside import Outside
-from wheelleg_exp.state.rows import merged
-from wheelleg_exp.state.saved_or_refused import Stateful, adopt, made, restore, save, stateful
-from wheelleg_exp.state.settings import Settings
-from wheelleg_exp.state.values import Kept, NamedStream, cloned, on_device, same
+from wheelleg_exp.state.saved_values import Kept, NamedStream, cloned, on_device, same
+from wheelleg_exp.state.stateful import Settings, Stateful, adopt, made, restore, save, stateful
+from wheelleg_exp.state.tensor_trees import merged
+from wheelleg_exp.state.unsaved_state import Memory, Outside
 
 __all__ = [
     "Kept",

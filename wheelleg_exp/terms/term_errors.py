@@ -1,20 +1,27 @@
-"""All that is wrong with a term node and the nodes within it, by the annotations of what they build.
+"""Report errors in a term: values that do not fit its annotations, and exceptions in its code.
 
-``check`` tells all of it before anything is built; whatever builds a term raises the first of it.
+The first half checks a term node, and the nodes inside it, against the annotations of the classes and functions
+that they name. The second half turns an exception in such code into one error with the config key and the line.
 """
 
 from __future__ import annotations
 
+import copy
 import inspect
+import traceback
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.constraints import rules_of
-from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.terms.binding import (
+from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError, nearest_name
+from wheelleg_exp.paths import show_file
+from wheelleg_exp.terms.config_values import value_errors
+from wheelleg_exp.terms.key_syntax import below
+from wheelleg_exp.terms.term_binding import (
     EVENT_MODES,
     FIELD_TYPES,
     MODE_FIELDS,
@@ -27,8 +34,7 @@ from wheelleg_exp.terms.binding import (
     target_arguments,
     walk_targets,
 )
-from wheelleg_exp.terms.keys import below
-from wheelleg_exp.terms.values import value_errors
+from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
 def field_errors(section: str, term: TermNode) -> list[ConfigError]:
@@ -159,3 +165,100 @@ def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
 def has_target(value: Any) -> bool:
     """Return whether something is built within a value, so that it is not plain."""
     return any(True for _ in walk_targets(value))
+
+
+@contextmanager
+def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
+    """Tell what a part of the scene raises in the body as an error of its config key.
+
+    Args:
+        path: its config key.
+        part: the object.
+        has_worked: whether the scene has been built with it: then the run has failed, not its input.
+
+    Raises:
+        ConfigError: the part raises an error; SimulationFailure when it has worked.
+    """
+    try:
+        yield
+    except BaseException as error:
+        told = failure(error, path, dotted_name(part), part, has_worked=has_worked, what="code")
+        if told is error:
+            raise
+        raise told from error
+
+
+def dotted_name(part: Any) -> str:
+    """Return the dotted name of an object's class."""
+    return f"{type(part).__module__}.{type(part).__qualname__}"
+
+
+def failure(
+    error: BaseException, path: str, target: str, code: Any, *, has_worked: bool, what: str = "a term"
+) -> BaseException:
+    """Return what a term's code raised as an error for people; a stop that somebody has asked for stays what it is.
+
+    Args:
+        error: what it raised.
+        path: the term's config key.
+        target: dotted name of the function or class.
+        code: the function or object.
+        has_worked: whether it has been called before without an error: then the run has failed, not its input.
+        what: the code in words.
+    """
+    if isinstance(error, ConfigError):
+        return placed(error, path)
+    if isinstance(error, WheellegError) or is_interrupt(error):
+        return error
+    kind = SimulationFailure if has_worked else ConfigError
+    ending = "" if isinstance(error, Exception) else ", which would end the program"
+    return kind(
+        f"'{target}' raises {in_words(error).splitlines()[0]}{ending}",
+        key=path,
+        where=_line_of(error, code) or code_place(code),
+        expected=f"{what} that works (--debug shows the traceback)",
+    )
+
+
+def placed(error: ConfigError, path: str) -> ConfigError:
+    """Return the error with its key below the term's, unless it names a place of its own."""
+    found = copy.copy(error)
+    if found.key is None or not found.key.startswith("env."):
+        found.key = f"{path}.{found.key}" if found.key else path
+    return found
+
+
+def code_place(code: Any) -> str | None:
+    """Return the file and line at which a function, or the class of an object, is defined; None when unknown."""
+    found = _definition(code)
+    try:
+        file, line = inspect.getsourcefile(found), inspect.getsourcelines(found)[1]
+    except (OSError, TypeError):
+        return None
+    return show_file(Path(file), line) if file else None
+
+
+def _definition(code: Any) -> Callable[..., Any]:
+    return code if inspect.isroutine(code) or inspect.isclass(code) else type(code)
+
+
+def _line_of(error: BaseException, code: Any) -> str | None:
+    """Return the innermost line of the term's own file that the error passed through."""
+    try:
+        file = inspect.getsourcefile(_definition(code))
+    except TypeError:
+        return None
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    return show_file(Path(file), lines[-1]) if file and lines and lines[-1] else None
+
+
+def described(value: Any) -> str:
+    """Return in words what a value is; what has a shape is told by it, whoever made it."""
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple):
+        kind = "a numpy array" if type(value).__module__ == "numpy" else "a tensor"
+        return f"{kind} of shape {tuple(shape)}"
+    if value is None:
+        return "None"
+    text = repr(value)
+    return f"{type(value).__name__} {text}" if len(text) <= 40 else f"a {type(value).__name__}"

@@ -1,21 +1,19 @@
-"""Holding runs against their own manifests, and against each other; torch is imported for checkpoints alone.
+"""Check runs against their own manifests, and compare two runs. Torch is imported for checkpoints only.
 
 | module | offers |
 |---|---|
-| ``self_check`` | one run: nothing missing, nothing altered, everything agrees with everything |
-| ``checked_run``, ``check_files``, ``check_snapshot``, ``check_results`` | what is checked, by subject |
-| ``comparison``, ``compared_runs``, ``comparison_text`` | two runs: span, verdict, words |
-| ``divergence`` | the first place where they part |
-| ``settings`` | what two runs were asked to compute, and which settings change no number |
-| ``parts``, ``checkpoints``, ``tensors``, ``exported_policies`` | what came out of them |
-| ``made_with`` | what they were made with, and which of it may change rounding |
-| ``tolerance`` | when numbers that are not equal count as the same training |
+| ``check_run``, ``check_files`` | one run: no file is missing or altered, and all files agree |
+| ``run_comparison``, ``comparison_text`` | two runs: the verdict, the first difference, the text |
+| ``run_differences`` | differences in settings, code, and machine, and which of them may change numbers |
+| ``run_parts``, ``checkpoint_comparison``, ``tensor_differences``, ``exported_policies`` | differences in results |
+| ``tolerance`` | when unequal numbers count as the same training |
 """
 
-from wheelleg_exp.verify.checked_run import Check, RunFindings
-from wheelleg_exp.verify.comparison import Comparison, Divergence, compare_runs
-from wheelleg_exp.verify.made_with import FactDifference, environment_differences
-from wheelleg_exp.verify.self_check import verify_run
+from wheelleg_exp.verify.check_files import Check, RunFindings
+from wheelleg_exp.verify.check_run import verify_run
+from wheelleg_exp.verify.comparison_text import Divergence
+from wheelleg_exp.verify.run_comparison import Comparison, compare_runs
+from wheelleg_exp.verify.run_differences import FactDifference, environment_differences
 
 __all__ = [
     "Check",

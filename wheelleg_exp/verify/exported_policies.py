@@ -1,4 +1,4 @@
-"""Two exported policies: what they compute with, and how; nothing in them is run."""
+"""Compare exported policies by their weights and graphs. The policies are never run."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.files import read_bytes, read_json
-from wheelleg_exp.reading import require_bounded
-from wheelleg_exp.run.directory import RunDirectory
-from wheelleg_exp.verify.parts import Part, some
-from wheelleg_exp.verify.settings import plain_changes
+from wheelleg_exp.plain_data import require_bounded
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.verify.run_differences import plain_changes
+from wheelleg_exp.verify.run_parts import Part, some
 
 _EQUAL = "equal"
 _EQUAL_CONTENT = "weights and code equal, other bytes"

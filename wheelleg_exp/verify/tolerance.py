@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from wheelleg_exp.run.log import Line
+from wheelleg_exp.run.iteration_log import Line
 
 START = 1e-3
 END = 0.1

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from pxr import Usd
 
-from wheelleg_exp.asset import allocation, convert
+from wheelleg_exp.asset import convert, file_limits
 from wheelleg_exp.asset.usd import audit
 from wheelleg_exp.errors import AssetError, WheellegError
 from wheelleg_exp.paths import find_asset
@@ -45,7 +45,7 @@ def claiming(claim: int) -> Maker:
 def test_a_crate_that_claims_more_than_it_holds_takes_no_memory(
     scratch: Scratch, monkeypatch: pytest.MonkeyPatch, claim: int
 ) -> None:
-    monkeypatch.setattr(allocation, "MOST", 2**29)
+    monkeypatch.setattr(file_limits, "MOST", 2**29)
     said = scratch.convert(claiming(claim))
     assert said.status == 2
     assert "bot.usdc" in said.err
@@ -80,7 +80,7 @@ def test_a_conversion_starts_only_with_enough_memory() -> None:
     used = next(int(line.split()[1]) for line in Path("/proc/self/status").read_text().splitlines() if "VmData" in line)
     resource.setrlimit(resource.RLIMIT_DATA, ((used << 10) + 2**26, hard))
     try:
-        with pytest.raises(WheellegError, match="ulimit -d: the limit leaves"), allocation.bounded_memory(Path("bot")):
+        with pytest.raises(WheellegError, match="ulimit -d: the limit leaves"), file_limits.bounded_memory(Path("bot")):
             pass
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
@@ -88,7 +88,7 @@ def test_a_conversion_starts_only_with_enough_memory() -> None:
 
 def test_bounds_on_memory_may_overlap(tmp_path: Path) -> None:
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    first, second = allocation.bounded_memory(tmp_path), allocation.bounded_memory(tmp_path)
+    first, second = file_limits.bounded_memory(tmp_path), file_limits.bounded_memory(tmp_path)
     first.__enter__()
     second.__enter__()
     first.__exit__(None, None, None)

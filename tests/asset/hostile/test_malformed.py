@@ -13,7 +13,7 @@ from effort import bytecodes
 from pxr import Sdf, Usd, UsdUtils
 
 from wheelleg_exp.asset import convert
-from wheelleg_exp.asset.naming import unique_names
+from wheelleg_exp.asset.robot_description import unique_names
 from wheelleg_exp.errors import AssetError
 
 from ..small_usd import SI, applied, converted, cube_inside, hinge, link, two_links, write

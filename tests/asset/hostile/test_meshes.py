@@ -8,8 +8,8 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from wheelleg_exp.asset import allocation, conversion, sources
-from wheelleg_exp.asset.urdf import collada, meshes
+from wheelleg_exp.asset import conversion, file_limits
+from wheelleg_exp.asset.urdf import mesh_files
 
 from .. import small_urdf
 from .scratch import CANARY, Scratch
@@ -146,9 +146,9 @@ WHOLE: dict[str, tuple[str, str | bytes]] = {
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the bounds be reached soon."""
-    monkeypatch.setattr(meshes, "MOST_POINTS", 1_000)
-    monkeypatch.setattr(collada, "MOST_POINTS", 1_000)
-    monkeypatch.setattr(collada, "MOST_PARTS", 10_000)
+    monkeypatch.setattr(mesh_files, "MOST_POINTS", 1_000)
+    monkeypatch.setattr(mesh_files, "MOST_POINTS", 1_000)
+    monkeypatch.setattr(mesh_files, "MOST_PARTS", 10_000)
 
 
 def robot(folder: Path, name: str, content: str | bytes) -> Path:
@@ -182,7 +182,7 @@ def test_a_mesh_of_more_points_than_a_robot_has_is_left_out(scratch: Scratch, fe
 
 
 def test_the_largest_meshes_fit_the_memory_that_a_conversion_may_take() -> None:
-    assert sources.MOST_POINTS * sources.POINT_BYTES <= allocation.MOST
+    assert file_limits.MOST_POINTS * file_limits.POINT_BYTES <= file_limits.MOST
 
 
 def test_meshes_that_take_much_memory_are_reported_and_too_large_ones_refused(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wheelleg_exp.asset.usd.layers import open_layers
+from wheelleg_exp.asset.usd.usd_layers import open_layers
 
 from .. import small_urdf, small_usd
 from ..small_usd import SI, applied, cube_inside, hinge, link

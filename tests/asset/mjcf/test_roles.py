@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset.description import Body, Dof, Geom, Inertial, Mesh, Pose, RobotDescription
-from wheelleg_exp.asset.mjcf.document import Writer
-from wheelleg_exp.asset.mjcf.roles import roles_of
+from wheelleg_exp.asset.mjcf.default_classes import roles_of
+from wheelleg_exp.asset.mjcf.mjcf_document import Writer
+from wheelleg_exp.asset.robot_description import Body, Dof, Geom, Inertial, Mesh, Pose, RobotDescription
 
 SOLID = Inertial(1.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1), (1.0, 0.0, 0.0, 0.0))
 Y = (0.0, 1.0, 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wheelleg_exp.asset import convert
-from wheelleg_exp.asset.mjcf.scene import scene_path, write_scene
+from wheelleg_exp.asset.mjcf.preview_scene import scene_path, write_scene
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.paths import find_asset
 

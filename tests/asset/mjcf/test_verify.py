@@ -7,7 +7,9 @@ from dataclasses import replace
 import mujoco
 import pytest
 
-from wheelleg_exp.asset.description import (
+from wheelleg_exp.asset.mjcf.compile_mjcf import ModelRefused, load, verify
+from wheelleg_exp.asset.mjcf.mjcf_document import Writer
+from wheelleg_exp.asset.robot_description import (
     Actuator,
     Body,
     Closure,
@@ -19,8 +21,6 @@ from wheelleg_exp.asset.description import (
     Site,
     Tendon,
 )
-from wheelleg_exp.asset.mjcf.document import Writer
-from wheelleg_exp.asset.mjcf.verify import ModelRefused, load, verify
 from wheelleg_exp.errors import AssetError
 
 from ..small_usd import MASS, converted, cube_inside, link, two_links, write

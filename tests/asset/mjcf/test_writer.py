@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from effort import bytecodes
 
-from wheelleg_exp.asset.description import (
+from wheelleg_exp.asset.conversion_report import Assumption
+from wheelleg_exp.asset.mjcf.compile_mjcf import verify
+from wheelleg_exp.asset.mjcf.mjcf_document import Writer
+from wheelleg_exp.asset.mjcf.mjcf_elements import Element, number
+from wheelleg_exp.asset.robot_description import (
     Actuator,
     Body,
     Closure,
@@ -29,10 +33,6 @@ from wheelleg_exp.asset.description import (
     Tendon,
     TendonPoint,
 )
-from wheelleg_exp.asset.mjcf.document import Writer
-from wheelleg_exp.asset.mjcf.verify import verify
-from wheelleg_exp.asset.mjcf.xml import Element, number
-from wheelleg_exp.asset.report import Assumption
 from wheelleg_exp.errors import AssetError
 
 SOLID = Inertial(1.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1), (1.0, 0.0, 0.0, 0.0))

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from wheelleg_exp.asset import Conversion, RobotDescription, convert
-from wheelleg_exp.asset.description import Body, Dof, Geom, Pose, Quat
-from wheelleg_exp.asset.geometry import rotation_matrix
-from wheelleg_exp.asset.mjcf.document import obj_text
+from wheelleg_exp.asset.mjcf.mjcf_document import obj_text
+from wheelleg_exp.asset.rigid_geometry import rotation_matrix
+from wheelleg_exp.asset.robot_description import Body, Dof, Geom, Pose, Quat
 
 from ..corpus import check_module, convert_asset, expectations
 from ..small_urdf import at_zero, mass_matrix, tensor

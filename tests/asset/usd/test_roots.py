@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdPhysics
 
-from wheelleg_exp.asset.usd.robot import read_usd
+from wheelleg_exp.asset.usd.usd_robot import read_usd
 
 from ..small_usd import MASS, converted, hinge, link, write
 

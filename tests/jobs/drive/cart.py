@@ -10,7 +10,7 @@ import torch
 from sim.small_envs import env_config
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.jobs.drive.session import DriveSession
+from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 RADIUS, HALF_TRACK = 0.05, 0.1  # m

@@ -11,10 +11,9 @@ import pytest
 import yaml
 
 from jobs.small import wheelleg
-from wheelleg_exp.jobs.drive.ground import drivable
-from wheelleg_exp.jobs.drive.pace import Pace
-from wheelleg_exp.recording.reading.reader import Recording
-from wheelleg_exp.run.params import load_params
+from wheelleg_exp.jobs.drive.run_drive import RealTimePacer, drivable
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.run.run_config import load_params
 
 RANGES = [f"env.commands.base_velocity.ranges.{axis}=[-0.3,0.3]" for axis in ("lin_vel_x", "ang_vel_z")]
 SCRIPT = """\
@@ -133,7 +132,7 @@ def test_steps_are_as_far_apart_as_they_last_and_a_slow_machine_is_not_chased():
         slept.append(seconds)
         now[0] += seconds
 
-    pace = Pace(0.02, 25.0, clock=lambda: now[0], sleep=sleep)
+    pace = RealTimePacer(0.02, 25.0, clock=lambda: now[0], sleep=sleep)
     pace.wait(1.0)
     pace.wait(0.5)
     assert slept == pytest.approx([0.02, 0.04])

@@ -9,7 +9,7 @@ import pytest
 
 from jobs.small import wheelleg
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.jobs.drive.ports import holder, require_free
+from wheelleg_exp.jobs.drive.drive_page import port_holder, require_free
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_who_has_a_port_is_found_among_files_that_are_closed_meanwhile():
         listening.bind(("127.0.0.1", 0))
         listening.listen()
         os.close(spare)  # to look takes this number for a moment, before that of the socket
-        assert holder(listening.getsockname()[1]).endswith(f", process {os.getpid()}")
+        assert port_holder(listening.getsockname()[1]).endswith(f", process {os.getpid()}")
 
 
 def test_nobody_has_a_port_that_is_free(busy):
@@ -45,7 +45,7 @@ def test_nobody_has_a_port_that_is_free(busy):
         other.bind(("127.0.0.1", 0))
         free = other.getsockname()[1]
     require_free(free, "the page")
-    assert holder(free) == ""
+    assert port_holder(free) == ""
 
 
 @pytest.mark.parametrize("port", [-1, 65536])

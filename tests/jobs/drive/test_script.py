@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.drive.axes import Axis
-from wheelleg_exp.jobs.drive.controls import Controls, Push, Reset
-from wheelleg_exp.jobs.drive.script import ScriptedHand, read_script
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Push, Reset
+from wheelleg_exp.jobs.drive.drive_script import ScriptPlayer, read_script
 
 AXES = [Axis("lin_vel_x", "base_velocity", "lin_vel_x", -0.3, 0.3), Axis("height", "pose", "height", 0.06, 0.08)]
 
@@ -42,7 +41,7 @@ def test_entries_begin_at_their_moment_or_where_the_one_before_ends(script):
 def test_each_step_is_done_under_what_is_due_before_it(script):
     """At 10 Hz: entries at 0.5, 1.0 and 2.0 s act on steps 5, 10 and 20, and 2.25 s are 23 steps."""
     controls = Controls(AXES)
-    hand = ScriptedHand(read_script(script(SCRIPT), AXES), controls, 0.1)
+    hand = ScriptPlayer(read_script(script(SCRIPT), AXES), controls, 0.1)
     seen, requests = [], {}
     for step in range(hand.last_step):
         hand.before(step)
@@ -55,7 +54,7 @@ def test_each_step_is_done_under_what_is_due_before_it(script):
 
 def test_a_moment_between_two_steps_waits_for_the_second_and_rounding_counts_for_nothing(script):
     read = read_script(script("- {at: 0.1, lin_vel_x: 0.1}\n- {at: 0.11, lin_vel_x: 0.2, for: 0.1}"), AXES)
-    hand = ScriptedHand(read, Controls(AXES), 1.0 / 60.0)
+    hand = ScriptPlayer(read, Controls(AXES), 1.0 / 60.0)
     controls = hand._controls
     values = []
     for step in range(9):

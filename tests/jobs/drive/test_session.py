@@ -10,9 +10,8 @@ import torch
 
 from jobs.drive.cart import cart, cart_env, driver
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.axes import Axis
-from wheelleg_exp.jobs.drive.controls import Controls, Push, Reset
-from wheelleg_exp.jobs.drive.session import DriveSession
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Push, Reset
+from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 LOW = {"low": {"_target_": "wheelleg_exp.mdp.terminations.root_height_below_minimum", "minimum_height": 1.0}}

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.sim.layout import JointTargets
+from wheelleg_exp.sim.robot_model import JointTargets
 
 HERE = "wheelleg_exp.sim.actuators."
 GAINS = {"stiffness": 0.0, "damping": 0.0}

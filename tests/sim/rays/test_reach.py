@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from wheelleg_exp.sim.rays.reach import RayReach
+from wheelleg_exp.sim.static_rays import GeomBoxes
 
 ROW = "".join(f'<geom type="box" size=".5 .5 .5" pos="{2 * x} 0 0"/>' for x in range(10))
 MIXED = """
@@ -29,7 +29,7 @@ def model(geoms):
 def reached(geoms, origin, *directions):
     """Return the numbers of the geoms that a bundle of rays from one point may meet."""
     ways = np.array(directions, dtype=float)
-    return np.flatnonzero(RayReach(model(geoms)).reached(np.broadcast_to(origin, ways.shape)[None], ways[None])[0])
+    return np.flatnonzero(GeomBoxes(model(geoms)).reached(np.broadcast_to(origin, ways.shape)[None], ways[None])[0])
 
 
 def test_a_ray_reaches_the_boxes_on_its_way_alone():
@@ -51,7 +51,7 @@ def test_whatever_a_ray_meets_it_reaches():
     mujoco.mj_forward(both, data)
     origins, ways = 4 * rng.random((2000, 1, 3)) - 2, rng.standard_normal((2000, 1, 3))
     ways[:300] = np.eye(3)[rng.integers(0, 3, 300), None] * rng.choice([-1, 1], (300, 1, 1))
-    found, met, geom = RayReach(both).reached(origins, ways), np.zeros(both.ngeom, dtype=int), np.zeros(1, np.int32)
+    found, met, geom = GeomBoxes(both).reached(origins, ways), np.zeros(both.ngeom, dtype=int), np.zeros(1, np.int32)
     for number in range(both.ngeom):
         both.geom_group[:] = np.arange(both.ngeom) != number
         for row, (origin, way) in enumerate(zip(origins[:, 0], ways[:, 0], strict=True)):

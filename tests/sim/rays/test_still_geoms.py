@@ -6,7 +6,7 @@ import mujoco
 import pytest
 import torch
 
-from wheelleg_exp.sim.batch import BatchEngine
+from wheelleg_exp.sim.batch_engine import BatchEngine
 
 GROUND = """
   <geom name="ground" type="plane" size="0 0 .1"/>

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from wheelleg_exp.build import build_env
-from wheelleg_exp.config.checking.collect import compose_valid
+from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.explaining.catalog import options
 
 DRAWN = ("camera",)

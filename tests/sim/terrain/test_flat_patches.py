@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wheelleg_exp.sim.terrain.flat_patches import FlatPatches
+from wheelleg_exp.sim.terrain.sub_terrains import FlatPatches
 
 EDGE, RISE = 0.5, 0.3  # m: where the tile steps up, and by how much
 ORIGIN = np.array([0.4, -0.2, 0.1])

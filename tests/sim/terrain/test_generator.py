@@ -12,7 +12,7 @@ import torch
 
 from sim.terrain.tiles import TERRAIN, Ramp, generator, placed
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.progress import listening
+from wheelleg_exp.progress import progress_to
 from wheelleg_exp.sim.terrain import (
     DiscreteObstacles,
     Flat,
@@ -341,6 +341,6 @@ def test_a_kind_of_tile_of_a_users_own(make_env):
 
 def test_long_builds_tell_how_far_they_are():
     heard = []
-    with listening(lambda what, done, total: heard.append((what, done, total))):
+    with progress_to(lambda what, done, total: heard.append((what, done, total))):
         placed(num_rows=2, num_cols=3).add_to(mujoco.MjSpec())
     assert heard == [(what, done, 6) for what in ("making tiles", "laying tiles") for done in range(1, 7)]

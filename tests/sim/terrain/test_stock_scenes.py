@@ -8,7 +8,7 @@ import torch
 
 from sim.terrain.tiles import CPU
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.managers.term import build
+from wheelleg_exp.managers.manager_base import build
 from wheelleg_exp.sim.terrain import TerrainGenerator
 
 

@@ -7,13 +7,13 @@ import math
 import pytest
 import torch
 
-from wheelleg_exp.managers.asking import Asked, is_finite
+from wheelleg_exp.managers.async_queries import AsyncMaskQuery, is_finite
 
 
 @pytest.mark.parametrize("at_once", [True, False])
 def test_where_masks_hold_is_told_at_once_or_late(device, at_once):
     gen = torch.Generator().manual_seed(1)
-    asked = Asked(50, torch.device(device))
+    asked = AsyncMaskQuery(50, torch.device(device))
     told = []
     for _ in range(3):  # the memory is used again
         masks = torch.rand(3, 50, generator=gen) < torch.tensor([[0.3], [0.2], [0.1]])

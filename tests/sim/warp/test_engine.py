@@ -13,8 +13,8 @@ import torch
 
 from sim.warp.models import XML, model, options
 from wheelleg_exp.errors import ConfigError, SimulationFailure
-from wheelleg_exp.sim.batch import BatchEngine
-from wheelleg_exp.sim.warp.engine import WarpEngine
+from wheelleg_exp.sim.batch_engine import BatchEngine
+from wheelleg_exp.sim.warp_engine import WarpEngine
 
 N = 4
 

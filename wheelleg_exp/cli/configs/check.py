@@ -8,14 +8,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.common import UsageError, add_json, add_overrides, print_json
-from wheelleg_exp.cli.printing.tables import print_blocks, print_table
+from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
 from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.config.composing.primaries import names_pipeline
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK, ConfigError
+from wheelleg_exp.terms.key_syntax import names_pipeline
 
 if TYPE_CHECKING:
-    from wheelleg_exp.lint.examine import PhysicsReport
-    from wheelleg_exp.lint.findings import Finding
+    from wheelleg_exp.lint.physics_check import PhysicsReport
+    from wheelleg_exp.lint.rule import Finding
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         return _list(as_json=args.json)
     if any(map(names_pipeline, args.overrides)):
         return _check_pipeline(args)
-    from wheelleg_exp.config.checking.collect import find_mistakes
+    from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 
     composed, mistakes = find_mistakes(args.overrides, config_dirs=args.config_dirs)
     if not mistakes and composed is not None and composed.config.get("init_from") is not None:
@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
     """Return why the task cannot begin with the networks that it names; print what their policy reads otherwise."""
-    from wheelleg_exp.config.problems import parts
-    from wheelleg_exp.jobs.train.initial import initial_file
+    from wheelleg_exp.config.config_errors import parts
+    from wheelleg_exp.jobs.train.initial_networks import initial_file
 
     notes: list[str] = []
     try:
@@ -66,7 +66,7 @@ def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
 
 
 def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
-    from wheelleg_exp.config.problems import document, raise_all
+    from wheelleg_exp.config.config_errors import document, raise_all
 
     if not as_json:
         raise_all(mistakes)
@@ -78,8 +78,8 @@ def _check_pipeline(args: argparse.Namespace) -> int:
     """Check every phase of a pipeline, what each begins with and what its gate asks for, as training it would."""
     if args.physics or args.all:
         raise UsageError("is for one task", key="--physics", expected="task=... and the overrides of one phase")
-    from wheelleg_exp.cli.pipeline import composed_phases
-    from wheelleg_exp.config.problems import parts
+    from wheelleg_exp.cli.train_pipeline import composed_phases
+    from wheelleg_exp.config.config_errors import parts
 
     try:
         pipeline, _ = composed_phases(args.overrides, args.config_dirs)
@@ -94,7 +94,7 @@ def _check_pipeline(args: argparse.Namespace) -> int:
 
 
 def _physics(composed: Composed, *, show_all: bool, as_json: bool) -> int:
-    from wheelleg_exp.lint.examine import examine
+    from wheelleg_exp.lint.physics_check import examine
 
     report = examine(composed)
     if as_json:
@@ -133,7 +133,7 @@ def _cells(finding: Finding) -> tuple[str, str, str, str]:
 
 
 def _list(*, as_json: bool) -> int:
-    from wheelleg_exp.lint.examine import RULES
+    from wheelleg_exp.lint.physics_check import RULES
 
     rows: list[dict[str, Any]] = [{"rule": name, "what": rule.summary} for name, rule in RULES.items()]
     if as_json:

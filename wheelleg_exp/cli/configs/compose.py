@@ -7,15 +7,16 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.common import add_json, add_overrides, add_primary, primary_of, print_json, source_document
-from wheelleg_exp.cli.printing.tables import hanging, print_table, screen_width
-from wheelleg_exp.config.checking.diagnose import nearest_path
+from wheelleg_exp.cli.printing.terminal import hanging, print_table, screen_width
 from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.hydra_errors import nearest_path
 from wheelleg_exp.config.composing.provenance import Source
-from wheelleg_exp.config.tree import dotted, node_paths, select
+from wheelleg_exp.config.config_tree import node_paths, select
 from wheelleg_exp.errors import EXIT_OK, ConfigError, WheellegError
+from wheelleg_exp.terms.key_syntax import dotted
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.explaining.shapes import GroupShape, Shapes, TermShape
+    from wheelleg_exp.config.explaining.term_shapes import GroupShape, Shapes, TermShape
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -109,8 +110,8 @@ def _document(source: Source, value: Any) -> dict[str, Any]:
 
 
 def _print_shapes(composed: Composed, *, as_json: bool) -> None:
-    from wheelleg_exp.config.checking.check import require_valid
-    from wheelleg_exp.config.explaining.shapes import shapes
+    from wheelleg_exp.config.checking.find_mistakes import require_valid
+    from wheelleg_exp.config.explaining.term_shapes import shapes
 
     require_valid(composed)
     found = shapes(composed)

@@ -8,12 +8,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.common import add_config_dir, add_json, add_root, print_json
-from wheelleg_exp.cli.printing.tables import print_table
+from wheelleg_exp.cli.printing.terminal import print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
-from wheelleg_exp.report.words import plain as shown
+from wheelleg_exp.report.value_format import plain as shown
 
 if TYPE_CHECKING:
-    from wheelleg_exp.config.explaining.difference import Difference, PlacedChange, Side
+    from wheelleg_exp.config.explaining.config_diff import Difference, PlacedChange, Side
 
 _SIDE = "a run (path, id or latest), a task (stand), or overrides in quotes ('task=stand env.decimation=4')"
 _WIDEST = 44  # letters of a value before it is cut
@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the differences; exit status 0 for equal, 1 for different."""
-    from wheelleg_exp.config.explaining.difference import compare
+    from wheelleg_exp.config.explaining.config_diff import compare
     from wheelleg_exp.jobs.diff_inputs import load_sides
 
     a, b = load_sides(args.a, args.b, args.root, args.config_dirs)

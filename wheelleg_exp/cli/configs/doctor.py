@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.common import UsageError, add_config_dir, add_json, print_json
-from wheelleg_exp.cli.printing.tables import hanging, print_blocks, print_table
+from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK
 
 if TYPE_CHECKING:
-    from wheelleg_exp.lint.doctor import Diagnosis
+    from wheelleg_exp.lint.diagnosis import Diagnosis
 
 _FILES = (".usd", ".usda", ".usdc", ".usdz", ".urdf", ".xml", ".mjcf", ".xacro")
 ROBOT = "ROBOT|OVERRIDE"
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         WheellegError: the robot cannot be read, the config has mistakes, or the picture cannot be drawn.
     """
     if args.screenshot is not None:
-        from wheelleg_exp.inspection.pictures.robot_picture import require_picture
+        from wheelleg_exp.inspection.robot_picture import require_picture
 
         require_picture(args.screenshot)
     found = (
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if found is None:
         return EXIT_INPUT
     if args.screenshot is not None:
-        from wheelleg_exp.inspection.pictures.robot_picture import write_picture
+        from wheelleg_exp.inspection.robot_picture import write_picture
 
         assert found.case.robot is not None
         write_picture(found.case.robot, args.screenshot)
@@ -65,7 +65,7 @@ def _names_a_file(word: str) -> bool:
 
 
 def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
-    from wheelleg_exp.lint.doctor import diagnose_file
+    from wheelleg_exp.lint.diagnosis import diagnose_file
 
     if len(words) > 1:
         raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
@@ -75,9 +75,9 @@ def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
 
 
 def _of_task(words: list[str], config_dirs: list[Path], as_json: bool) -> Diagnosis | None:
-    from wheelleg_exp.config.checking.collect import find_mistakes
-    from wheelleg_exp.config.problems import document, raise_all
-    from wheelleg_exp.lint.doctor import diagnose_task
+    from wheelleg_exp.config.checking.find_mistakes import find_mistakes
+    from wheelleg_exp.config.config_errors import document, raise_all
+    from wheelleg_exp.lint.diagnosis import diagnose_task
 
     composed, mistakes = find_mistakes(words, config_dirs=config_dirs)
     if mistakes:
@@ -90,7 +90,7 @@ def _of_task(words: list[str], config_dirs: list[Path], as_json: bool) -> Diagno
 
 
 def _show(found: Diagnosis, *, show_all: bool) -> None:
-    from wheelleg_exp.lint.doctor import rows_of
+    from wheelleg_exp.lint.diagnosis import rows_of
 
     print_table(("robot", "", ""), found.facts())
     print()

@@ -7,16 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from wheelleg_exp.cli.common import add_json, add_overrides, add_primary, primary_of, print_json, source_document
-from wheelleg_exp.cli.printing.tables import hanging, screen_width
+from wheelleg_exp.cli.printing.terminal import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.composing.mounts import Mount
-from wheelleg_exp.config.composing.provenance import Source
+from wheelleg_exp.config.composing.provenance import Mount, Source
 from wheelleg_exp.config.explaining.explanation import Explanation, explain_key
-from wheelleg_exp.config.keys import section_of
-from wheelleg_exp.config.tree import split_path
+from wheelleg_exp.config.key_slots import section_of
 from wheelleg_exp.errors import EXIT_OK
-from wheelleg_exp.report.words import plain as shown
-from wheelleg_exp.terms.keys import is_override
+from wheelleg_exp.report.value_format import plain as shown
+from wheelleg_exp.terms.key_syntax import is_override, split_path
 
 _LABEL = 14  # columns of a label and its indent
 _SHOWN = 24  # values or keys of a list before the rest is only counted

@@ -7,14 +7,14 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from wheelleg_exp.config.keys import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
+from wheelleg_exp.config.key_slots import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
 from wheelleg_exp.rl.options import PARAMETERS, agent_options, batch_errors, parameter_errors
-from wheelleg_exp.terms import allowed_targets
-from wheelleg_exp.terms.binding import resolve_class, walk_nodes
-from wheelleg_exp.terms.sections import section_errors
-from wheelleg_exp.terms.values import fits, value_errors
+from wheelleg_exp.terms import term_binding
+from wheelleg_exp.terms.config_sections import section_errors
+from wheelleg_exp.terms.config_values import fits, value_errors
+from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
 # Keys whose text rsl_rl imports and calls.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
@@ -92,8 +92,8 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
     text = str(name).replace(":", ".")
     plain = re.fullmatch(r"[A-Za-z_]\w*", text) is not None
     expected = "a plain name such as PPO, or a class in " + ", ".join(packages)
-    refused = allowed_targets.NotAllowed(f"class '{name}' is outside the allowed packages", key=path, expected=expected)
-    if not plain and not allowed_targets.is_inside(text, packages):
+    refused = term_binding.NotAllowed(f"class '{name}' is outside the allowed packages", key=path, expected=expected)
+    if not plain and not term_binding.is_inside(text, packages):
         return [refused]
     try:
         found = resolve_class(name)
@@ -104,7 +104,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
         nearest = nearest_name(str(name), [*_library_names(), _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
     # What a module has only imported is not its own: a standard library function must not slip through.
-    own = allowed_targets.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
+    own = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if own else [refused]
 
 
@@ -154,11 +154,15 @@ def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
 
 def _check_images(symmetry: Any) -> list[ConfigError]:
     """Hold the rules by which observations turn in a mirror against those that there are."""
-    from wheelleg_exp.rl.symmetry import rules
+    from wheelleg_exp.rl import mirror_rules
 
     terms = symmetry.get("terms") if isinstance(symmetry, Mapping) else None
     named = terms.items() if isinstance(terms, Mapping) else ()
-    return [rules.unknown(rule, str(name)) for name, rule in named if isinstance(rule, str) and rule not in rules.NAMES]
+    return [
+        mirror_rules.unknown_rule_error(rule, str(name))
+        for name, rule in named
+        if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES
+    ]
 
 
 def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[ConfigError]:

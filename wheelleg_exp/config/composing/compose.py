@@ -1,7 +1,12 @@
-"""Composing a config: files and overrides in, one plain tree out, with the place of every leaf."""
+"""Compose a config from files and overrides into one plain tree, and apply overrides to a recorded config.
+
+Every leaf of a composed config has a place: the file and line, or the override, that set it. Overrides of Hydra's
+own settings that have no effect here are errors.
+"""
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,15 +20,61 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from wheelleg_exp.config.checking.diagnose import explain, nearest_path
-from wheelleg_exp.config.composing.hydra_keys import unread_overrides
-from wheelleg_exp.config.composing.loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
-from wheelleg_exp.config.composing.mounts import Mount, find_mounts
-from wheelleg_exp.config.composing.provenance import MISSING, Provenance, trace
-from wheelleg_exp.config.problems import Mistakes, UnknownName, join, raise_all
-from wheelleg_exp.config.tree import dotted, leaves, node_paths
-from wheelleg_exp.errors import ConfigError, MissingValue, WheellegError
-from wheelleg_exp.terms.binding import drop_removed
+from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
+from wheelleg_exp.config.composing.hydra_errors import nearest_path, translate, unreadable
+from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts, trace
+from wheelleg_exp.config.config_errors import Mistakes, UnknownName, join, parts, raise_all
+from wheelleg_exp.config.config_tree import leaves, node_paths
+from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, WheellegError
+from wheelleg_exp.terms.key_syntax import dotted, split_path
+from wheelleg_exp.terms.term_binding import drop_removed
+
+_KEY = re.compile(r"[+~]*(hydra(?:[./][^=@]*)?)(?=[=@]|$)")
+_READ = re.compile(r"hydra(/launcher|/sweeper|\.(searchpath|launcher\.n_jobs|sweeper\.params)(\..+)?)$")
+_OF_SWEEPS = ("launcher", "sweeper")
+_INSTEAD = {
+    "run": "run.root=DIR, below which run directories are made, and run.name=NAME",
+    "job": "run.name=NAME for the run directory's name",
+    "output_subdir": "run.root=DIR; Hydra's files stand in .hydra of the run directory",
+    "sweep": "run.root; every job is a run directory of its own below it",
+    "mode": "-m (--multirun) alone",
+    "launcher": "hydra.launcher.n_jobs, how many jobs run at once",
+    "sweeper": "hydra.sweeper.params, overrides by key",
+    "verbose": "--debug, which shows the traceback of an error",
+}
+_ANY_SETTING = "a key of the config; of Hydra's own settings hydra.searchpath is read, and those of a launcher with -m"
+
+
+def is_unread(key: str) -> bool:
+    """Return whether a key or a group, as typed in an override or not, is Hydra's own and nothing reads it."""
+    found = _KEY.match(key)
+    return found is not None and not _READ.match(found[1])
+
+
+def unread_setting(key: str, where: str, expected: str | None = None) -> ConfigError:
+    """Return the error of a setting of Hydra's that nothing reads; what to write is known by its name."""
+    instead = expected or _INSTEAD.get(_name(key), _ANY_SETTING)
+    return UnreadKey("nothing reads this", key=key, where=where, expected=instead)
+
+
+def unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
+    """Return the errors of overrides, as typed, that set what nothing reads where one run is composed."""
+    errors = []
+    for text in overrides:
+        found = _KEY.match(text)
+        key, where = found[1] if found else "", f"override {text}"
+        if _name(key) in _OF_SWEEPS:
+            expected = "-m (--multirun) beside it, or neither"
+            message = "this is a setting of a sweep, and this is one run"
+            errors.append(ConfigError(message, key=key, where=where, expected=expected))
+        elif is_unread(text):
+            errors.append(unread_setting(key, where))
+    return errors
+
+
+def _name(key: str) -> str:
+    """Return which of Hydra's settings a key or a group is about, such as ``run``."""
+    return re.split(r"[./]", key, maxsplit=2)[1] if re.match(r"hydra[./]", key) else ""
 
 
 @dataclass(frozen=True)
@@ -138,7 +189,7 @@ def compose(
         except ConfigError:
             raise
         except COMPOSING_ERRORS as error:
-            raise explain(error, used, primary, texts) from error
+            raise translate(error, used, primary, texts) from error
         parsed = OverridesParser.create().parse_overrides(texts)
     OmegaConf.set_struct(raw, False)
     hydra = raw.pop("hydra")
@@ -205,3 +256,127 @@ def _flat(error: Exception) -> str:
 
 def _full_key(error: OmegaConfBaseException) -> str | None:
     return str(error.full_key) if error.full_key else None
+
+
+_ANOTHER_VALUE = "another value"
+
+
+def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
+
+    Groups cannot be chosen here, because nothing is composed. A term that is null is removed, as by composing.
+
+    Raises:
+        ConfigError: an override cannot be read, names a key that is not there, or is of Hydra's own settings.
+    """
+    amended = copy.deepcopy(dict(tree))
+    for text in overrides:
+        _apply(amended, _parse(text), text)
+    if overrides:  # what nobody changes stays as it was recorded
+        drop_removed(amended)
+    return amended
+
+
+def require_read(
+    kept: Mapping[str, Any],
+    overrides: Sequence[str],
+    read: Callable[[Mapping[str, Any]], Any],
+    instead: Mapping[str, str],
+) -> None:
+    """Raise ConfigError, with every key, for overrides that nothing reads.
+
+    An override is read if its value, or any other value of its key, changes what ``read`` returns. Thus an override
+    that repeats the present value is no mistake.
+
+    Args:
+        kept: the tree before the overrides.
+        overrides: the overrides, each of which ``amend`` accepts.
+        read: returns what of a tree is read, comparable with ``==``.
+        instead: what to write in place of a key or of those below it, by key; ``""`` for all others.
+    """
+    errors: list[ConfigError] = []
+    tree: Mapping[str, Any] = kept
+    for text in overrides:
+        keys, after = split_path(_parse(text).key_or_group), apply_overrides(tree, [text])
+        other = apply_overrides(after, [])
+        parent = _parent(other, keys, text)
+        old = parent.get(keys[-1], _ANOTHER_VALUE)
+        parent[keys[-1]] = (
+            {**(old or {}), _ANOTHER_VALUE: None} if old is None or isinstance(old, Mapping) else _ANOTHER_VALUE
+        )
+        if read(after) == read(tree) == read(other):
+            key = dotted(keys)
+            expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))
+            errors.append(UnreadKey("this command ignores it", key=key, where=f"override {text}", expected=expected))
+        tree = after
+    if errors:
+        raise_all(errors)
+
+
+@contextmanager
+def placing(overrides: Sequence[str]) -> Iterator[None]:
+    """Give mistakes that leave the body, and have no place, the override that their key comes from."""
+    try:
+        yield
+    except ConfigError as error:
+        for part in parts(error):
+            part.where = part.where or _setter(str(part.key), overrides)
+        raise join(parts(error)) from error
+
+
+def _setter(key: str, overrides: Sequence[str]) -> str | None:
+    for text in reversed(overrides):
+        own = _parse(text).key_or_group
+        if f"{key}.".startswith(f"{own}.") or f"{own}.".startswith(f"{key}."):
+            return f"override {text}"
+    return None
+
+
+def _parse(text: str) -> Override:
+    problem = unreadable(text)
+    if problem is not None:
+        raise problem
+    override = OverridesParser.create().parse_override(text)
+    if override.is_sweep_override():
+        raise ConfigError("a sweep is not possible here", key=text, where=f"override {text}", expected="one value")
+    return override
+
+
+def _apply(tree: dict[str, Any], override: Override, text: str) -> None:
+    keys = split_path(override.key_or_group)
+    if keys[0] == "hydra":
+        raise unread_setting(dotted(keys), f"override {text}", "a key of the run's parameters")
+    parent = _parent(tree, keys, text)
+    if override.is_delete():
+        _require_present(tree, parent, keys, text)
+        del parent[keys[-1]]
+        return
+    if not override.is_add() and not override.is_force_add():
+        _require_present(tree, parent, keys, text)
+    parent[keys[-1]] = override.value()
+
+
+def _parent(tree: dict[str, Any], keys: Sequence[str], text: str) -> dict[str, Any]:
+    node = tree
+    for depth, key in enumerate(keys[:-1], start=1):
+        if not isinstance(node.get(key), dict):
+            raise _unknown(tree, keys[:depth], text)
+        node = node[key]
+    return node
+
+
+def _require_present(tree: dict[str, Any], parent: dict[str, Any], keys: Sequence[str], text: str) -> None:
+    if keys[-1] not in parent:
+        raise _unknown(tree, keys, text)
+
+
+def _unknown(tree: dict[str, Any], keys: Sequence[str], text: str) -> ConfigError:
+    known = [dotted(path) for path in node_paths(tree)]
+    name = dotted(keys)
+    return ConfigError(
+        "there is no such key in the run's parameters",
+        key=name,
+        where=f"override {text}",
+        expected="a key that is there; a config group is chosen when a run begins",
+        nearest=nearest_path(name, known),
+    )

@@ -1,22 +1,35 @@
-"""What else could stand at a key: the type, the default, the bounds and, where they can be counted, the values."""
+"""List the values that a key accepts, for ``explain`` and for shell completion.
+
+Completion must be quick, so this module imports no torch. A completion candidate is the whole word; a candidate
+that ends in ``.``, ``=``, ``,`` or ``[`` is not complete.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import enum
+import hashlib
 import inspect
+import json
+import os
 import typing
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.config import keys as known
+import wheelleg_exp
+from wheelleg_exp.config import key_slots as known
 from wheelleg_exp.config.checking.check_agent import RESOLVERS, known_words
-from wheelleg_exp.config.explaining.docstrings import is_own
-from wheelleg_exp.config.tree import Keys, section_at
-from wheelleg_exp.terms.binding import EVENT_MODES, TARGET
-from wheelleg_exp.terms.values import limit_words, options_in, type_words
-from wheelleg_exp.user_code import importing
+from wheelleg_exp.config.config_tree import section_at
+from wheelleg_exp.config.explaining.key_documentation import is_own
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.paths import cache_dir, configs_dir
+from wheelleg_exp.terms.config_values import limit_words, options_in, type_words
+from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
+from wheelleg_exp.terms.term_binding import EVENT_MODES, TARGET
+from wheelleg_exp.user_exceptions import importing
 
 
 @dataclass(frozen=True)
@@ -52,7 +65,7 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: known.Slot | None) -
     return Alternatives(
         "" if slot.annotation is Any else type_words(slot.annotation),
         limit_words(slot.annotation),
-        tuple(_values(tree, keys, slot)),
+        tuple(_known_values(tree, keys, slot)),
         slot.default is not known.REQUIRED,
         None if slot.default is known.REQUIRED else _plain(slot.default),
         absent,
@@ -68,7 +81,7 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (bool, int, float, str, Mapping)) else str(value)
 
 
-def _values(tree: Mapping[str, Any], keys: Keys, slot: known.Slot) -> list[Any]:
+def _known_values(tree: Mapping[str, Any], keys: Keys, slot: known.Slot) -> list[Any]:
     name = keys[-1]
     if name == TARGET:
         return siblings(str(known.at(tree, keys)))
@@ -117,3 +130,158 @@ def siblings(target: str) -> list[str]:
 
 def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
+
+
+_MOST_VIEWS = 32  # views before the oldest are dropped
+
+
+@dataclass(frozen=True)
+class CompletionView:
+    """A composed config, as far as completion is concerned.
+
+    Attributes:
+        tree: the raw tree.
+        mounts: the groups by the names that overrides use, each with whether it takes a list.
+        groups: every group with its options.
+    """
+
+    tree: dict[str, Any]
+    mounts: dict[str, bool]
+    groups: dict[str, list[str]]
+
+
+def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
+    """Return the view of what some overrides compose; of fewer of them where they do not; None when nothing does."""
+    file = cache_dir() / "completion" / f"{_digest(before, config_dirs, primary)}.json"
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
+    made = _make(before, config_dirs, primary)
+    if made is not None:
+        with contextlib.suppress(OSError, TypeError):
+            _store(file, json.dumps(asdict(made)))
+    return made
+
+
+def _digest(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> str:
+    """Return what a view depends on: the words, and names, sizes and times of all config files."""
+    folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
+    files = [
+        (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
+    ]
+    parts = [wheelleg_exp.__version__, list(before), [str(f) for f in folders], primary, files]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+def _make(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
+    from wheelleg_exp.config.composing.compose import compose
+
+    for words in (list(before), [word for word in before if word.startswith("task=")], []):
+        try:
+            composed = compose(words, primary=primary, config_dirs=config_dirs)
+        except WheellegError:
+            continue
+        groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
+        return CompletionView(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
+    return None
+
+
+def _store(file: Path, text: str) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(file)
+    kept = sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)
+    for old in kept[:-_MOST_VIEWS]:
+        old.unlink(missing_ok=True)
+
+
+def complete_override(
+    word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
+) -> list[str]:
+    """Return the overrides that begin with ``word``.
+
+    Args:
+        word: what is typed.
+        before: the other overrides on the line; those that do not compose yet are left out.
+        config_dirs: the user's config folders.
+        primary: the primary config.
+    """
+    seen = completion_view(before, config_dirs, primary)
+    if seen is None:
+        return []
+    sign = word[: len(word) - len(word.lstrip("+~"))]
+    text = word[len(sign) :]
+    if "=" in text:
+        name, _, value = text.partition("=")
+        return [f"{sign}{name}={found}" for found in _completed_values(seen, name, value)]
+    if sign == "~":
+        return [sign + found for found in _keys(seen.tree, text, removable=True)]
+    groups = [f"{name}=" for name, several in seen.mounts.items() if (several or sign != "+") and name.startswith(text)]
+    found = [] if sign == "+" else _keys(seen.tree, text)
+    return [sign + name for name in [*groups, *found]]
+
+
+def complete_key(
+    word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
+) -> list[str]:
+    """Return the keys that begin with ``word``, sections and leaves alike, and the groups."""
+    seen = completion_view(before, config_dirs, primary)
+    if seen is None:
+        return []
+    names = [name for name in seen.mounts if name.startswith(word)]
+    return list(dict.fromkeys([*_keys(seen.tree, word, removable=True), *names]))
+
+
+def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
+    """Return the next level of keys: ``env.``, ``env.decimation=``; where they end there, also without a sign."""
+    parent: Keys = split_path(text.rpartition(".")[0])
+    node = known.at(tree, parent)
+    found = []
+    for name, child in node.items() if isinstance(node, Mapping) else ():
+        path = dotted((*parent, str(name)))
+        open_ended = isinstance(child, Mapping) and bool(child)
+        endings = (["", "."] if open_ended else [""]) if removable else (["."] if open_ended else ["="])
+        found += [path + ending for ending in endings]
+    return [path for path in found if path.startswith(text)]
+
+
+def _completed_values(seen: CompletionView, name: str, value: str) -> list[str]:
+    options = seen.groups.get(name.partition("@")[0])
+    if options is not None:
+        return _selections(options, value, several=seen.mounts.get(name, False))
+    return [found for found in _leaf_values(seen.tree, split_path(name)) if found.startswith(value)]
+
+
+def _selections(options: Sequence[str], value: str, *, several: bool) -> list[str]:
+    """Return option names; within ``[a,b`` the next one."""
+    if not value.startswith("["):
+        found = [option for option in options if option.startswith(value)]
+        return [*found, "["] if several and not value else found
+    head, _, last = value.replace("[", "[,", 1).rpartition(",")
+    head = head.replace("[,", "[", 1)
+    used = head.lstrip("[").split(",")
+    lead = "[" if head == "[" else f"{head},"
+    return [f"{lead}{option}" for option in options if option.startswith(last) and option not in used]
+
+
+def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
+    """Return the values that are known without importing a term: literals, true and false, the value as it is."""
+    now = known.at(tree, path)
+    inside_target = any(_has_target(known.at(tree, path[:n])) for n in range(1, len(path)))
+    slot = None if inside_target or path[:1] == ("agent",) else known.slot(tree, path)
+    listed = literal_values(slot.annotation) if slot is not None else literal_values(type(now))
+    if known.section_of(path) is not None:
+        return ["null"]
+    return list(
+        dict.fromkeys([*map(_value_text, listed), *([_value_text(now)] if not isinstance(now, Mapping) else [])])
+    )
+
+
+def _has_target(node: Any) -> bool:
+    return isinstance(node, Mapping) and TARGET in node
+
+
+def _value_text(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return "[" + ",".join(map(_value_text, value)) + "]" if isinstance(value, list) else str(value)

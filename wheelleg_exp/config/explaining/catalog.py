@@ -12,16 +12,15 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from wheelleg_exp.config.composing.loader import Loader, hydra_globals
-from wheelleg_exp.config.composing.replacing import chosen_file
-from wheelleg_exp.config.explaining.docstrings import headline, is_own
-from wheelleg_exp.config.tree import file_text
+from wheelleg_exp.config.composing.config_loader import Loader, chosen_file, hydra_globals
+from wheelleg_exp.config.config_tree import file_text
+from wheelleg_exp.config.explaining.key_documentation import headline, is_own
 from wheelleg_exp.constraints import NotEmpty
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.reading import yaml_tree
-from wheelleg_exp.terms.binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
+from wheelleg_exp.plain_data import yaml_tree
+from wheelleg_exp.terms.config_values import constraints_in, describe
+from wheelleg_exp.terms.term_binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
-from wheelleg_exp.terms.values import constraints_in, describe
 
 # Module of the library -> the section whose terms it holds.
 MODULES = {

@@ -1,69 +1,19 @@
-"""Rotations, frames and draws under the names of ``isaaclab.utils.math``; quaternions are (w, x, y, z), angles radians.
+"""Rotations, frames, cameras, and draws under the names of ``isaaclab.utils.math``.
 
-Tensors may have any leading dimensions, which broadcast. What draws takes torch's global generator, which is the
-term's own stream while one of a user's terms runs.
+Quaternions are (w, x, y, z), angles are radians. Tensors may have any leading dimensions, which broadcast. Draws use
+torch's global generator, which is the term's own stream while a term of a user runs.
 """
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
+import numpy as np
 import torch
 
-from wheelleg_exp.isaaclab.utils.cameras import (
-    convert_camera_frame_orientation_convention,
-    create_rotation_matrix_from_view,
-    orthogonalize_perspective_depth,
-    project_points,
-    unproject_depth,
-)
-from wheelleg_exp.isaaclab.utils.frames import (
-    apply_delta_pose,
-    combine_frame_transforms,
-    compute_pose_error,
-    is_identity_pose,
-    make_pose,
-    pose_inv,
-    rigid_body_twist_transform,
-    subtract_frame_transforms,
-    transform_points,
-    unmake_pose,
-)
-from wheelleg_exp.isaaclab.utils.rotations import (
-    axis_angle_from_quat,
-    convert_quat,
-    euler_xyz_from_quat,
-    matrix_from_euler,
-    matrix_from_quat,
-    normalize,
-    quat_apply,
-    quat_apply_inverse,
-    quat_apply_yaw,
-    quat_box_minus,
-    quat_box_plus,
-    quat_conjugate,
-    quat_error_magnitude,
-    quat_from_angle_axis,
-    quat_from_euler_xyz,
-    quat_from_matrix,
-    quat_inv,
-    quat_mul,
-    quat_rotate,
-    quat_rotate_inverse,
-    quat_slerp,
-    quat_unique,
-    skew_symmetric_matrix,
-    yaw_quat,
-)
-from wheelleg_exp.isaaclab.utils.sampling import (
-    default_orientation,
-    random_orientation,
-    random_yaw_orientation,
-    sample_cylinder,
-    sample_gaussian,
-    sample_log_uniform,
-    sample_triangle,
-    sample_uniform,
-)
+from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.rotation import wrap_to_pi
+from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
 __all__ = [
     "apply_delta_pose",
@@ -119,6 +69,410 @@ __all__ = [
     "wrap_to_pi",
     "yaw_quat",
 ]
+
+
+SMALL = 1e-6  # an angle below which its sine is taken for itself
+
+
+def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Return cross products of vectors whose leading dimensions broadcast."""
+    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+
+
+def normalize(x: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
+    """Return vectors of length 1; those shorter than ``eps`` are divided by it."""
+    return torch.nn.functional.normalize(x, dim=-1, eps=eps)
+
+
+def quat_conjugate(q: torch.Tensor) -> torch.Tensor:
+    """Return (w, -x, -y, -z)."""
+    return torch.cat((q[..., :1], -q[..., 1:]), dim=-1)
+
+
+def quat_inv(q: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
+    """Return the inverse: the conjugate over the squared norm, which is taken for at least ``eps``."""
+    return quat_conjugate(q) / q.square().sum(dim=-1, keepdim=True).clamp(min=eps)
+
+
+def quat_mul(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
+    """Return the Hamilton product; ``q2`` turns first.
+
+    Raises:
+        ValueError: the shapes differ.
+    """
+    if q1.shape != q2.shape:
+        raise ValueError(f"quaternions of shapes {tuple(q1.shape)} and {tuple(q2.shape)} cannot be multiplied")
+    return rotation.quat_mul(q1.reshape(-1, 4), q2.reshape(-1, 4)).view(q1.shape)
+
+
+def quat_unique(q: torch.Tensor) -> torch.Tensor:
+    """Return the same rotations with w >= 0."""
+    return torch.where(q[..., :1] < 0.0, -q, q)
+
+
+def quat_apply(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
+    """Rotate vectors."""
+    w, axis = quat[..., :1], quat[..., 1:]
+    turn = 2.0 * cross(axis, vec)
+    return vec + w * turn + cross(axis, turn)
+
+
+def quat_apply_inverse(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
+    """Rotate vectors back."""
+    return quat_apply(quat_conjugate(quat), vec)
+
+
+quat_rotate = quat_apply
+quat_rotate_inverse = quat_apply_inverse
+
+
+def yaw_quat(quat: torch.Tensor) -> torch.Tensor:
+    """Return the rotations about z by the yaw alone."""
+    w, x, y, z = quat.unbind(dim=-1)
+    half = torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)) / 2.0
+    none = torch.zeros_like(half)
+    return normalize(torch.stack((half.cos(), none, none, half.sin()), dim=-1))
+
+
+def quat_apply_yaw(quat: torch.Tensor, vec: torch.Tensor) -> torch.Tensor:
+    """Rotate vectors by the yaw alone."""
+    return quat_apply(yaw_quat(quat), vec)
+
+
+def quat_from_angle_axis(angle: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
+    """Return rotations by angles (...) about axes (..., 3) of any length."""
+    half = angle.unsqueeze(-1) / 2.0
+    return normalize(torch.cat((half.cos(), normalize(axis) * half.sin()), dim=-1))
+
+
+def axis_angle_from_quat(quat: torch.Tensor, eps: float = SMALL) -> torch.Tensor:
+    """Return the rotation vectors (..., 3) of length at most pi."""
+    quat = quat_unique(quat)
+    sine = torch.linalg.vector_norm(quat[..., 1:], dim=-1, keepdim=True)
+    angle = 2.0 * torch.atan2(sine, quat[..., :1])
+    # sin(a / 2) / a is 1/2 - a^2 / 48 + ...
+    per_angle = torch.where(angle > eps, sine / angle.clamp(min=eps), 0.5 - angle.square() / 48.0)
+    return quat[..., 1:] / per_angle
+
+
+def quat_box_minus(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
+    """Return the rotation vector (..., 3) that takes ``q2`` to ``q1``, world axes."""
+    return axis_angle_from_quat(quat_mul(q1, quat_conjugate(q2)))
+
+
+def quat_box_plus(q: torch.Tensor, delta: torch.Tensor, eps: float = SMALL) -> torch.Tensor:
+    """Turn rotations by rotation vectors (..., 3), world axes; w >= 0."""
+    angle = torch.linalg.vector_norm(delta, dim=-1, keepdim=True).clamp(min=eps)
+    half = angle / 2.0
+    turn = torch.cat((half.cos(), delta / angle * half.sin()), dim=-1)
+    return quat_unique(quat_mul(turn, q))
+
+
+def quat_error_magnitude(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
+    """Return the angle between rotations, (...)."""
+    return torch.linalg.vector_norm(quat_box_minus(q1, q2), dim=-1)
+
+
+def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
+    """Return the rotation (4,) a share ``tau`` of the shorter way from ``q1`` to ``q2``, (4,) (Shoemake 1985)."""
+    cosine = (q1 * q2).sum()
+    q2, cosine = torch.where(cosine < 0.0, -q2, q2), cosine.abs().clamp(max=1.0)
+    angle = torch.acos(cosine)
+    straight = normalize(torch.lerp(q1, q2, tau))
+    bent = (torch.sin((1.0 - tau) * angle) * q1 + torch.sin(tau * angle) * q2) / torch.sin(angle).clamp(min=1e-12)
+    return torch.where(angle < 1e-4, straight, bent)
+
+
+def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
+    """Return quaternions, tensors or arrays, in the other order of components.
+
+    Raises:
+        ValueError: no quaternions, or no order.
+    """
+    if quat.shape[-1] != 4 or to not in ("xyzw", "wxyz"):
+        raise ValueError(f"expected quaternions (..., 4) and to='xyzw' or 'wxyz', not {tuple(quat.shape)} and {to!r}")
+    shift = -1 if to == "xyzw" else 1
+    return np.roll(quat, shift, axis=-1) if isinstance(quat, np.ndarray) else quat.roll(shift, dims=-1)
+
+
+# --- Euler angles and matrices ---
+
+
+def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+    """Return Rz(yaw) Ry(pitch) Rx(roll), (..., 4), for angles (...)."""
+    quat = rotation.quat_from_euler_xyz(*(angle.reshape(-1) for angle in (roll, pitch, yaw)))
+    return quat.view(*roll.shape, 4)
+
+
+def euler_xyz_from_quat(
+    quat: torch.Tensor, wrap_to_2pi: bool = False
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return roll, pitch and yaw (...), roll and yaw in [-pi, pi], or all in [0, 2 pi)."""
+    w, x, y, z = quat.unbind(dim=-1)
+    roll = torch.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = torch.asin((2.0 * (w * y - z * x)).clamp(-1.0, 1.0))
+    yaw = torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    if wrap_to_2pi:
+        return roll % (2.0 * torch.pi), pitch % (2.0 * torch.pi), yaw % (2.0 * torch.pi)
+    return roll, pitch, yaw
+
+
+def matrix_from_quat(quaternions: torch.Tensor) -> torch.Tensor:
+    """Return rotation matrices (..., 3, 3) of quaternions of any length but 0."""
+    matrix = rotation.quat_to_matrix(normalize(quaternions).reshape(-1, 4))
+    return matrix.view(*quaternions.shape[:-1], 3, 3)
+
+
+def quat_from_matrix(matrix: torch.Tensor) -> torch.Tensor:
+    """Return quaternions (..., 4) of rotation matrices, by the largest component (Shepperd 1978)."""
+    m = matrix
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    # 4 q q^T, row by row: each row is the quaternion times four times its own component.
+    rows = torch.stack(
+        (
+            torch.stack((1.0 + xx + yy + zz, x, y, z), dim=-1),
+            torch.stack((x, 1.0 + xx - yy - zz, xy, xz), dim=-1),
+            torch.stack((y, xy, 1.0 - xx + yy - zz, yz), dim=-1),
+            torch.stack((z, xz, yz, 1.0 - xx - yy + zz), dim=-1),
+        ),
+        dim=-2,
+    )
+    largest = rows.diagonal(dim1=-2, dim2=-1).argmax(dim=-1)
+    row = rows.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4)).squeeze(-2)
+    return normalize(row)
+
+
+def matrix_from_euler(euler_angles: torch.Tensor, convention: str) -> torch.Tensor:
+    """Return the product (..., 3, 3) of rotations by three angles (..., 3) about axes such as ``"XYZ"``."""
+    turns = []
+    for angle, axis in zip(euler_angles.unbind(dim=-1), convention, strict=True):
+        unit = torch.zeros(3, dtype=angle.dtype, device=angle.device)
+        unit["XYZ".index(axis)] = 1.0
+        turns.append(matrix_from_quat(quat_from_angle_axis(angle, unit.expand(*angle.shape, 3))))
+    return turns[0] @ turns[1] @ turns[2]
+
+
+def skew_symmetric_matrix(vec: torch.Tensor) -> torch.Tensor:
+    """Return the matrices (n, 3, 3) of cross products with vectors (n, 3) or (3,)."""
+    vec = vec.reshape(-1, 3)
+    return cross(vec.unsqueeze(-2), torch.eye(3, dtype=vec.dtype, device=vec.device)).mT
+
+
+def combine_frame_transforms(
+    t01: torch.Tensor, q01: torch.Tensor, t12: torch.Tensor | None = None, q12: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return frame 2 in frame 0, of 1 in 0 and 2 in 1."""
+    return t01 if t12 is None else t01 + quat_apply(q01, t12), q01 if q12 is None else quat_mul(q01, q12)
+
+
+def subtract_frame_transforms(
+    t01: torch.Tensor, q01: torch.Tensor, t02: torch.Tensor | None = None, q02: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return frame 2 in frame 1, of 1 in 0 and 2 in 0."""
+    back = quat_inv(q01)
+    return quat_apply(back, -t01 if t02 is None else t02 - t01), back if q02 is None else quat_mul(back, q02)
+
+
+def rigid_body_twist_transform(
+    v0: torch.Tensor, w0: torch.Tensor, t01: torch.Tensor, q01: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a body's linear and angular velocity at another frame of it, in that frame's axes."""
+    return quat_apply_inverse(q01, v0 + cross(w0, t01)), quat_apply_inverse(q01, w0)
+
+
+def compute_pose_error(
+    t01: torch.Tensor,
+    q01: torch.Tensor,
+    t02: torch.Tensor,
+    q02: torch.Tensor,
+    rot_error_type: Literal["quat", "axis_angle"] = "axis_angle",
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return position and rotation from frame 1 to frame 2, the rotation as a quaternion or a rotation vector.
+
+    Raises:
+        ValueError: another type.
+    """
+    if rot_error_type not in ("quat", "axis_angle"):
+        raise ValueError(f"rot_error_type is {rot_error_type!r}, expected 'quat' or 'axis_angle'")
+    turn = quat_mul(q02, quat_inv(q01))
+    return t02 - t01, turn if rot_error_type == "quat" else axis_angle_from_quat(turn)
+
+
+def apply_delta_pose(
+    source_pos: torch.Tensor, source_rot: torch.Tensor, delta_pose: torch.Tensor, eps: float = SMALL
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Move poses by (..., 6): a position and a rotation vector; one shorter than ``eps`` turns nothing."""
+    delta = delta_pose[..., 3:6]
+    angle = torch.linalg.vector_norm(delta, dim=-1)
+    turned = quat_mul(quat_from_angle_axis(angle, delta), source_rot)
+    return source_pos + delta_pose[..., :3], torch.where(angle.unsqueeze(-1) > eps, turned, source_rot)
+
+
+def is_identity_pose(pos: torch.Tensor, rot: torch.Tensor) -> bool:
+    """Return whether poses are all zero and unturned."""
+    none = rot.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(rot)
+    return torch.allclose(pos, torch.zeros_like(pos)) and torch.allclose(rot, none)
+
+
+def transform_points(
+    points: torch.Tensor, pos: torch.Tensor | None = None, quat: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Turn, then move points (P, 3) or (N, P, 3) by poses (3,), (4,) or (N, 3), (N, 4)."""
+    batch = points.unsqueeze(0) if points.dim() == 2 else points
+    if quat is not None:
+        batch = quat_apply(quat.reshape(-1, 1, 4), batch)
+    if pos is not None:
+        batch = batch + pos.reshape(-1, 1, 3)
+    return batch.squeeze(0) if points.dim() == 2 else batch
+
+
+def make_pose(pos: torch.Tensor, rot: torch.Tensor) -> torch.Tensor:
+    """Return the matrices (..., 4, 4) of positions and rotation matrices."""
+    pose = torch.zeros(*pos.shape[:-1], 4, 4, dtype=pos.dtype, device=pos.device)
+    pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = rot, pos, 1.0
+    return pose
+
+
+def unmake_pose(pose: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return positions and rotation matrices of matrices (..., 4, 4)."""
+    return pose[..., :3, 3], pose[..., :3, :3]
+
+
+def pose_inv(pose: torch.Tensor) -> torch.Tensor:
+    """Return the inverse matrices (..., 4, 4)."""
+    position, turn = unmake_pose(pose)
+    return make_pose(-(turn.mT @ position.unsqueeze(-1)).squeeze(-1), turn.mT)
+
+
+def convert_camera_frame_orientation_convention(
+    orientation: torch.Tensor, origin: Convention = "opengl", target: Convention = "ros"
+) -> torch.Tensor:
+    """Return the same orientations (..., 4) by the axes of another convention: ``opengl``, ``ros`` or ``world``."""
+    flat = orientation.reshape(-1, 4)
+    return convert_convention(flat, origin, target).reshape(orientation.shape)
+
+
+def create_rotation_matrix_from_view(
+    eyes: torch.Tensor, targets: torch.Tensor, up_axis: Literal["Y", "Z"] = "Z", device: str = "cpu"
+) -> torch.Tensor:
+    """Return the rotations (N, 3, 3) of cameras at (N, 3) that look at targets (N, 3), axes of ``opengl``.
+
+    Straight up or down the picture's right is the world's x.
+    """
+    up = torch.tensor([0.0, 1.0, 0.0] if up_axis == "Y" else [0.0, 0.0, 1.0], device=device).expand_as(eyes)
+    back = torch.nn.functional.normalize(eyes - targets, dim=1)
+    right = torch.linalg.cross(up, back, dim=1)
+    along = torch.tensor([1.0, 0.0, 0.0], device=device).expand_as(eyes)
+    right = torch.where(torch.linalg.vector_norm(right, dim=1, keepdim=True) < 1e-5, along, right)
+    right = torch.nn.functional.normalize(right, dim=1)
+    return torch.stack((right, torch.linalg.cross(back, right, dim=1), back), dim=2)
+
+
+def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
+    """Return distances along the axis, m, for those along pixels' rays: (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1).
+
+    ``intrinsics``, px, is (3, 3) or (N, 3, 3).
+    """
+    pictures = _pictures(depth)
+    matrices = intrinsics.reshape(-1, 3, 3)
+    v, u = (part.unsqueeze(0) for part in _pixels(pictures))
+    f_x, f_y, c_x, c_y = (matrices[:, i, j].view(-1, 1, 1) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    cosine = torch.rsqrt(1.0 + ((u - c_x) / f_x).square() + ((v - c_y) / f_y).square())
+    return (pictures * cosine).reshape(depth.shape)
+
+
+def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: bool = True) -> torch.Tensor:
+    """Return the points (P, 3) or (N, P, 3), m, that pixels show, axes x right, y down, z forward; column by column.
+
+    Args:
+        depth: distances, m: (H, W), (H, W, 1), (N, H, W) or (N, H, W, 1).
+        intrinsics: px, (3, 3) or (N, 3, 3).
+        is_ortho: whether distances are along the axis; else along the pixels' rays.
+    """
+    along = depth if is_ortho else orthogonalize_perspective_depth(depth, intrinsics)
+    pictures = _pictures(along)
+    v, u = _pixels(pictures)
+    pixels = torch.stack((u, v, torch.ones_like(u)), dim=-1)
+    rays = torch.einsum("nij,hwj->nhwi", torch.linalg.inv(intrinsics.reshape(-1, 3, 3)), pixels)
+    points = (rays * pictures.unsqueeze(-1)).transpose(1, 2).flatten(1, 2)
+    is_one = depth.dim() == 2 or (depth.dim() == 3 and depth.shape[-1] == 1)
+    return points.squeeze(0) if is_one and intrinsics.dim() == 2 else points
+
+
+def project_points(points: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
+    """Return where points (P, 3) or (N, P, 3), m, are seen: column and row, px, and distance along the axis, m."""
+    batch = points.unsqueeze(0) if points.dim() == 2 else points
+    seen = torch.einsum("nij,npj->npi", intrinsics.reshape(-1, 3, 3), batch)
+    found = torch.cat((seen[..., :2] / seen[..., 2:], batch[..., 2:]), dim=-1)
+    return found.squeeze(0) if points.dim() == 2 and intrinsics.dim() == 2 else found
+
+
+def _pictures(depth: torch.Tensor) -> torch.Tensor:
+    """Return distances as (N, H, W)."""
+    flat = depth.squeeze(-1) if depth.dim() > 2 and depth.shape[-1] == 1 else depth
+    return flat.unsqueeze(0) if flat.dim() == 2 else flat
+
+
+def _pixels(pictures: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Return the rows' and the columns' numbers, (H, W) each."""
+    counts = (torch.arange(count, device=pictures.device, dtype=pictures.dtype) for count in pictures.shape[1:])
+    return torch.meshgrid(*counts, indexing="ij")
+
+
+Size = int | tuple[int, ...]
+Bound = torch.Tensor | float
+
+
+def _shape(size: Size) -> tuple[int, ...]:
+    return (size,) if isinstance(size, int) else tuple(size)
+
+
+def sample_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
+    """Return uniform draws on [lower, upper)."""
+    return torch.rand(_shape(size), device=device) * (upper - lower) + lower
+
+
+def sample_log_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
+    """Return draws on [lower, upper) whose logarithm is uniform."""
+    low, high = (torch.as_tensor(bound, dtype=torch.float32, device=device).log() for bound in (lower, upper))
+    return sample_uniform(low, high, size, device).exp()
+
+
+def sample_gaussian(mean: Bound, std: Bound, size: Size, device: Any) -> torch.Tensor:
+    """Return Gaussian draws; with a tensor as mean, of its shape."""
+    shape = tuple(mean.shape) if isinstance(mean, torch.Tensor) else _shape(size)
+    return torch.randn(shape, device=device) * std + mean
+
+
+def sample_triangle(lower: float, upper: float, size: Size, device: Any) -> torch.Tensor:
+    """Return draws on [lower, upper] that are likeliest at the ends, as Isaac Lab's of that name."""
+    u = 2.0 * torch.rand(_shape(size), device=device) - 1.0
+    return lower + (upper - lower) * (1.0 + u.sign() * u.abs().sqrt()) / 2.0
+
+
+def sample_cylinder(radius: float, h_range: tuple[float, float], size: Size, device: Any) -> torch.Tensor:
+    """Return points (..., 3) uniform on the side of a cylinder about z."""
+    angle = (2.0 * torch.rand(_shape(size), device=device) - 1.0) * torch.pi
+    height = sample_uniform(h_range[0], h_range[1], size, device)
+    return torch.stack((radius * angle.cos(), radius * angle.sin(), height), dim=-1)
+
+
+def default_orientation(num: int, device: Any) -> torch.Tensor:
+    """Return (1, 0, 0, 0), (num, 4)."""
+    return torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(num, 1)
+
+
+def random_orientation(num: int, device: Any) -> torch.Tensor:
+    """Return rotations uniform on SO(3), (num, 4): normalised 4-d Gaussians (Marsaglia 1972)."""
+    return torch.nn.functional.normalize(torch.randn(num, 4, device=device), dim=-1)
+
+
+def random_yaw_orientation(num: int, device: Any) -> torch.Tensor:
+    """Return rotations about z by uniform angles, (num, 4)."""
+    yaw = 2.0 * torch.pi * torch.rand(num, device=device)
+    return rotation.quat_from_euler_xyz(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw)
 
 
 def scale_transform(x: torch.Tensor, lower: torch.Tensor, upper: torch.Tensor) -> torch.Tensor:

@@ -11,8 +11,8 @@ from wheelleg_exp.errors import EXIT_INPUT, Interrupted, RunDirectoryError, Simu
 from wheelleg_exp.jobs.heard_process import HeardProcess
 from wheelleg_exp.jobs.pipeline.job import Step
 from wheelleg_exp.jobs.processes import Child
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.threads import own_environ
+from wheelleg_exp.machine import own_environ
+from wheelleg_exp.stop_request import StopRequest
 
 # The step imports what this process would import, whatever folder it is called from.
 _BOOT = (

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from wheelleg_exp.jobs import sweep_job as one_training
 from wheelleg_exp.jobs.processes import Events, serve
-from wheelleg_exp.jobs.stop import StopRequest
-from wheelleg_exp.jobs.sweep import job as one_training
+from wheelleg_exp.stop_request import StopRequest
 
 
 @dataclass(frozen=True)
@@ -58,24 +58,25 @@ def _do(events: Events, line: bytes, stop: StopRequest) -> None:
 
 
 def _resume(events: Events, step: Step, stop: StopRequest) -> None:
-    from wheelleg_exp.run.directory import RunDirectory
-    from wheelleg_exp.threads import keep_kernels
+    from wheelleg_exp.machine import keep_kernels
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     run = RunDirectory.open(step.run, step.root)
     keep_kernels(run.manifest().data.get("environment_variables") or {})
 
-    from wheelleg_exp.jobs.resume import resume
-    from wheelleg_exp.jobs.train import training
+    from wheelleg_exp.jobs.train import resume_training, run_training
 
     stop.check()
-    ready = resume.prepare(run, step.overrides, step.command, events, [Path(folder) for folder in step.config_dirs])
-    training.run(ready, events, stop)
+    ready = resume_training.prepare_resume(
+        run, step.overrides, step.command, events, [Path(folder) for folder in step.config_dirs]
+    )
+    run_training.run(ready, events, stop)
 
 
 def _evaluate(events: Events, step: Step, stop: StopRequest) -> None:
-    from wheelleg_exp.jobs.evaluate.evaluate import evaluate_run
+    from wheelleg_exp.jobs.evaluate_policy import evaluate_run
     from wheelleg_exp.packages import with_current
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     run = RunDirectory.open(step.run, step.root)
 

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.jobs.processes import Events, serve
-from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.stop_request import StopRequest
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset import CachedConversion
-    from wheelleg_exp.jobs.train.training import Training
+    from wheelleg_exp.jobs.train.run_training import Training
     from wheelleg_exp.rl.trainer import Iteration
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
 
 PROTOCOL = 1
 
@@ -118,7 +118,7 @@ def main() -> int:
 def _train(events: ReplayEvents, line: bytes, stop: StopRequest) -> None:
     import wheelleg_exp
     from wheelleg_exp.packages import join, read_project
-    from wheelleg_exp.run.directory import RunDirectory
+    from wheelleg_exp.run.run_directory import RunDirectory
 
     request = Request.read(line)
 
@@ -134,17 +134,16 @@ def _train(events: ReplayEvents, line: bytes, stop: StopRequest) -> None:
     ready = _start(run, config, request, events)
     events.send("run", path=str(ready.directory.path))
 
-    from wheelleg_exp.jobs.train import training
+    from wheelleg_exp.jobs.train import run_training
 
     stop.check()
     events.until = request.until
-    training.run(ready, events, stop)
+    run_training.run(ready, events, stop)
 
 
 def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     """Return the snapshot's config, with the new run's place; a replay makes no films and sends nothing."""
-    from wheelleg_exp.run.params import load_params
-    from wheelleg_exp.run.recorded import recorded_config
+    from wheelleg_exp.run.run_config import load_params, recorded_config
 
     env, agent = load_params(run)
     config: dict[str, Any] = {"env": env, "agent": agent, **recorded_config(run, os.environ)}
@@ -157,10 +156,10 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
 
 
 def _start(run: RunDirectory, config: dict[str, Any], request: Request, events: ReplayEvents) -> Training:
-    from wheelleg_exp.jobs.train import training
+    from wheelleg_exp.jobs.train import run_training
     from wheelleg_exp.paths import configs_dir
 
-    recipe = training.Recipe(
+    recipe = run_training.Recipe(
         config=config,
         hydra_files={path.name: path.read_text(encoding="utf-8") for path in sorted(run.hydra.glob("*.yaml"))},
         source_roots=[configs_dir().parent, *(Path(folder) for folder in request.source_roots)],
@@ -168,7 +167,7 @@ def _start(run: RunDirectory, config: dict[str, Any], request: Request, events: 
         config_dirs=[Path(folder) for folder in request.config_dirs],
     )
     events.warnings_only = True
-    ready = training.start(recipe, request.command, events)
+    ready = run_training.start(recipe, request.command, events)
     events.warnings_only = False
     ready.manifest.record(**{**request.facts, "replay": {**request.facts.get("replay", {}), **events.found}})
     return ready
@@ -179,34 +178,33 @@ def _start(run: RunDirectory, config: dict[str, Any], request: Request, events: 
 
 def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, events: ReplayEvents) -> CachedConversion:
     """Convert the robot again from its restored source, or take the one that the run has kept."""
-    from wheelleg_exp.jobs.kept_robot import kept_conversion, kept_mjcf
+    from wheelleg_exp.jobs.saved_robot import copy_saved_robot, saved_mjcf
 
     workplace = Path(request.workplace)
     made, why = _converted_again(run, config["env"], request, workplace / "assets")
-    kept = kept_mjcf(run).read_text(encoding="utf-8")
+    kept = saved_mjcf(run).read_text(encoding="utf-8")
     if made is not None and made.output.read_text(encoding="utf-8") == kept:
         events.tell("asset", converted=True, note=None)
         return made
     why = why or "its source converts to another MJCF than the run's; the libraries differ"
     events.tell("asset", converted=False, note=f"{why}: the run's kept MJCF is simulated")
-    return kept_conversion(run, workplace / "kept")
+    return copy_saved_robot(run, workplace / "kept")
 
 
 def _converted_again(
     run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
 ) -> tuple[CachedConversion | None, str | None]:
     """Return the conversion, or None and why there is none."""
-    from wheelleg_exp.asset.beside import find_beside
-    from wheelleg_exp.asset.cache import convert_cached, source_digest
-    from wheelleg_exp.jobs.kept_robot import kept_networks, kept_sources
+    from wheelleg_exp.asset.cache import convert_cached, find_beside, source_digest
+    from wheelleg_exp.jobs.saved_robot import saved_networks, saved_sources
     from wheelleg_exp.paths import find_asset
 
     folders = [Path(folder) for folder in request.config_dirs]
     robot, roots = env["robot"], [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
     try:
         source = find_asset(_moved(str(robot["asset"]), request.moved), roots, key="env.robot.asset")
-        beside = find_beside(env, roots) | kept_networks(run)
-        if source_digest(source, beside=beside) != kept_sources(run):
+        beside = find_beside(env, roots) | saved_networks(run)
+        if source_digest(source, beside=beside) != saved_sources(run):
             return None, f"'{source.name}' or a file that it uses is not the recorded one"
         return convert_cached(source, base=robot["base"], cache_dir=cache, beside=beside), None
     except WheellegError as error:
@@ -228,8 +226,7 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
     """Compose the recorded overrides with the restored configs and hold the result against the snapshot's."""
     from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.files import read_yaml
-    from wheelleg_exp.run.params import load_params
-    from wheelleg_exp.run.recorded import recorded_overrides
+    from wheelleg_exp.run.run_config import load_params, recorded_overrides
 
     try:
         composed = compose(

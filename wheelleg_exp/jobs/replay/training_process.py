@@ -11,9 +11,9 @@ from pathlib import Path
 from wheelleg_exp.errors import EXIT_INPUT, Interrupted, RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.jobs.heard_process import HeardProcess
 from wheelleg_exp.jobs.processes import Child
-from wheelleg_exp.jobs.replay import boot as replay_boot
+from wheelleg_exp.jobs.replay import restored_imports as replay_boot
 from wheelleg_exp.jobs.replay.snapshot_training import Request
-from wheelleg_exp.jobs.stop import StopRequest
+from wheelleg_exp.stop_request import StopRequest
 
 
 @dataclass

@@ -1,19 +1,32 @@
-"""Which folders hold the source of a training: this package, the user's projects and configs, and what was imported."""
+"""Folders that hold the source of a training, and how the present source and machine differ from a run's.
+
+The folders are this package, the user's projects and configs, and packages imported from elsewhere. A difference in
+source, versions, hardware, threads, or variables means that a resume is not exact.
+"""
 
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 import sysconfig
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.packages import installed_packages, joined_packages, project_of, read_project
+from wheelleg_exp.packages import installed_packages, is_trusted, joined_packages, project_of, read_project, real_path
 from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.run import environment
+from wheelleg_exp.run.run_config import recorded_config
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.source_changes import describe_changes
+from wheelleg_exp.run.source_restore import load_source
+from wheelleg_exp.run.source_snapshot import snapshot_source
+from wheelleg_exp.verify.run_differences import FactDifference, environment_differences
 
-_OWN = "wheelleg_exp"
+_PACKAGE = "wheelleg_exp"
 _INSTALL_FOLDERS = ("site-packages", "dist-packages")
 _CALLS = ("_target_", "class_name")
 
@@ -27,7 +40,7 @@ def source_roots(composed: Composed) -> list[Path]:
     """
     roots = [configs_dir().parent, *(_project_or_folder(folder) for folder in _config_folders(composed))]
     roots += [root for name in _packages_called(composed.config) if (root := _package_root(name)) is not None]
-    return _once(roots)
+    return _unique(roots)
 
 
 def installed_roots() -> list[Path]:
@@ -47,7 +60,7 @@ def loaded_outside(roots: Sequence[Path]) -> list[Path]:
         for place in _places(module):
             if not _in_environment(place) and not any(_below(place, folder) for folder in known):
                 found.append(place)
-    return _once(found)
+    return _unique(found)
 
 
 def _config_folders(composed: Composed) -> Iterator[Path]:
@@ -68,25 +81,25 @@ def _project_or_folder(folder: Path) -> Path:
 def _packages_called(config: Mapping[str, Any]) -> list[str]:
     """Return the packages of users' own that the config's targets and classes lie in, by name."""
     declared = {*installed_packages(), *joined_packages()}
-    called = set(_called(config))
+    called = set(_called_names(config))
     return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
 
 
-def _called(node: Any) -> Iterator[str]:
+def _called_names(node: Any) -> Iterator[str]:
     if isinstance(node, Mapping):
         for key, value in node.items():
             if key in _CALLS and isinstance(value, str):
                 yield value.replace(":", ".")
-            yield from _called(value)
+            yield from _called_names(value)
     elif isinstance(node, list):
         for value in node:
-            yield from _called(value)
+            yield from _called_names(value)
 
 
 def _package_root(name: str) -> Path | None:
     """Return the folder or file of a package's top, without importing it; that of its project when it has one."""
     top = name.replace("/", ".").partition(".")[0]
-    if top in (_OWN, "hydra"):
+    if top in (_PACKAGE, "hydra"):
         return None
     project = project_of(name)
     if project is not None:
@@ -124,5 +137,92 @@ def _below(path: Path, folder: Path) -> bool:
     return path.resolve().is_relative_to(folder.resolve())
 
 
-def _once(paths: Iterable[Path]) -> list[Path]:
+def _unique(paths: Iterable[Path]) -> list[Path]:
     return list({path.resolve(): path for path in reversed(list(paths))}.values())[::-1]
+
+
+_MAX_SHOWN = 60
+
+
+def shorten(value: Any) -> str:
+    """Return a value as a text that fits a line."""
+    text = str(value)
+    return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN - 3]}..."
+
+
+def require_variables(run: RunDirectory, variables: Mapping[str, str]) -> dict[str, Any]:
+    """Return the config that a replay trains with; it runs the run's own code in this environment, and may ask it.
+
+    Args:
+        run: the run.
+        variables: those that the run has kept; others are taken from this process.
+
+    Raises:
+        RunDirectoryError: it asks for a variable that was not kept and is not set, or cannot be resolved.
+    """
+    return recorded_config(run, {**os.environ, **variables})
+
+
+def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
+    """Return in what source, versions, hardware, threads and variables this process differs from a run's.
+
+    Differences that cannot change a number are left out.
+
+    Args:
+        run: the run.
+        threads: what ``set_threads`` returned here.
+        config_dirs: the user's config folders in use.
+    """
+    now = {
+        "versions": environment.versions(),
+        "hardware": environment.hardware(),
+        "threads": threads,
+        "environment_variables": environment.variables(),
+    }
+    facts = environment_differences(run.manifest().data, now)
+    return _source_differences(run, config_dirs) + [fact for fact in facts if fact.section == "versions" or fact.allows]
+
+
+def _source_differences(run: RunDirectory, config_dirs: Sequence[Path]) -> list[FactDifference]:
+    recorded = _records(load_source(run))
+    with tempfile.TemporaryDirectory() as folder:
+        present = _records(snapshot_source(_run_roots(run, config_dirs), Path(folder), runs_root=run.root))
+    found = []
+    for number in range(max(len(recorded), len(present))):
+        was, now = (side[number] if number < len(side) else {} for side in (recorded, present))
+        (key, before), (key_now, after) = _identity(was), _identity(now)
+        if (key, before) != (key_now, after) or not before:
+            note = describe_changes(was, now, [Path(now["root"])] if now.get("root") else [])
+            name = f"{key if key == key_now else 'source'} ({number + 1})"
+            found.append(FactDifference("source", name, before or key, after or key_now, note=note))
+    return found
+
+
+def _records(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [content, *content["others"]]
+
+
+def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what identifies the files of a recorded repository or folder."""
+    if not record:
+        return "(not kept)", ""
+    key = "tree" if record["tree"] else "content_sha256"
+    return key, str(record.get(key) or "")
+
+
+def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
+    """Return the present places of the run's source roots: this package's, then the projects of the config folders.
+
+    Other recorded folders count only if they are trusted or this process uses them: installed, or imported by now.
+    """
+    projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
+    content = load_source(run)
+    recorded = [
+        Path(record["root"]) / name
+        for record in (content, *content["others"])
+        for name in record["folders"]
+        if record["root"] is not None
+    ]
+    known = [configs_dir().parent, *projects]
+    used = {real_path(path) for path in [*loaded_outside(known), *installed_roots()]}
+    return [*known, *(p for p in recorded[1:] if (real_path(p) in used or is_trusted(p)) and p.exists())]

@@ -10,11 +10,18 @@
 | `ranges` | ranges that a curriculum may change |
 """
 
-from wheelleg_exp.mdp.commands.base_pose import UniformBasePoseCommand
-from wheelleg_exp.mdp.commands.null import NullCommand
-from wheelleg_exp.mdp.commands.pose import TerrainBasedPose2dCommand, UniformPose2dCommand, UniformPoseCommand
-from wheelleg_exp.mdp.commands.travel import UniformVelocityTravelCommand
-from wheelleg_exp.mdp.commands.velocity import NormalVelocityCommand, UniformVelocityCommand
+from wheelleg_exp.mdp.commands.command_ranges import NullCommand
+from wheelleg_exp.mdp.commands.pose_commands import (
+    TerrainBasedPose2dCommand,
+    UniformBasePoseCommand,
+    UniformPose2dCommand,
+    UniformPoseCommand,
+)
+from wheelleg_exp.mdp.commands.velocity_commands import (
+    NormalVelocityCommand,
+    UniformVelocityCommand,
+    UniformVelocityTravelCommand,
+)
 
 __all__ = [
     "NormalVelocityCommand",

@@ -10,12 +10,6 @@
 | `draws` | distributions and operations |
 """
 
-from wheelleg_exp.mdp.events.bodies import (
-    randomize_rigid_body_com,
-    randomize_rigid_body_com_cumulative,
-    randomize_rigid_body_inertia,
-    randomize_rigid_body_mass,
-)
 from wheelleg_exp.mdp.events.disturbances import (
     apply_body_impulse,
     apply_external_force_torque,
@@ -24,11 +18,17 @@ from wheelleg_exp.mdp.events.disturbances import (
     set_permanent_body_wrench,
     set_root_velocity,
 )
-from wheelleg_exp.mdp.events.draws import draw
-from wheelleg_exp.mdp.events.joints import (
+from wheelleg_exp.mdp.events.randomization import (
+    draw,
     randomize_actuator_gains,
     randomize_encoder_bias,
     randomize_joint_parameters,
+    randomize_physics_scene_gravity,
+    randomize_rigid_body_com,
+    randomize_rigid_body_com_cumulative,
+    randomize_rigid_body_inertia,
+    randomize_rigid_body_mass,
+    randomize_rigid_body_material,
 )
 from wheelleg_exp.mdp.events.resets import (
     reset_joints_by_offset,
@@ -38,8 +38,6 @@ from wheelleg_exp.mdp.events.resets import (
     reset_root_state_with_random_orientation,
     reset_scene_to_default,
 )
-from wheelleg_exp.mdp.events.shapes import randomize_rigid_body_material
-from wheelleg_exp.mdp.events.world import randomize_physics_scene_gravity
 
 # Terms of Isaac Lab that have no counterpart, and why.
 ABSENT = {

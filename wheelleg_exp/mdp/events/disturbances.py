@@ -9,7 +9,7 @@ import torch
 
 from wheelleg_exp.constraints import Interval, NonNegativeInterval, PositiveInterval
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
-from wheelleg_exp.mdp.events.draws import POSE, PoseRange, all_ids
+from wheelleg_exp.mdp.events.randomization import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.ids import fill_rows
 

@@ -15,9 +15,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from wheelleg_exp.recording.layout import ITERATION, JOURNAL, TRAINING, join_key, key_below
-from wheelleg_exp.recording.reading.components import TIMELINES
-from wheelleg_exp.recording.reading.contents import Contents, columns
-from wheelleg_exp.recording.reading.plain import plain
+from wheelleg_exp.recording.reading.arrow_values import TIMELINES, python_values
+from wheelleg_exp.recording.reading.recording_contents import Contents, columns
 
 _MOST = 1 << 16  # keys
 
@@ -38,7 +37,7 @@ class Journal:
         known = {key: path for path in contents.pieces if (key := key_below(TRAINING, path)) is not None}
         for batch in contents.rows(JOURNAL, static=True):
             table = columns(batch)
-            keys = plain(table.column("keys")) if "keys" in table.column_names else []
+            keys = python_values(table.column("keys")) if "keys" in table.column_names else []
             words = [str(key) for key in ((keys[-1] if keys else None) or [])[:_MOST]]
             self._places = {known.get(word) or join_key(TRAINING, word): i for i, word in enumerate(words)}
         if whole:

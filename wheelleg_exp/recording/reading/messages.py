@@ -22,7 +22,7 @@ from typing import Any
 import pyarrow as pa
 from xxhash import xxh32_intdigest
 
-from wheelleg_exp.recording.reading.plain import kinds_in, values_in
+from wheelleg_exp.recording.reading.arrow_values import nested_types, values_in
 
 MAGIC = b"RRF2"
 HEADER_SIZE = 12
@@ -225,7 +225,7 @@ def _require_known(field: pa.Field) -> None:
         raise DamagedMessageError("it has a column of an unknown kind")
     if kind == b"index" and field.type not in _TIMES:
         raise DamagedMessageError("it has a timeline of an unknown type")
-    if any(is_alias(found) for found in kinds_in(field.type) for is_alias in _ALIASES):
+    if any(is_alias(found) for found in nested_types(field.type) for is_alias in _ALIASES):
         raise DamagedMessageError(f"it has a column of {field.type}, which rerun never writes")
 
 

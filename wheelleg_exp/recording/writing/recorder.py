@@ -13,21 +13,20 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from wheelleg_exp.config.checking.check_links import recorded_errors
+from wheelleg_exp.config.checking.check_terms import recorded_errors
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.host import host_copy
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.blueprint import EnvLayout, Purpose, blueprint
 from wheelleg_exp.recording.layout import EnvPaths
-from wheelleg_exp.recording.writing import facts, size
-from wheelleg_exp.recording.writing.continuing import Earlier
+from wheelleg_exp.recording.writing import recorded_environment
 from wheelleg_exp.recording.writing.encoding import Column, timeline
-from wheelleg_exp.recording.writing.frames import Stamp
-from wheelleg_exp.recording.writing.marks import Marks
-from wheelleg_exp.recording.writing.scalars import Scalars
-from wheelleg_exp.recording.writing.sink import Sink
-from wheelleg_exp.recording.writing.track import Track
+from wheelleg_exp.recording.writing.recorded_environment import RecordedEnvironment
+from wheelleg_exp.recording.writing.recorded_events import EventLog, TrainingScalars
+from wheelleg_exp.recording.writing.recorded_frames import Stamp
+from wheelleg_exp.recording.writing.recording_file import RecordingFile
+from wheelleg_exp.recording.writing.resume_recording import EarlierRecording
+from wheelleg_exp.state.tensor_trees import host_copy
 
 ROWS_TOGETHER = 16  # fewer frames may wait for more: small chunks are mostly description
 _US = 1e6
@@ -80,33 +79,38 @@ class Recorder:
             raise error
         several = len(env_ids) > 1
         self._tracks = [
-            Track(env, i, EnvPaths(f"env_{i}" if several else ""), place) for place, i in enumerate(env_ids)
+            RecordedEnvironment(env, i, EnvPaths(f"env_{i}" if several else ""), place)
+            for place, i in enumerate(env_ids)
         ]
-        self._marks = Marks(env)
-        self._scalars = Scalars()
+        self._marks = EventLog(env)
+        self._scalars = TrainingScalars()
         self._documents: list[str] = []
         self._active, self._capturing, self._stale = False, False, False
         self._limit, self._last_words = -1, ""
-        self._about = facts.own_facts(env, list(env_ids), purpose, {"run_id": recording_id, **(about or {})})
+        self._about = recorded_environment.own_facts(
+            env, list(env_ids), purpose, {"run_id": recording_id, **(about or {})}
+        )
         go_on = keep_until is not None and self.path.exists()
-        self._sink = Sink(self.path, recording_id=recording_id, name=name, aside=go_on)
+        self._sink = RecordingFile(self.path, recording_id=recording_id, name=name, aside=go_on)
         try:
-            self._open(Earlier(self.path, int(keep_until or 0)) if go_on else None)
+            self._open(EarlierRecording(self.path, int(keep_until or 0)) if go_on else None)
         except BaseException:
             self._sink.abandon()
             raise
 
     def frames_within(self, megabytes: float) -> int:
         """Return how many frames surely fit into a file of that size."""
-        room = megabytes * size.MEGABYTE - size.surroundings(self._env.scene.model, len(self._tracks))
-        frame = size.total(track.cost for track in self._tracks).frame(ROWS_TOGETHER)
+        room = megabytes * recorded_environment.MEGABYTE - recorded_environment.static_bytes(
+            self._env.scene.model, len(self._tracks)
+        )
+        frame = recorded_environment.total_cost(track.cost for track in self._tracks).frame(ROWS_TOGETHER)
         return max(int(room / frame), 0)
 
     def megabytes(self, frames: int) -> float:
         """Return a size into which so many frames surely fit, MB, rounded up to a tenth."""
-        frame = size.total(track.cost for track in self._tracks).frame(ROWS_TOGETHER)
-        room = frames * frame + size.surroundings(self._env.scene.model, len(self._tracks))
-        return float(np.ceil(10.0 * room / size.MEGABYTE) / 10.0)
+        frame = recorded_environment.total_cost(track.cost for track in self._tracks).frame(ROWS_TOGETHER)
+        room = frames * frame + recorded_environment.static_bytes(self._env.scene.model, len(self._tracks))
+        return float(np.ceil(10.0 * room / recorded_environment.MEGABYTE) / 10.0)
 
     def start(self, iteration: int | None = None, steps: int | None = None, *, last_words: str = "") -> None:
         """Begin a segment: from now on ``capture`` captures every environment.
@@ -240,13 +244,15 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def _open(self, earlier: Earlier | None) -> None:
+    def _open(self, earlier: EarlierRecording | None) -> None:
         """Write what an earlier file keeps, and what never changes: properties, shapes, names, the layout."""
         if earlier is not None:
             self._sink.rows(earlier.batches())
             self._restore(earlier)
         self._sink.property(layout.OWN, self._about)
-        self._sink.property(facts.ROBOT, facts.robot_facts(self._env, self._tracks[0].layout))
+        self._sink.property(
+            recorded_environment.ROBOT, recorded_environment.robot_facts(self._env, self._tracks[0].layout)
+        )
         self._sink.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         seen: set[str] = set()
         for track in self._tracks:
@@ -258,7 +264,7 @@ class Recorder:
         self._stale = True
         self._sink.take_place()
 
-    def _restore(self, earlier: Earlier) -> None:
+    def _restore(self, earlier: EarlierRecording) -> None:
         self._about["started"] = earlier.started
         self._documents = list(earlier.documents)
         keys = earlier.known_keys()
@@ -271,7 +277,7 @@ class Recorder:
                 track.episodes.restore(int(number[1]), step[0], int(step[1]))
             track.sample.steps = sorted(earlier.steps[track.paths.data("episode", "step")])
 
-    def _take(self, tracks: Sequence[Track], stamp: Stamp) -> None:
+    def _take(self, tracks: Sequence[RecordedEnvironment], stamp: Stamp) -> None:
         lengths, dones = host_copy(self._env.episode_length_buf), host_copy(self._env.termination_manager.dones)
         for track in tracks:
             track.capture(stamp, int(lengths[track.env_id]), ends=bool(dones[track.env_id]))
@@ -288,7 +294,7 @@ class Recorder:
         iteration = self.iteration if iteration is None else iteration
         return Stamp(step, 1000 * round(step * self._env.step_dt * _US), -1 if iteration is None else iteration)
 
-    def _send_frames(self, track: Track) -> None:
+    def _send_frames(self, track: RecordedEnvironment) -> None:
         if not track.stamps:
             return
         moments = times(track.stamps)

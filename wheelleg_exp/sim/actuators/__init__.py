@@ -20,7 +20,7 @@ each physics step.
 | `networks`, `network_file` | learned models, and the TorchScript files that they are read from |
 """
 
-from wheelleg_exp.sim.actuators.base import (
+from wheelleg_exp.sim.actuators.actuator_base import (
     NEEDED,
     ONE_GROUP,
     ActuatorBase,
@@ -29,9 +29,14 @@ from wheelleg_exp.sim.actuators.base import (
     PerJoint,
     Stream,
 )
-from wheelleg_exp.sim.actuators.motors import DCMotor, DelayedPDActuator, RemotizedPDActuator
-from wheelleg_exp.sim.actuators.networks import ActuatorNetLSTM, ActuatorNetMLP
-from wheelleg_exp.sim.actuators.pd import IdealPDActuator, ImplicitActuator
+from wheelleg_exp.sim.actuators.network_actuators import ActuatorNetLSTM, ActuatorNetMLP
+from wheelleg_exp.sim.actuators.pd_actuators import (
+    DCMotor,
+    DelayedPDActuator,
+    IdealPDActuator,
+    ImplicitActuator,
+    RemotizedPDActuator,
+)
 
 __all__ = [
     "NEEDED",

@@ -12,16 +12,12 @@
 | `GridPattern` ... | the patterns of the rays; `PatternBase` is their base class |
 """
 
-from wheelleg_exp.sim.sensors.base import SensorBase, require_base_called
-from wheelleg_exp.sim.sensors.camera import Camera
-from wheelleg_exp.sim.sensors.camera_data import CameraData
-from wheelleg_exp.sim.sensors.contact import ContactSensor
-from wheelleg_exp.sim.sensors.contact_data import ContactSensorData
-from wheelleg_exp.sim.sensors.imu import Imu, ImuData, ImuNoise
-from wheelleg_exp.sim.sensors.lazy import LazySensor
-from wheelleg_exp.sim.sensors.patterns import BpearlPattern, GridPattern, LidarPattern, PatternBase, PinholePattern
+from wheelleg_exp.sim.sensors.cameras import Camera, CameraData, RayCasterCamera
+from wheelleg_exp.sim.sensors.contact_sensor import ContactSensor, ContactSensorData
+from wheelleg_exp.sim.sensors.imu_sensor import Imu, ImuData, ImuNoise
 from wheelleg_exp.sim.sensors.ray_caster import RayCaster, RayCasterData
-from wheelleg_exp.sim.sensors.ray_caster_camera import RayCasterCamera
+from wheelleg_exp.sim.sensors.ray_patterns import BpearlPattern, GridPattern, LidarPattern, PatternBase, PinholePattern
+from wheelleg_exp.sim.sensors.sensor_base import LazySensor, SensorBase, require_base_called
 
 __all__ = [
     "BpearlPattern",

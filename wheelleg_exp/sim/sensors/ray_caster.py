@@ -12,9 +12,8 @@ from wheelleg_exp.constraints import Interval, NonNegative, Positive, Targeted, 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.engine import Engine
-from wheelleg_exp.sim.sensors.lazy import LazySensor
-from wheelleg_exp.sim.sensors.mounting import Mount, Offset, offset_fits, offset_pose
-from wheelleg_exp.sim.sensors.patterns import PatternBase
+from wheelleg_exp.sim.sensors.ray_patterns import PatternBase
+from wheelleg_exp.sim.sensors.sensor_base import LazySensor, Mount, Offset, offset_fits, offset_pose
 from wheelleg_exp.sim.terrain import GROUND_GROUP
 from wheelleg_exp.state import Kept
 

@@ -12,23 +12,34 @@
 | `FlatPatches` | level places to begin or to end on |
 """
 
-from wheelleg_exp.sim.terrain.base import GROUND, GROUND_GROUP, TERRAIN_KEY, TerrainBase, grid_origins, is_ground
-from wheelleg_exp.sim.terrain.flat_patches import FlatPatches
-from wheelleg_exp.sim.terrain.from_file import HeightField, Mesh
 from wheelleg_exp.sim.terrain.generator import TerrainGenerator
-from wheelleg_exp.sim.terrain.plane import Plane
-from wheelleg_exp.sim.terrain.smooth import PyramidSlope, RandomUniform, UniformNoise, Waves
-from wheelleg_exp.sim.terrain.stepped import (
+from wheelleg_exp.sim.terrain.sub_terrains import (
     Box,
     DiscreteObstacles,
     Flat,
+    FlatPatches,
     Gap,
+    Grid,
+    PyramidSlope,
     PyramidStairs,
     Rails,
     RandomGrid,
+    RandomUniform,
     SteppingStones,
+    SubTerrain,
+    UniformNoise,
+    Waves,
 )
-from wheelleg_exp.sim.terrain.sub_terrain import Grid, SubTerrain
+from wheelleg_exp.sim.terrain.terrain_base import (
+    GROUND,
+    GROUND_GROUP,
+    TERRAIN_KEY,
+    Plane,
+    TerrainBase,
+    grid_origins,
+    is_ground,
+)
+from wheelleg_exp.sim.terrain.terrain_files import HeightField, Mesh
 
 __all__ = [
     "GROUND",

@@ -23,14 +23,14 @@ from wheelleg_exp.constraints import (
     Share,
     relation,
 )
-from wheelleg_exp.memory import require_memory
-from wheelleg_exp.progress import told
-from wheelleg_exp.sim.terrain.base import GROUND, TERRAIN_KEY, TerrainBase
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.progress import with_progress
 from wheelleg_exp.sim.terrain.cache import cached_relief
 from wheelleg_exp.sim.terrain.geoms import add_box, add_tile
 from wheelleg_exp.sim.terrain.height_map import HeightMap
 from wheelleg_exp.sim.terrain.relief import Layout
-from wheelleg_exp.sim.terrain.sub_terrain import SubTerrain
+from wheelleg_exp.sim.terrain.sub_terrains import SubTerrain
+from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, TerrainBase
 
 ORIGIN_WINDOW = 0.25  # share of a tile's edge
 _BYTES = 40  # a cell, in numpy, torch and MuJoCo
@@ -123,7 +123,7 @@ class TerrainGenerator(TerrainBase):
         """Add the tiles, ``ground/<row>_<column>``, and the border."""
         origins = self.relief.origins.reshape(-1, 3)
         tiles = list(enumerate(zip(self.relief.tiles, origins, strict=True)))
-        for number, (tile, origin) in told("laying tiles", tiles):
+        for number, (tile, origin) in with_progress("laying tiles", tiles):
             row, col = divmod(number, self.layout.num_cols)
             name = f"{GROUND}/{row}_{col}"
             add_tile(spec, name, self.dynamic_friction, tile, (origin[0], origin[1]), self.size)

@@ -10,10 +10,10 @@ import numpy.typing as npt
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.progress import told
-from wheelleg_exp.sim.terrain.base import TERRAIN_KEY
+from wheelleg_exp.progress import with_progress
 from wheelleg_exp.sim.terrain.height_map import HeightMap, Tile
-from wheelleg_exp.sim.terrain.sub_terrain import Array, Grid, SubTerrain
+from wheelleg_exp.sim.terrain.sub_terrains import Array, Grid, SubTerrain
+from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
 
 _MARGIN = 0.001  # by which a share has to reach beyond a column, as in Isaac Lab
 
@@ -66,7 +66,7 @@ def make_relief(layout: Layout) -> Relief:
     origins[..., :2] = _centres(layout)
     patches = _no_patches(layout, origins)
     tiles: dict[tuple[int, int], Tile] = {}
-    for row, col in told("making tiles", _order(layout)):
+    for row, col in with_progress("making tiles", _order(layout)):
         kind, difficulty = _chosen(layout, row, col, rng)
         part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
         tile = _tile(layout, part, difficulty, rng, key)

@@ -1,17 +1,18 @@
-"""Finds the rigid bodies and says which body a prim belongs to."""
+"""Find the rigid bodies, the body that a prim belongs to, and the saved velocity of bodies that float."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 from pxr import Sdf, Usd
 
-from wheelleg_exp.asset.geometry import Frame
-from wheelleg_exp.asset.naming import unique_names
-from wheelleg_exp.asset.sources import MOST_BODIES, require_size
-from wheelleg_exp.asset.usd.stage import Stage, schemas
-from wheelleg_exp.asset.usd.variants import variant_sets
+from wheelleg_exp.asset.file_limits import MOST_BODIES, require_size
+from wheelleg_exp.asset.rigid_geometry import Frame, rigid_part, vec3
+from wheelleg_exp.asset.robot_description import unique_names
+from wheelleg_exp.asset.usd.usd_stage import Stage, schemas, variant_sets
 from wheelleg_exp.errors import AssetError
 
 LONGEST = 200  # characters of a name from metadata
@@ -131,3 +132,19 @@ def _link(stage: Stage, prim: Usd.Prim, name: str) -> Link:
     weightless = bool(ledger.read(prim, "physxRigidBody:disableGravity", "gravcomp"))
     ledger.mapped(prim.GetPath(), "PhysicsRigidBodyAPI", f"body {name}")
     return Link(str(prim.GetPath()), prim, name, stage.frame(prim), kinematic, weightless)
+
+
+Velocity = tuple[float, float, float, float, float, float]
+
+
+def velocity_of(stage: Stage, link: Link) -> Velocity:
+    """Return a body's saved velocity: m/s in the world, then rad/s about the body's own axes.
+
+    USD holds it in the space of the prim's transform, in stage lengths and degrees.
+    """
+    linear = stage.ledger.read(link.prim, "physics:velocity", "keyframe home, qvel")
+    angular = stage.ledger.read(link.prim, "physics:angularVelocity", "keyframe home, qvel")
+    space = rigid_part(stage.matrix(link.prim.GetParent())).rotation
+    speed = space @ np.array(linear or (0.0, 0.0, 0.0)) * stage.units.meters
+    turning = link.frame.rotation.T @ space @ np.array(angular or (0.0, 0.0, 0.0)) * (math.pi / 180)
+    return *vec3(speed), *vec3(turning)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pxr import Sdf
 
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links
-from wheelleg_exp.asset.usd.joints.joints import Joint
-from wheelleg_exp.asset.usd.stage import Stage, schemas
+from wheelleg_exp.asset.usd.joints.usd_joints import Joint
+from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 Root = tuple[Link, "Joint | None"]
 

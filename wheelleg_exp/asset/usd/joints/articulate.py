@@ -8,16 +8,13 @@ from dataclasses import asdict, replace
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.description import Dof, Vec3
-from wheelleg_exp.asset.geometry import Array, Frame, rounded, vec3
-from wheelleg_exp.asset.usd.bodies.nodes import Node, drawn_in_parent
-from wheelleg_exp.asset.usd.joints.axes import FreeAxis, turned
-from wheelleg_exp.asset.usd.joints.drives import clamped, read_drive
-from wheelleg_exp.asset.usd.joints.joints import Joint
-from wheelleg_exp.asset.usd.joints.limits import read_range
-from wheelleg_exp.asset.usd.joints.passive import force_range, read_passive, velocity_limit
-from wheelleg_exp.asset.usd.mjc.angles import angle_in_radians
-from wheelleg_exp.asset.usd.stage import Stage
+from wheelleg_exp.asset.rigid_geometry import Array, Frame, rounded, vec3
+from wheelleg_exp.asset.robot_description import Dof, Vec3
+from wheelleg_exp.asset.usd.bodies.body_tree import Node, drawn_in_parent
+from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, read_range, turned
+from wheelleg_exp.asset.usd.joints.joint_drives import clamped, force_range, read_drive, read_passive, velocity_limit
+from wheelleg_exp.asset.usd.joints.usd_joints import Joint
+from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians
 
 CLOSE_M, CLOSE_RAD = 1e-5, 1e-4  # below this a drawing and its joint frames agree
 

@@ -1,0 +1,288 @@
+"""Find wheels by shape and motion, the legs that lead to them, and mirrored joints; never by a name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.anatomy.anatomy_parts import Array, Leg, MirroredPair, Tree
+from wheelleg_exp.anatomy.collider_shapes import colliders, reach
+
+TURNS = 3 * math.pi  # rad: a range beyond one and a half turns is none
+LEVEL = 0.5  # largest upright part of an axle
+_ROUND = 0.9  # least reach across the axle over the largest; that of a hull of seven corners
+_ROUGH = 0.6  # the same, of a square box, where the masses lie as those of a wheel
+_LOW = 0.4  # of the robot's height: where wheels end above its lowest point
+_BESIDE = 0.05  # of the reach: from here on a wheel's shape lies beside its axis
+_SMALLEST = 1e-3  # m, radius
+_EQUAL = 0.1  # of the larger: between two moments of inertia that count as equal
+_CENTRED = 0.1  # of the radius: from the axle to the centre of mass
+_HALF_TURN = math.pi  # rad: from here on the limits of a round thing are worth a word
+_AROUND = 48
+
+
+@dataclass(frozen=True)
+class Found:
+    """A hinge that a wheel turns on; world frame, m.
+
+    Attributes:
+        joint: its number.
+        bodies: the bodies that it moves.
+        axis: unit vector.
+        centre: of the colliders, on the axis.
+        radius: largest reach across the axis.
+        width: extent along the axis.
+        roundness: least reach across the axis over the largest.
+        beside: distance from the axis to the line that the colliders are round about; 0 where there is none.
+        why: how it is known.
+    """
+
+    joint: int
+    bodies: tuple[int, ...]
+    axis: Array
+    centre: Array
+    radius: float
+    width: float
+    roundness: float
+    beside: float
+    why: str
+
+
+def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
+    """Return the hinges that wheels turn on, and those that lack one thing to be one, with what."""
+    found, near = [], {}
+    bottom, top = _height(tree)
+    for joint in tree.joints:
+        if not _may_roll(tree, joint):
+            continue
+        bodies = tree.below(int(tree.model.jnt_bodyid[joint]))
+        solid = colliders(tree.model, bodies)
+        drawn = [geom for geom in range(tree.model.ngeom) if int(tree.model.geom_bodyid[geom]) in bodies]
+        if not solid:
+            shown = _measured(tree, joint, bodies, drawn) if drawn else None
+            if tree.turns(joint) > TURNS and shown is not None and shown.roundness >= _ROUND:
+                near[joint] = "nothing of what it turns collides"
+            continue
+        shape = _measured(tree, joint, bodies, solid)
+        if not _is_round(tree, shape):
+            if tree.turns(joint) > TURNS and _spins_freely(tree, shape):
+                near[joint] = _where_its_shape_is(shape)
+            continue
+        low = float(shape.centre @ tree.up) - shape.radius
+        if low > bottom + _LOW * (top - bottom):
+            continue
+        if tree.turns(joint) > TURNS:
+            found.append(shape)
+        elif tree.turns(joint) >= _HALF_TURN:
+            low_limit, high_limit = tree.model.jnt_range[joint]
+            near[joint] = f"its limits of {low_limit:.4g} to {high_limit:.4g} rad keep it from rolling on"
+    return found, near
+
+
+def _may_roll(tree: Tree, joint: int) -> bool:
+    """Return whether a joint is a level hinge, the only one of its body and the last of its chain."""
+    body = int(tree.model.jnt_bodyid[joint])
+    last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
+    return tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL
+
+
+def _height(tree: Tree) -> tuple[float, float]:
+    """Return how low and how high the robot's colliders reach, m in the world."""
+    solid = colliders(tree.model, tree.bodies)
+    down, up = reach(tree.model, tree.data, solid, np.zeros(3), np.array([-tree.up, tree.up]))
+    return (-float(down), float(up)) if solid else (0.0, 0.0)
+
+
+def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int]) -> Found:
+    model, data = tree.model, tree.data
+    axis, anchor = data.xaxis[joint].copy(), data.xanchor[joint].copy()
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
+    circle = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
+    outline = reach(model, data, geoms, anchor, np.vstack([circle, axis, -axis]))
+    there, back = outline[-2], outline[-1]
+    outline = outline[:-2]
+    radius = float(outline.max())
+    roundness = float(outline.min()) / radius if radius > 0 else 0.0
+    return Found(
+        joint=joint,
+        bodies=tuple(bodies),
+        axis=axis,
+        centre=anchor + axis * (there - back) / 2,
+        radius=radius,
+        width=float(there + back),
+        roundness=roundness,
+        beside=_beside(outline, angles),
+        why=f"turns without end about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
+        f"from the axis all round, within {100 * (1 - roundness):.1f} %",
+    )
+
+
+def _where_its_shape_is(shape: Found) -> str:
+    """Return what is wrong with colliders on a joint whose masses lie about it as a wheel's."""
+    if shape.beside > _BESIDE * shape.radius:
+        return f"its colliders are round about a line {1e3 * shape.beside:.3g} mm beside its axis"
+    reach_of = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
+    return f"its colliders, unlike its masses, do not lie about its axis as a wheel's: they reach {reach_of} from it"
+
+
+def _beside(outline: Array, angles: Array) -> float:
+    """Return how far from the axis lies the line that an outline is round about, m; 0 where there is none."""
+    shift = 2 * np.array([(outline * np.cos(angles)).mean(), (outline * np.sin(angles)).mean()])
+    centred = outline - shift[0] * np.cos(angles) - shift[1] * np.sin(angles)
+    return float(np.linalg.norm(shift)) if centred.min() >= _ROUND * centred.max() > 0 else 0.0
+
+
+def _is_round(tree: Tree, shape: Found) -> bool:
+    if shape.radius < _SMALLEST or shape.roundness < _ROUGH:
+        return False
+    return shape.roundness >= _ROUND or _spins_freely(tree, shape)
+
+
+def _spins_freely(tree: Tree, shape: Found) -> bool:
+    """Return whether masses lie about an axis as a wheel's: centred on it, equal moments across it."""
+    model, data = tree.model, tree.data
+    bodies = list(shape.bodies)
+    mass = model.body_mass[bodies]
+    if mass.sum() <= 0:
+        return False
+    centre = mass @ data.xipos[bodies] / mass.sum()
+    arm = centre - data.xanchor[shape.joint]
+    if np.linalg.norm(arm - (arm @ shape.axis) * shape.axis) > _CENTRED * shape.radius:
+        return False
+    inertia = np.zeros((3, 3))
+    for body, weight in zip(bodies, mass, strict=True):
+        frame = data.ximat[body].reshape(3, 3)
+        offset = data.xipos[body] - centre
+        inertia += frame @ np.diag(model.body_inertia[body]) @ frame.T
+        inertia += weight * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    cross = np.linalg.svd(shape.axis[None])[2][1:]  # two directions across the axis
+    moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
+    skew = np.linalg.norm(cross @ inertia @ shape.axis)
+    return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
+
+
+def driven_joints(model: mujoco.MjModel) -> set[int]:
+    """Return the joints that an actuator of the model turns; all but followers where it has none."""
+    followers = set(model.eq_obj1id[(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)].tolist())
+    through = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+    moved = {int(model.actuator_trnid[i, 0]) for i in range(model.nu) if int(model.actuator_trntype[i]) in through}
+    return moved or set(range(model.njnt)) - followers
+
+
+_HOLDS = {int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)}
+_BODY = int(mujoco.mjtObj.mjOBJ_BODY)
+
+
+def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> list[Leg]:
+    """Return the leg of each wheel.
+
+    Args:
+        tree: the robot.
+        wheels: the joints that wheels turn on.
+        driven: the joints that something drives.
+    """
+    model = tree.model
+    chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
+    on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
+    closures = _closures(tree)
+    limbs = _limbs(tree, [pair for _, pair in closures])
+    legs = []
+    for wheel, chain in chains.items():
+        limb = limbs.get(int(model.jnt_bodyid[wheel]), set())
+        beside = [joint for joint in tree.joints if int(model.jnt_bodyid[joint]) in limb and joint not in on_chains]
+        legs.append(
+            Leg(
+                wheel=tree.joint_name(wheel),
+                joints=tuple(map(tree.joint_name, chain)),
+                passive=tuple(tree.joint_name(joint) for joint in chain if joint not in driven),
+                beside=tuple(map(tree.joint_name, beside)),
+                loops=tuple(name for name, pair in closures if limb & set(pair)),
+            )
+        )
+    return legs
+
+
+def _closures(tree: Tree) -> list[tuple[str, tuple[int, int]]]:
+    """Return the equality constraints that hold two bodies of the robot together: name, bodies."""
+    model, found = tree.model, []
+    for index in range(model.neq):
+        if int(model.eq_type[index]) not in _HOLDS:
+            continue
+        pair = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if model.eq_objtype[index] != _BODY:
+            pair = int(model.site_bodyid[pair[0]]), int(model.site_bodyid[pair[1]])
+        if set(pair) <= set(tree.bodies):
+            found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
+    return found
+
+
+def _limbs(tree: Tree, closures: Sequence[tuple[int, int]]) -> dict[int, set[int]]:
+    """Return, for each body that is not fixed to the base, the bodies that hang together without the base."""
+    fixed = set(tree.fixed_to(tree.base))
+    limbs = {body: {body} for body in tree.bodies if body not in fixed}
+    links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
+    for one, other in [*links, *closures]:
+        if one in limbs and other in limbs and limbs[one] is not limbs[other]:
+            limbs[one] |= limbs[other]
+            for body in limbs[other]:
+                limbs[body] = limbs[one]
+    return limbs
+
+
+_APART = 0.15  # of the robot's size: farther off is no image
+_TILTED = math.radians(30)
+_MIDDLE = 0.01  # of the robot's size: how near to the plane the middle is
+
+
+def find_mirrored(
+    tree: Tree, left: Array, middle: Array, size: float, wheels: dict[int, Array]
+) -> tuple[list[MirroredPair], list[str]]:
+    """Return the mirrored pairs, and the joints without an image.
+
+    Args:
+        tree: the robot.
+        left: unit normal of the mirror's plane, to the left, in the world, (3,).
+        middle: a point of the plane, m, (3,).
+        size: of the robot, m.
+        wheels: the centres of wheels, m, by joint: their colliders say better where they are than their anchors.
+    """
+    flip = np.eye(3) - 2.0 * np.outer(left, left)
+    joints = tree.joints
+    places = {joint: wheels.get(joint, tree.data.xanchor[joint]) - middle for joint in joints}
+    depths = {joint: len(tree.chain(int(tree.model.jnt_bodyid[joint]))) for joint in joints}
+    images: dict[int, tuple[int, float, float, int]] = {}
+    for joint in joints:
+        options = []
+        for other in joints:
+            if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
+                offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
+                tilt, sign = _turn(tree, flip, joint, other)
+                if offset <= _APART * size and tilt <= _TILTED:
+                    options.append((offset / size + tilt, other, offset, tilt, sign))
+        if options:
+            _, other, offset, tilt, sign = min(options)
+            images[joint] = other, offset, tilt, sign
+    pairs, matched = [], set()
+    for joint, (other, offset, tilt, sign) in images.items():
+        if joint in matched or images.get(other, (None,))[0] != joint:
+            continue
+        matched |= {joint, other}
+        first, second = (joint, other) if places[joint] @ left >= -_MIDDLE * size else (other, joint)
+        pairs.append(MirroredPair(tree.joint_name(first), tree.joint_name(second), sign, offset, tilt))
+    return pairs, [tree.joint_name(joint) for joint in joints if joint not in matched]
+
+
+def _turn(tree: Tree, flip: Array, joint: int, other: int) -> tuple[float, int]:
+    """Return the angle between a joint's mirrored axis and another's, rad, and the sign of its motion.
+
+    A mirror turns the axis of a rotation about: the image of a turn by q about a is one by q about -M a.
+    """
+    image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
+    cosine = float(image @ tree.data.xaxis[other])
+    return math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1

@@ -1,0 +1,307 @@
+"""Solve for the pose in which a wheeled robot stands: balanced, symmetric, at a sensible height."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from mujoco import minimize
+from numpy.typing import NDArray
+
+from wheelleg_exp.anatomy.anatomy_parts import Anatomy
+from wheelleg_exp.anatomy.collider_shapes import lowest_point, overlap_depths
+from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, with_written_limits
+
+Array = NDArray[np.float64]
+
+_STARTS = 10  # random poses that the search begins from, beside the given one
+_STEPS = 40  # of the search, from each
+_MARGIN = 0.08  # share of a joint's range that is kept from its limits
+_STRETCHED, _CROUCHED = 0.93, 0.35  # of the largest height: legs beyond these begin nearer to the middle
+_STANDS = (0.8, 0.55)  # of the largest height: where stretched and crouched legs begin
+_CLEARANCE = 0.5  # of a wheel's radius: how far all but the wheels keep off the ground
+_REACH = math.pi  # rad that an unlimited joint is searched over, to both sides
+_BALANCED = 5e-3  # of the robot's size: mass this near to the axle is balanced
+_TOUCHES = 2e-3  # of the robot's size above the lowest wheel: a wheel this low touches the ground
+_EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A pose.
+
+    Attributes:
+        positions: of the legs' joints, rad (m), by name.
+        height: of the hips over the wheels' centres, m.
+        offset: of the centre of mass before the middle of the wheels' contacts, m; negative behind.
+        lean: pitch of the base that would bring the rest of ``offset`` over the contacts, rad; positive forwards down.
+            0 for a robot on several axles.
+        tallest: the largest such height that was found, m.
+        balanced: whether ``offset`` is next to nothing.
+        grounded: whether every wheel of the problem touches level ground.
+    """
+
+    positions: dict[str, float]
+    height: float
+    offset: float
+    lean: float
+    tallest: float
+    balanced: bool
+    grounded: bool
+
+
+def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
+    """Find the standing pose next to a given one.
+
+    The base keeps its orientation and all joints but the legs' their positions. A nonlinear least-squares problem is
+    solved from several starts by ``mujoco.minimize``. First all wheels are put on the ground. If they cannot all reach
+    it, only those that stand at the given pose are.
+
+    Args:
+        model: the compiled robot, perhaps in its scene.
+        anatomy: what its parts are for.
+        qpos: the pose that is preferred, (nq,).
+
+    Returns:
+        The pose, or None for a robot without wheels that roll, or without joints in its legs.
+    """
+    if anatomy.forward is None:
+        return None
+    every = replace(anatomy, wheels=tuple(replace(wheel, stands=True) for wheel in anatomy.wheels))
+    found = _solved(model, every, qpos)
+    return found if found is None or found.grounded else _solved(model, anatomy, qpos)
+
+
+def _solved(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
+    problem = _Problem(model, anatomy, np.array(qpos, dtype=np.float64))
+    if not problem.joints or not problem.hips:
+        return None
+    problem.choose_height()
+    starts = [problem.preferred, *problem.random_poses(_STARTS)]
+    found = min((problem.search(start) for start in starts), key=problem.cost)
+    return problem.stance(problem.tied(found))
+
+
+class _Problem:
+    """The least-squares problem: what a pose costs, over the positions of the legs' joints."""
+
+    def __init__(self, model: mujoco.MjModel, anatomy: Anatomy, qpos: Array) -> None:
+        self.model, self.anatomy = model, anatomy
+        self.data = mujoco.MjData(model)
+        self.data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(model, self.data)
+        named = dict.fromkeys(name for leg in anatomy.legs for name in (*leg.joints, *leg.beside))
+        self.joints = [name for name in named if name not in anatomy.wheel_joints]
+        ids = [model.joint(name).id for name in self.joints]
+        self.places = model.jnt_qposadr[ids]
+        self.low, self.high = self._limits(ids)
+        self.preferred = np.clip(self.data.qpos[self.places], self.low, self.high)
+        self.spread = self.high - self.low
+        self.base = model.body(anatomy.base).id
+        self.bodies = [
+            body for body in range(1, model.nbody) if model.body_rootid[body] == model.body_rootid[self.base]
+        ]
+        turned = {name for wheel in anatomy.standing for name in wheel.bodies}
+        self.raised = [body for body in self.bodies if model.body(body).name not in turned]
+        rotation = self.data.xmat[self.base].reshape(3, 3)
+        self.forward, self.up = (rotation @ np.array(axis) for axis in (anatomy.forward or (1, 0, 0), anatomy.up))
+        self.wheels = [model.body(wheel.body).id for wheel in anatomy.standing]
+        self.centres = [
+            self.data.xmat[body].reshape(3, 3).T
+            @ (self.data.xpos[self.base] + rotation @ np.array(wheel.centre) - self.data.xpos[body])
+            for body, wheel in zip(self.wheels, anatomy.standing, strict=True)
+        ]  # in the wheels' own frames, m
+        self.size = max(anatomy.size, 1e-6)
+        self.radii = np.array([wheel.radius for wheel in anatomy.standing])
+        self.radius = self.radii.min(initial=math.inf)
+        self.one_axle = bool(np.ptp(self._centres() @ self.forward) < self.radius / 2)
+        self.rolling = [model.joint(wheel.joint).id for wheel in anatomy.standing if not wheel.caster]
+        stand = {wheel.joint for wheel in anatomy.standing}
+        self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
+        self.pairs = self._pairs()
+        self.rest = overlap_depths(
+            model, self.data, self.bodies
+        )  # what overlaps whatever the legs do is no pose's fault
+        self.tallest = self.wanted = 0.0
+
+    def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
+        limited = self.model.jnt_limited[ids].astype(bool)
+        low, high = self.model.jnt_range[ids].T
+        keep = _MARGIN * (high - low)
+        now = self.data.qpos[self.model.jnt_qposadr[ids]]
+        return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
+
+    def _pairs(self) -> list[tuple[int, int, float]]:
+        """Return mirrored joints among those that move, as indices and sign, where they are images of each other."""
+        index = {name: number for number, name in enumerate(self.joints)}
+        pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
+        return [(index[p.left], index[p.right], p.sign) for p in pairs if p.left in index and p.right in index]
+
+    def at(self, positions: Array) -> mujoco.MjData:
+        """Return the robot in a pose, its contacts included."""
+        self.data.qpos[self.places] = positions
+        mujoco.mj_fwdPosition(self.model, self.data)
+        return self.data
+
+    def _centres(self) -> Array:
+        """Return the wheels' centres, m, (wheels, 3)."""
+        data, placed = self.data, zip(self.wheels, self.centres, strict=True)
+        return np.array([data.xpos[body] + data.xmat[body].reshape(3, 3) @ centre for body, centre in placed])
+
+    def _height(self) -> float:
+        """Return the height of the hips, the first joints of the legs, over the wheels' centres, m."""
+        hips = np.mean([self.data.xanchor[joint] for joint in self.hips], axis=0)
+        return float((hips - self._centres().mean(axis=0)) @ self.up)
+
+    def choose_height(self) -> None:
+        """Keep the height of the preferred pose, unless its legs are stretched or fully folded."""
+        self.at(self.preferred)
+        now = self._height()
+        heights = []
+        for pose in self.random_poses(400):
+            self.data.qpos[self.places] = pose
+            mujoco.mj_kinematics(self.model, self.data)
+            heights.append(self._height())
+        self.tallest = max([now, *heights])
+        share = now / self.tallest if self.tallest > 0 else 1.0
+        factor = _STANDS[0] if share > _STRETCHED else _STANDS[1] if share < _CROUCHED else share
+        self.wanted = factor * self.tallest
+
+    def random_poses(self, count: int) -> list[Array]:
+        """Return poses within the limits, alike on both sides."""
+        poses = np.random.default_rng(0).uniform(self.low, self.high, (count, len(self.joints)))
+        for left, right, sign in self.pairs:
+            poses[:, right] = np.clip(sign * poses[:, left], self.low[right], self.high[right])
+        return list(poses)
+
+    def overlap(self) -> float:
+        """Return the deepest overlap beyond those of the preferred pose, m."""
+        depths = overlap_depths(self.model, self.data, self.bodies)
+        return max((depth - self.rest.get(pair, 0.0) for pair, depth in depths.items()), default=0.0)
+
+    def offset(self) -> float:
+        """Return how far the centre of mass stands before the middle of the wheels, m."""
+        places = self._centres() @ self.forward
+        return float(self.data.subtree_com[self.base] @ self.forward - (places.max() + places.min()) / 2)
+
+    def residual(self, positions: Array) -> Array:
+        """Return the weighted errors of a pose, without units."""
+        data = self.at(positions)
+        centres = self._centres()
+        ground = (centres @ self.up).min() - self.radius
+        low = -lowest_point(self.model, data, self.raised)  # the world's z is up in a scene
+        low = ground + low if math.isfinite(low) else -math.inf
+        loops = data.efc_pos[data.efc_type == _EQUALITY] if data.nefc else np.zeros(0)
+        apart = [positions[right] - sign * positions[left] for left, right, sign in self.pairs]
+        moved = (positions - self.preferred) / self.spread
+        errors = [
+            (200.0 if self.one_axle else 20.0) * self.offset() / self.size,  # several axles carry a mass between them
+            100.0 * self._askew(centres) / self.size,
+            *(500.0 * self._clearances(centres) / self.size),
+            *(10.0 * (data.xaxis[self.rolling] @ np.array([self.up, self.forward]).T)).ravel(),
+            *(1000.0 * loops / self.size),
+            10.0 * (self._height() - self.wanted) / self.size,
+            20.0 * max(0.0, low + _CLEARANCE * self.radius) / self.size,
+            100.0 * self.overlap() / self.size,
+            *(2.0 * np.array(apart)),
+            *(0.5 * moved),
+        ]
+        return np.array(errors)
+
+    def _clearances(self, centres: Array) -> Array:
+        """Return the heights of the wheels' lowest points over their mean, m, (wheels,)."""
+        lows: Array = centres @ self.up - self.radii
+        return lows - lows.mean()
+
+    def _askew(self, centres: Array) -> float:
+        """Return how far the left wheels are before the right ones, m."""
+        sides = {side: centres[[w.side == side for w in self.anatomy.standing]] for side in ("left", "right")}
+        if any(len(places) == 0 for places in sides.values()):
+            return 0.0
+        return float((sides["left"].mean(axis=0) - sides["right"].mean(axis=0)) @ self.forward)
+
+    def cost(self, positions: Array) -> float:
+        """Return the sum of squared errors."""
+        return float(np.square(self.residual(positions)).sum())
+
+    def search(self, start: Array) -> Array:
+        """Return the nearest pose of least cost."""
+
+        def columns(poses: Array) -> Array:
+            return np.stack([self.residual(pose) for pose in poses.T], axis=1)
+
+        found, _ = minimize.least_squares(
+            start.copy(), columns, [self.low, self.high], eps=1e-6, max_iter=_STEPS, verbose=0, output=io.StringIO()
+        )
+        return np.asarray(found, dtype=np.float64)
+
+    def tied(self, positions: Array) -> Array:
+        """Return a pose with mirrored joints exactly alike, where that costs nothing."""
+        alike = positions.copy()
+        for left, right, sign in self.pairs:
+            alike[left] = (positions[left] + sign * positions[right]) / 2
+            alike[right] = sign * alike[left]
+        alike = np.round(alike, 4)
+        fits = bool(np.all((alike >= self.low - 1e-3) & (alike <= self.high + 1e-3)))
+        return alike if fits and self.cost(alike) < self.cost(positions) + 0.05 else np.round(positions, 5)
+
+    def stance(self, positions: Array) -> Stance:
+        """Return what there is to say of a pose."""
+        self.at(positions)
+        offset = self.offset()
+        above = float((self.data.subtree_com[self.base] - self._centres().mean(axis=0)) @ self.up)
+        return Stance(
+            positions=dict(zip(self.joints, map(float, positions), strict=True)),
+            height=self._height(),
+            offset=offset,
+            lean=-math.atan2(offset, above) if above > 0 and self.one_axle else 0.0,
+            tallest=self.tallest,
+            balanced=abs(offset) <= _BALANCED * self.size,
+            grounded=bool(np.ptp(self._clearances(self._centres())) <= _TOUCHES * self.size),
+        )
+
+
+@dataclass(frozen=True)
+class Weight:
+    """The centre of mass of all but the wheels, against the middle of the axle.
+
+    Attributes:
+        ahead: along the forward axis, m.
+        above: upwards, m.
+        place: world, m, (3,).
+    """
+
+    ahead: float
+    above: float
+    place: Array
+
+    @property
+    def lean(self) -> float:
+        """Angle from the upright to the line from the axle to the centre of mass, rad; positive to the front."""
+        return math.atan2(self.ahead, self.above)
+
+
+def weight_over_axle(robot: CompiledRobot) -> Weight:
+    """Return where the weight lies as episodes begin; of a robot with wheels that roll one way."""
+    model, anatomy = robot.model, robot.anatomy
+    data = robot.data
+    base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
+    turned = {model.body(name).id for wheel in anatomy.standing for name in wheel.bodies}
+    upper = [body for body in (model.body(name).id for name in robot.bodies) if body not in turned]
+    mass = model.body_mass[upper]
+    place = mass @ data.xipos[upper] / mass.sum()
+    wheels = [wheel.joint for wheel in anatomy.standing]
+    axle = np.mean([data.xanchor[model.joint(name).id] for name in wheels], axis=0)
+    arm = base.T @ (place - axle)
+    return Weight(float(arm @ np.array(anatomy.forward)), float(arm @ np.array(anatomy.up)), place)
+
+
+def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
+    """Return leg positions that put the weight over the axle while the base stays level; None when there are none."""
+    model = with_written_limits(robot.model, robot.report)
+    stance = solve_stance(model, robot.anatomy, robot.data.qpos)
+    return stance.positions if stance is not None and stance.balanced else None

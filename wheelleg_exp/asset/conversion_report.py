@@ -1,0 +1,217 @@
+"""The report of a conversion: what was read, assumed, and left out; the findings, the verdict, and the model's values.
+
+| kind of finding | subject | numbers |
+|---|---|---|
+| `no_inertial` | body | assumed ``mass``, kg; 0 for a frame on the body that it is welded to |
+| `no_inertia` | body with a mass | ``mass`` kg; its tensor is that of its shapes, or of a sphere |
+| `tiny_inertia` | body | ``mass`` kg, ``largest`` moment kg m² |
+| `impossible_inertia` | body | ``a``, ``b``, ``c`` as written, ``cut_to`` the largest possible moment, kg m² |
+| `no_colliders` | robot | |
+| `implausible_size` | robot | ``mass`` kg, ``size`` m: longest edge of the box around its colliders and joints |
+| `end_without_collider` | last body of a limb | ``mass`` kg |
+| `mesh_not_found` | file name | ``colliders``, ``visuals`` that name it |
+| `layer_not_found` | layer name | ``places`` that name it; ``looks`` 1 when all of them are only visual |
+| `limits_ignored` | continuous joint | ``lower``, ``upper`` as written |
+| `no_limits` | joint that should have limits | ``lower``, ``upper`` as written, where given |
+| `placeholder_effort`, `placeholder_velocity` | joint | ``value`` as written: 0, or at least 1000 |
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, get_args
+
+from wheelleg_exp.plain_data import json_value
+
+Kind = Literal[
+    "no_inertial",
+    "no_inertia",
+    "tiny_inertia",
+    "impossible_inertia",
+    "no_colliders",
+    "implausible_size",
+    "end_without_collider",
+    "mesh_not_found",
+    "layer_not_found",
+    "limits_ignored",
+    "no_limits",
+    "placeholder_effort",
+    "placeholder_velocity",
+]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+UNITS = "check the units: metres and kilograms; meshes in mm need a scale of 0.001"
+SIZES = (0.01, 20.0)  # m, longest edge of a robot
+DENSITIES = (0.01, 5000.0)  # kg/m³ of a cube whose edge is the robot's longest; most real robots have 10 to 100
+PLACEHOLDER = 1e3  # N m, N, rad/s or m/s: from here on a limit is what an exporter writes for "none"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found: what it is, the body, joint or file that it is about by name, and where it stands."""
+
+    kind: Kind
+    subject: str
+    path: str
+    numbers: dict[str, float]
+
+
+def is_placeholder(value: float) -> bool:
+    """Return whether a limit of effort or speed is no limit of any motor: zero, or huge."""
+    return value == 0 or abs(value) >= PLACEHOLDER
+
+
+def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:
+    """Return why no robot has this mass (kg) and longest edge (m); an empty text if the pair is plausible.
+
+    ``lightest`` is the smallest density in kg/m³ of a cube with that edge.
+    """
+    density = mass / size**3 if size > 0 else math.nan
+    if not lightest <= density <= DENSITIES[1]:
+        return f"{mass:.4g} kg in {size:.4g} m: a cube of that size would weigh {density:.3g} kg/m³"
+    return "" if SIZES[0] <= size <= SIZES[1] else f"the robot is {size:.4g} m long"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a conversion is worth: ``good``, ``check`` (read the warnings) or ``doubtful``, and further ``reasons``."""
+
+    level: Literal["good", "check", "doubtful"]
+    reasons: tuple[str, ...] = ()
+
+
+MUCH = 0.1  # share of the mass that is assumed, from which on a robot is not the one that was meant
+
+
+def verdict_of(findings: Sequence[Finding], assumed_share: float, warnings: int) -> Verdict:
+    """Return the verdict on a conversion.
+
+    Args:
+        findings: what is odd about the file.
+        assumed_share: how much of the mass the file does not give.
+        warnings: how many there are.
+    """
+    count = Counter(item.kind for item in findings)
+    gone = sum(item.kind == "layer_not_found" and not item.numbers["looks"] for item in findings)
+    lost = sum(item.numbers.get("colliders", 0) for item in findings if item.kind == "mesh_not_found")
+    doubts = [
+        (count["no_colliders"], "it has no colliders"),
+        (count["implausible_size"], "no robot has its size and mass"),
+        (assumed_share >= MUCH, f"{assumed_share:.0%} of its mass is assumed"),
+        (lost, f"{lost:g} colliders are lost with their meshes"),
+        (gone, f"{gone} layers or prims that it names are not there"),
+        (count["limits_ignored"], f"{count['limits_ignored']} joints lost the limits that are written"),
+    ]
+    reasons = tuple(text for true, text in doubts if true)
+    if not reasons and assumed_share:
+        return Verdict("check", (f"{assumed_share:.1%} of its mass is assumed",))
+    return Verdict("doubtful" if reasons else "check" if warnings else "good", reasons)
+
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A part of the USD and what it became."""
+
+    path: str
+    name: str
+    became: str
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """A value that the file does not give, or gives in a way that needs a rule."""
+
+    path: str
+    rule: str
+    value: str
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Something that carries physics and has no place in the MJCF: ``values`` by prim path."""
+
+    name: str
+    reason: str
+    values: dict[str, str]
+
+
+@dataclass(frozen=True)
+class DofOrder:
+    """Names of the degrees of freedom in the order of either simulator."""
+
+    physx: tuple[str, ...]
+    mujoco: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """The whole story of one conversion.
+
+    ``layers`` maps each layer that the stage is made of to the sha256 of its bytes. ``velocity_limits`` holds
+    what MuJoCo has no place for and a controller still wants, in rad/s (m/s) by degree of freedom. ``findings`` are
+    what is odd about the file, one record each; ``values`` are the model's numbers by name (``values_of``), and
+    ``authored`` the file's own of its joints, by path, in its units.
+    """
+
+    source: str
+    model: str
+    root: str
+    base: str
+    stage: dict[str, Any]
+    variants: dict[str, str]
+    totals: dict[str, Any]
+    bodies: dict[str, str]
+    joints: dict[str, str]
+    dof_order: DofOrder
+    velocity_limits: dict[str, float]
+    mapped: tuple[Mapped, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    warnings: tuple[str, ...] = ()
+    unresolved: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    values: dict[str, Any] = field(default_factory=dict)
+    authored: dict[str, dict[str, Any]] = field(default_factory=dict)
+    layers: dict[str, str] = field(default_factory=dict)
+    version: int = VERSION
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the conversion is worth, by its findings and warnings."""
+        return verdict_of(self.findings, self.totals.get("assumed_share", 0.0), len(self.warnings))
+
+    def to_json(self) -> str:
+        """Return one JSON document, the same to the byte for the same conversion."""
+        return json.dumps({"verdict": asdict(self.verdict), **asdict(self)}, indent=2, ensure_ascii=False) + "\n"
+
+    @staticmethod
+    def from_json(text: str) -> Report:
+        """Read a report back.
+
+        Raises:
+            ValueError: the text is no report of this version.
+        """
+        try:
+            return _parse(json_value(text))
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"not a conversion report: {error}") from error
+
+
+def _parse(data: Mapping[str, Any]) -> Report:
+    if data["version"] != VERSION:
+        raise ValueError(f"a report of version {data['version']}, expected {VERSION}")
+    fields = {name: value for name, value in data.items() if name != "verdict"}  # which is made of the others
+    fields["dof_order"] = DofOrder(tuple(data["dof_order"]["physx"]), tuple(data["dof_order"]["mujoco"]))
+    fields["mapped"] = tuple(Mapped(**item) for item in data["mapped"])
+    fields["assumptions"] = tuple(Assumption(**item) for item in data["assumptions"])
+    fields["left_out"] = tuple(LeftOut(**item) for item in data["left_out"])
+    fields["warnings"] = tuple(data["warnings"])
+    fields["unresolved"] = tuple(data["unresolved"])
+    fields["findings"] = tuple(Finding(**item) for item in data.get("findings", ()))  # of older reports: none
+    return Report(**fields)

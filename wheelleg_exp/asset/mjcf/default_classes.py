@@ -1,0 +1,311 @@
+"""Collect common attributes into default classes, so that each number appears once in the file.
+
+One class has the robot's name and holds what all elements of a kind share. Its child classes hold what several
+elements share. A child class is called ``wheel`` or ``leg`` if the robot's structure shows that role, else by the
+words that the names have in common: ``FL_hip`` and ``FR_hip`` make the class ``hip``. Roles come from the structure
+alone: a wheel is the last hinge of a limb, has no limits, and its shapes are round about its axis; the joints above
+are its leg. A robot without wheels has no roles.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wheelleg_exp.asset.mjcf import mjcf_elements as of
+from wheelleg_exp.asset.mjcf.mjcf_elements import GROUP_COLLIDER, GROUP_VISUAL, Attributes, Element, Value, value_text
+from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.robot_description import Body, Closure, Coupling, Dof, Geom, Mesh, RobotDescription
+
+WHEEL, LEG = "wheel", "leg"
+ROUND = 0.1  # share of a wheel's radius that its shapes may be off
+
+
+def roles_of(robot: RobotDescription) -> dict[str, str]:
+    """Return ``wheel`` or ``leg`` by the name of a joint, an actuator or a shape; others are left out."""
+    meshes = {mesh.name: mesh for mesh in robot.meshes}
+    bodies = {body.name: body for body in robot.bodies}
+    movers = {body.name: _mover(body, bodies) for body in robot.bodies}
+    groups: dict[str, list[Body]] = {}
+    for body in robot.bodies:
+        groups.setdefault(movers[body.name], []).append(body)
+    carriers = {movers[body.parent] for body in robot.bodies if body.parent is not None and body.dofs}
+    wheels = [name for name in groups if name not in carriers and _is_wheel(groups[name], bodies, meshes)]
+    kinds = dict.fromkeys(wheels, WHEEL)
+    for name in wheels:
+        parent = bodies[name].parent
+        while parent is not None:
+            if bodies[movers[parent]].dofs:
+                kinds.setdefault(movers[parent], LEG)
+            parent = bodies[movers[parent]].parent
+    found: dict[str, str] = {}
+    for name, kind in kinds.items():
+        found |= {dof.name: kind for dof in bodies[name].dofs}
+        found |= {geom.name: kind for body in groups[name] for geom in body.geoms}
+    return found | {item.name: found[item.target] for item in robot.actuators if item.target in found}
+
+
+def _mover(body: Body, bodies: dict[str, Body]) -> str:
+    """Return the name of the body that a body is welded to in the end."""
+    while body.parent is not None and not body.dofs:
+        body = bodies[body.parent]
+    return body.name
+
+
+def _is_wheel(group: list[Body], bodies: dict[str, Body], meshes: dict[str, Mesh]) -> bool:
+    dofs = group[0].dofs
+    if len(dofs) != 1 or dofs[0].kind != "hinge" or dofs[0].range is not None:
+        return False
+    shapes = [(body, geom) for body in group for geom in body.geoms]
+    solid = [(body, geom) for body, geom in shapes if geom.collides] or shapes
+    return any(_is_round(dofs[0], _in_top(body, group[0], bodies), geom, meshes) for body, geom in solid)
+
+
+def _in_top(body: Body, top: Body, bodies: dict[str, Body]) -> Frame:
+    frame = Frame.identity()
+    while body is not top and body.parent is not None:
+        frame, body = Frame.of(body.pose) @ frame, bodies[body.parent]
+    return frame
+
+
+def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> bool:
+    """Return whether a shape is as wide in all directions across the joint's axis, and its middle stands on that."""
+    frame = inside @ Frame.of(geom.pose)
+    axis = np.asarray(dof.axis) / np.linalg.norm(dof.axis)
+    along = frame.rotation.T @ axis  # in the shape's own frame
+    middle, radius = _section(geom, along, meshes)
+    offset = frame.rotation @ middle + frame.translation - np.asarray(dof.anchor)
+    return radius > 0 and float(np.linalg.norm(offset - (offset @ axis) * axis)) <= ROUND * radius
+
+
+def _section(geom: Geom, along: Array, meshes: dict[str, Mesh]) -> tuple[Array, float]:
+    """Return a shape's middle and its radius about an axis through that, in m; 0 when it is not round about it."""
+    if geom.kind == "sphere":
+        return np.zeros(3), geom.size[0]
+    if geom.kind in ("cylinder", "capsule"):
+        return np.zeros(3), geom.size[0] if abs(along[2]) > 0.99 else 0.0
+    if geom.kind != "mesh" or geom.mesh is None:
+        return np.zeros(3), 0.0
+    points = meshes[geom.mesh].vertices
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    across = points - middle - np.outer((points - middle) @ along, along)
+    first = np.linalg.svd(along[None])[2][1:]  # two directions across
+    reach = [
+        float(np.abs(across @ (np.cos(angle) * first[0] + np.sin(angle) * first[1])).max())
+        for angle in np.linspace(0, np.pi, 8, endpoint=False)
+    ]
+    return middle, max(reach) if min(reach) >= (1 - ROUND) * max(reach) else 0.0
+
+
+VISUAL, COLLISION = "visual", "collision"
+ACTUATORS = {"position", "velocity", "motor", "general"}
+RESERVED = {"main", VISUAL, COLLISION, *ACTUATORS}
+EMPTY_WORDS = {"joint", "actuator", "act", "geom", "site", "link", VISUAL, COLLISION}
+
+
+@dataclass
+class Family:
+    """Elements of one tag by name, and which attributes may make a class of their own (None: all of them)."""
+
+    tag: str
+    members: Mapping[str, Attributes]
+    parent: str
+    grouping: frozenset[str] | None = None
+    fixed: Attributes = field(default_factory=dict)
+
+
+class Classes:
+    """The default classes of a document, and what is left for each element to say.
+
+    ``roles`` are what joints, actuators and shapes are for, by name.
+    """
+
+    def __init__(self, root: str, roles: Mapping[str, str]) -> None:
+        self.root, self.roles = root, roles
+        self._content: dict[str, dict[str, Attributes]] = {root: {}}
+        self._parents: dict[str, str] = {}
+        self._of: dict[tuple[str, str], str] = {}
+        self._rest: dict[tuple[str, str], Attributes] = {}
+
+    def child(self, name: str) -> None:
+        """Make an empty class within the robot's."""
+        self._content.setdefault(name, {})
+        self._parents[name] = self.root
+
+    def add(self, family: Family) -> None:
+        """Find the classes of a family's members."""
+        shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
+        if shared:
+            self._content[family.parent][family.tag] = shared
+        rests = {name: _without(own, shared) for name, own in family.members.items()}
+        for name, rest in rests.items():
+            self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
+        for names in _alike(rests, family.grouping):
+            self._group(family, names, {key: rests[names[0]][key] for key in _grouping(rests[names[0]], family)})
+
+    def of(self, tag: str, name: str) -> str | None:
+        """Return an element's class, None when it has none or when it is the robot's, which bodies hand down."""
+        found = self._of.get((tag, name))
+        return None if found is None or found == self.root or not self._needed(found) else found
+
+    def explicit(self, tag: str, name: str) -> str | None:
+        """Return an element's class where no body hands one down: the robot's only if it says something of ``tag``."""
+        found = self._of.get((tag, name))
+        return self.of(tag, name) if found != self.root else self.root if tag in self._content[self.root] else None
+
+    def rest(self, tag: str, name: str) -> Attributes:
+        """Return the attributes that an element's class does not give it."""
+        return self._rest[tag, name]
+
+    def inherited(self) -> bool:
+        """Return whether bodies have something to hand down."""
+        return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
+
+    def element(self) -> Element:
+        """Return the ``<default>`` of the document."""
+        out = Element("default")
+        made = {self.root: Element("default", {"class": self.root})}
+        for name, tags in self._content.items():
+            element = made.setdefault(name, Element("default", {"class": name}))
+            for tag, shared in tags.items():
+                element.add(tag, shared)
+        for name, parent in self._parents.items():
+            if self._needed(name):
+                made[parent].children.append(made[name])
+        if made[self.root].children:
+            out.children.append(made[self.root])
+        return out
+
+    def common(self, names: Iterable[str]) -> str:
+        """Return what elements have in common: they are wheels, or words of their names, or they are of legs."""
+        names = list(names)
+        found = {self.roles.get(name, "") for name in names}
+        role = found.pop() if len(found) == 1 else ""
+        return role if role == WHEEL else _words_in_common(names) or role
+
+    def _needed(self, name: str) -> bool:
+        return bool(self._content[name]) or any(parent == name for parent in self._parents.values())
+
+    def _group(self, family: Family, names: list[str], shared: Attributes) -> None:
+        name = self._free(self.common(names), family)
+        self._content.setdefault(name, {})[family.tag] = shared
+        self._parents[name] = family.parent
+        for member in names:
+            self._of[family.tag, member] = name
+            self._rest[family.tag, member] = _without(self._rest[family.tag, member], shared)
+
+    def _free(self, stem: str, family: Family) -> str:
+        """Return a name for a class: one of the same parent may hold several tags."""
+        if family.parent == self.root:
+            stem = stem or ("actuators" if family.tag in ACTUATORS else f"{family.tag}s")
+        else:
+            stem = f"{stem}_{family.parent}" if stem else family.parent
+        name, number = stem, 2
+        while name in RESERVED or name == self.root or self._taken(name, family):
+            name, number = f"{stem}_{number}", number + 1
+        return name
+
+    def _taken(self, name: str, family: Family) -> bool:
+        return name in self._content and (family.tag in self._content[name] or self._parents.get(name) != family.parent)
+
+
+def _key(value: Value) -> str:
+    return value_text(value)
+
+
+def _common(members: Iterable[Attributes], fixed: Attributes) -> Attributes:
+    """Return what all members say alike; nothing of a single one, which can say it itself."""
+    first, *others = [*members] or [{}]
+    if not others:
+        return {}
+    shared = {k: v for k, v in first.items() if all(k in o and _key(o[k]) == _key(v) for o in others)}
+    return {k: v for k, v in shared.items() if k not in fixed or _key(fixed[k]) != _key(v)}
+
+
+def _without(own: Attributes, shared: Attributes) -> Attributes:
+    return {k: v for k, v in own.items() if k not in shared or _key(shared[k]) != _key(v)}
+
+
+def _grouping(rest: Attributes, family: Family) -> list[str]:
+    return [key for key in rest if family.grouping is None or key in family.grouping]
+
+
+def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> list[list[str]]:
+    """Return the names of members that say the same, where there are two or more."""
+    groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    for name, rest in rests.items():
+        key = tuple(sorted((k, _key(v)) for k, v in rest.items() if grouping is None or k in grouping))
+        if key:
+            groups.setdefault(key, []).append(name)
+    return [names for names in groups.values() if len(names) > 1]
+
+
+def _words_in_common(names: list[str]) -> str:
+    """Return the words that all names have, in the order of the first."""
+    split = [re.findall(r"[A-Za-z]+|\d+", name) for name in names]
+    shared = [word for word in split[0] if all(word in words for words in split[1:])]
+    words = [word for word in dict.fromkeys(shared) if not word.isdigit()]
+    return "_".join(word for word in words if word.lower() not in EMPTY_WORDS)
+
+
+COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)
+SHARED = frozenset({"group", "rgba", "friction", "condim", "solref", "solimp", "solmix", "margin", "gap", "priority"})
+UNSEEN: Attributes = {"group": GROUP_VISUAL, "contype": 0, "conaffinity": 0, "mass": 0.0}
+TOUCHED: Attributes = {"contype": 0, "conaffinity": 1}  # by the ground, and by nothing of the robot
+
+
+def gather(robot: RobotDescription) -> Classes:
+    """Return the default classes of a robot."""
+    root = robot.name if robot.name not in RESERVED else f"{robot.name}_robot"
+    classes = Classes(root, roles_of(robot))
+    for name in (VISUAL, COLLISION):
+        classes.child(name)
+    for family in (*_geoms(robot), *_others(robot, root), *_actuators(robot, classes)):
+        classes.add(family)
+    return classes
+
+
+def _geoms(robot: RobotDescription) -> Iterator[Family]:
+    moving = [geom for body in robot.bodies for geom in body.geoms]
+    drawn = [geom for geom in (*moving, *robot.static_geoms) if not geom.collides]
+    solid = [geom for geom in moving if geom.collides]
+    if drawn:
+        yield _family(VISUAL, drawn, UNSEEN)
+    if solid:
+        fixed: Attributes = {"group": GROUP_COLLIDER, "rgba": COLLIDER_COLOR}
+        yield _family(COLLISION, solid, fixed if robot.self_collision else {**fixed, **TOUCHED})
+
+
+def _family(name: str, geoms: list[Geom], fixed: Attributes) -> Family:
+    return Family("geom", {geom.name: of.geom(geom) for geom in geoms}, name, SHARED, fixed)
+
+
+def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
+    sites = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
+    yield Family("joint", {dof.name: of.joint(dof) for dof in robot.dofs}, root)
+    yield Family("site", {site.name: of.site(site) for site in sites}, root)
+    yield Family("tendon", {item.name: of.tendon(item) for item in robot.tendons}, root)
+    constraints: list[Closure | Coupling] = [*robot.closures, *robot.couplings]
+    equalities = {of.key(item): of.equality(item) for item in constraints}
+    yield Family("equality", equalities, root)
+
+
+def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:
+    """Return the actuators by kind. MuJoCo keeps one default of all kinds in a class, so each kind has its own."""
+    members: dict[str, dict[str, Attributes]] = {}
+    for dof in robot.dofs:
+        if dof.drive:
+            members.setdefault(dof.drive.kind, {})[dof.name] = of.drive(dof.drive)
+    if robot.actuators:
+        members["general"] = {item.name: of.actuator(item) for item in robot.actuators}
+    if len(members) == 1:
+        return [Family(kind, items, classes.root) for kind, items in members.items()]
+    names = {kind: classes.common(items) for kind, items in members.items()}
+    told = all(names.values()) and len(set(names.values())) == len(names) and not set(names.values()) & RESERVED
+    parents = {kind: names[kind] if told and classes.root not in names.values() else kind for kind in members}
+    for parent in parents.values():
+        classes.child(parent)
+    return [Family(kind, items, parents[kind]) for kind, items in members.items()]

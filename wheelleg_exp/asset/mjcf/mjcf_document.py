@@ -1,0 +1,393 @@
+"""Print a robot description as MJCF for people to read: settings, classes, assets, the body tree, and keyframes.
+
+Each assumption becomes a comment at its element; an assumption without an element is in the file's head.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+from wheelleg_exp.asset.mjcf import mjcf_elements as of
+from wheelleg_exp.asset.mjcf.default_classes import Classes, gather
+from wheelleg_exp.asset.mjcf.mjcf_elements import IDENTITY, Attributes, Element
+from wheelleg_exp.asset.robot_description import (
+    Body,
+    Closure,
+    Dof,
+    Geom,
+    Mesh,
+    Numbered,
+    Pose,
+    RobotDescription,
+    Site,
+    Tendon,
+)
+from wheelleg_exp.errors import AssetError
+
+FEW = 6  # a rule that was followed more often is told once, in the head; the report has every place
+
+
+class Note(Protocol):
+    """Where something was assumed, by which rule, and what came of it."""
+
+    @property
+    def path(self) -> str:
+        """Path in the source."""
+
+    @property
+    def rule(self) -> str:
+        """The rule."""
+
+    @property
+    def value(self) -> str:
+        """What came of it."""
+
+
+class Notes:
+    """The notes of a document and the elements of its paths."""
+
+    def __init__(self, notes: Sequence[Note]) -> None:
+        self._notes = notes
+        self._elements: dict[str, Element] = {}
+
+    def place(self, path: str, element: Element) -> None:
+        """Say which element a path became; the first one counts."""
+        if path:
+            self._elements.setdefault(path, element)
+
+    def write(self) -> list[str]:
+        """Give the elements their comments, and return the notes of no element and those of many."""
+        rules = Counter(note.rule for note in self._notes)
+        many = {rule: count for rule, count in rules.items() if count > FEW}
+        head = [f"{rule} ({count} places)" for rule, count in many.items()]
+        for note in self._notes:
+            if note.rule in many:
+                continue
+            text = f"{note.rule}: {note.value}" if note.value else note.rule
+            element = self._find(note.path)
+            if element is None:
+                head.append(f"{note.path}: {text}")
+            elif text not in element.comment:
+                element.comment = f"{element.comment}; {text}" if element.comment else text
+        return head
+
+    def _find(self, path: str) -> Element | None:
+        """Return the element of a path or of what is above it."""
+        while path.strip("/"):
+            if path in self._elements:
+                return self._elements[path]
+            path = path.rpartition("/")[0]
+        return None
+
+
+class Names:
+    """Names that clash with no other of the robot's."""
+
+    def __init__(self, robot: RobotDescription) -> None:
+        joints = Numbered(dof.name for dof in robot.dofs)
+        sites = Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
+        equalities = Numbered(coupling.name for coupling in robot.couplings)
+        self._free = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
+        self._closures: dict[str, list[tuple[str, str, str]]] = {}
+        self._anchors: dict[str | None, list[tuple[str, Pose]]] = {}
+        for closure in robot.closures:
+            self._closure(closure, sites, equalities)
+
+    def free_joint(self, body: str) -> str:
+        """Return the name of a body's free joint."""
+        return self._free[body]
+
+    def anchors(self, body: str | None) -> Iterator[tuple[str, Pose]]:
+        """Yield the sites on a body (None: the world) that loops close at."""
+        yield from self._anchors.get(body, [])
+
+    def equalities(self, closure: Closure) -> list[tuple[str, str, str]]:
+        """Return for each pair of anchors the equality's name and its two sites."""
+        return self._closures[closure.name]
+
+    def _closure(self, closure: Closure, sites: Numbered, equalities: Numbered) -> None:
+        made = self._closures.setdefault(closure.name, [])
+        several = len(closure.anchors) > 1
+        for index, pair in enumerate(closure.anchors):
+            stem = f"{closure.name}_{index}"
+            name = equalities.take(stem if several else closure.name)
+            ends = [sites.take(f"{stem}_{side}") for side in "ab"]
+            for body, site, at in zip(closure.bodies, ends, pair, strict=True):
+                self._anchors.setdefault(body, []).append((site, at))
+            made.append((name, ends[0], ends[1]))
+
+
+class World:
+    """Makes the ``<worldbody>`` of one robot."""
+
+    def __init__(self, robot: RobotDescription, classes: Classes, names: Names, notes: Notes) -> None:
+        self.robot, self.classes, self.names, self.notes = robot, classes, names, notes
+
+    def element(self) -> Element:
+        """Return the world with everything in it."""
+        world = Element("worldbody")
+        for geom in self.robot.static_geoms:
+            self._geom(world, geom, static=True)
+        self._sites(world, self.robot.static_sites, None)
+        made: dict[str | None, Element] = {None: world}
+        for body in self.robot.bodies:  # parents stand before their children
+            made[body.name] = self._body(made[body.parent], body)
+        return world
+
+    def _body(self, parent: Element, body: Body) -> Element:
+        hands_down = body.parent is None and self.classes.inherited()
+        out = parent.add("body", name=body.name, childclass=self.classes.root if hands_down else None)
+        out.attributes.update(of.pose(body.pose))
+        out.attributes.update(mocap=True if body.mocap else None, gravcomp=1.0 if body.weightless else None)
+        out.attributes.update(body.extra)
+        self.notes.place(body.path, out)
+        self._inertial(out, body)
+        if body.floating:
+            out.add("freejoint", name=self.names.free_joint(body.name))
+        for dof in body.dofs:
+            self._joint(out, dof)
+        self._sites(out, body.sites, body.name)
+        for geom in body.geoms:
+            self._geom(out, geom)
+        return out
+
+    def _inertial(self, out: Element, body: Body) -> None:
+        inertial = body.inertial
+        turned = None if inertial.axes == of.IDENTITY else inertial.axes
+        out.add(
+            "inertial",
+            pos=inertial.center_of_mass,
+            quat=turned,
+            mass=inertial.mass,
+            diaginertia=inertial.moments,
+        )
+
+    def _joint(self, out: Element, dof: Dof) -> None:
+        element = out.add(
+            "joint",
+            self.classes.rest("joint", dof.name),
+            name=dof.name,
+            class_=self.classes.of("joint", dof.name),
+            type=None if dof.kind == "hinge" else dof.kind,
+            pos=dof.anchor if any(dof.anchor) else None,
+            axis=None if dof.kind == "ball" else dof.axis,
+            range=dof.range,
+            ref=dof.ref or None,
+        )
+        self.notes.place(dof.path, element)
+
+    def _sites(self, out: Element, sites: tuple[Site, ...], owner: str | None) -> None:
+        for site in sites:
+            shared = self.classes.explicit("site", site.name) if owner is None else self.classes.of("site", site.name)
+            rest = self.classes.rest("site", site.name)
+            element = out.add("site", {**of.pose(site.pose), **rest}, name=site.name, class_=shared)
+            self.notes.place(site.path, element)
+        for name, at in self.names.anchors(owner):
+            out.add("site", of.pose(at), name=name)
+
+    def _geom(self, out: Element, geom: Geom, static: bool = False) -> None:
+        bare = static and geom.collides  # what stands in the world keeps MuJoCo's own defaults
+        rest: Attributes = of.geom(geom, static) if bare else self.classes.rest("geom", geom.name)
+        element = out.add(
+            "geom",
+            {**of.pose(geom.pose), **{key: value for key, value in rest.items() if key != "type"}},
+            name=geom.name,
+            class_=None if bare else self.classes.of("geom", geom.name),
+            type=rest.get("type"),
+            size=geom.size or None,
+            mesh=geom.mesh,
+        )
+        self.notes.place(geom.path, element)
+
+
+def file_name(mesh: Mesh) -> str:
+    """Return the mesh's file name: its own, without what file systems take for folders."""
+    return re.sub(r"[^\w.-]", "_", mesh.name) + ".obj"
+
+
+def obj_text(mesh: Mesh) -> str:
+    """Return the mesh as OBJ, every number without loss."""
+    points = ["v %r %r %r" % (x, y, z) for x, y, z in mesh.vertices.tolist()]  # noqa: UP031 (twice as fast)
+    faces = ["f %d %d %d" % (a, b, c) for a, b, c in (mesh.faces + 1).tolist()]  # noqa: UP031
+    return "\n".join([*points, *faces]) + "\n"
+
+
+SHOWN_NOTES = 30  # assumptions in the file's head; all of them are in the report
+DEEPEST = 499  # nested elements that MuJoCo's XML reader takes
+
+
+class Writer:
+    """Makes the document of one robot."""
+
+    def __init__(self, robot: RobotDescription, mesh_folder: str, notes: Sequence[Note] = ()) -> None:
+        self.robot, self.mesh_folder = robot, mesh_folder
+        self.notes = Notes(notes)
+        self.names = Names(robot)
+        self.classes = gather(robot)
+
+    def text(self) -> str:
+        """Return the whole document.
+
+        Raises:
+            AssetError: bodies are nested deeper than MuJoCo reads.
+        """
+        root = Element("mujoco", {"model": self.robot.name})
+        self._settings(root)
+        world = World(self.robot, self.classes, self.names, self.notes).element()
+        parts = (self.classes.element(), self._assets(), world, self._contacts(), self._equalities())
+        for element in (*parts, self._tendons(), self._actuators(), keyframes(self.robot)):
+            if element.children:
+                root.children.append(element)
+        self._check_depth(root)
+        root.comment = "\n".join(self._head(self.notes.write()))
+        return root.text() + "\n"
+
+    def _head(self, notes: list[str]) -> list[str]:
+        lines = [f"{self.robot.name}: SI units, radians, z up. Converted by 'wheelleg convert'."]
+        if notes:
+            lines += ["Assumed:", *(f"  {note}" for note in notes[:SHOWN_NOTES])]
+        if len(notes) > SHOWN_NOTES:
+            lines.append(f"  and {len(notes) - SHOWN_NOTES} more, in the report")
+        return lines
+
+    def _check_depth(self, root: Element) -> None:
+        if (depth := root.depth()) > DEEPEST:
+            raise AssetError(
+                f"'{self.robot.name}' has a chain of about {depth - 3} bodies",
+                expected=f"no more than {DEEPEST - 3}, which is what MuJoCo reads from a file",
+            )
+
+    def _settings(self, root: Element) -> None:
+        files = any(len(mesh.faces) for mesh in self.robot.meshes)
+        folder = self.mesh_folder if files else None
+        root.add("compiler", self.robot.compiler, angle="radian", autolimits=True, meshdir=folder)
+        option = root.add("option", self.robot.option, gravity=self.robot.gravity)
+        if self.robot.flag:
+            option.add("flag", self.robot.flag)
+
+    def _assets(self) -> Element:
+        out = Element("asset")
+        for item in self.robot.materials:
+            out.add("material", name=item.name, rgba=item.rgba, metallic=item.metallic, roughness=item.roughness)
+        for mesh in self.robot.meshes:
+            out.children.append(_mesh_element(mesh))
+        return out
+
+    def _contacts(self) -> Element:
+        out = Element("contact")
+        for first, second in self.robot.exclusions:
+            out.add("exclude", body1=first, body2=second)
+        return out
+
+    def _equalities(self) -> Element:
+        out = Element("equality")
+        for closure in self.robot.closures:
+            extra = {key: value for key, value in closure.extra.items() if key == "torquescale"}
+            for name, first, second in self.names.equalities(closure):
+                own = {**extra, **self.classes.rest("equality", of.key(closure))}
+                shared = self.classes.explicit("equality", of.key(closure))
+                element = out.add(closure.kind, own, name=name, class_=shared, site1=first, site2=second)
+                self.notes.place(closure.path, element)
+        for item in self.robot.couplings:
+            out.add(
+                "joint",
+                self.classes.rest("equality", of.key(item)),
+                name=item.name,
+                class_=self.classes.explicit("equality", of.key(item)),
+                joint1=item.joint,
+                joint2=item.reference,
+                polycoef=item.coefficients,
+            )
+        return out
+
+    def _tendons(self) -> Element:
+        out = Element("tendon")
+        for tendon in self.robot.tendons:
+            shared = self.classes.explicit("tendon", tendon.name)
+            element = out.add(
+                "fixed" if tendon.joints else "spatial",
+                self.classes.rest("tendon", tendon.name),
+                name=tendon.name,
+                class_=shared,
+            )
+            self.notes.place(tendon.path, element)
+            _route(element, tendon)
+        return out
+
+    def _actuators(self) -> Element:
+        out = Element("actuator")
+        for dof in self.robot.dofs:
+            if dof.drive is None:
+                continue
+            kind = dof.drive.kind
+            rest, shared = self.classes.rest(kind, dof.name), self.classes.explicit(kind, dof.name)
+            element = out.add(kind, rest, name=dof.name, class_=shared, joint=dof.name)
+            if dof.drive.acceleration:
+                element.comment = "an acceleration drive: its gains times the inertia that it meets at zero"
+        for item in self.robot.actuators:
+            shared = self.classes.explicit("general", item.name)
+            element = out.add("general", name=item.name, class_=shared)
+            element.attributes[item.transmission] = item.target
+            element.attributes.update({k: item.extra[k] for k in ("refsite", "slidersite") if k in item.extra})
+            element.attributes.update(self.classes.rest("general", item.name))
+            self.notes.place(item.path, element)
+        return out
+
+
+def _route(element: Element, tendon: Tendon) -> None:
+    for joint, factor in tendon.joints:
+        element.add("joint", joint=joint, coef=factor)
+    for point in tendon.points:
+        if point.kind == "pulley":
+            element.add("pulley", divisor=point.divisor)
+        else:
+            element.add(point.kind, {point.kind: point.name, "sidesite": point.side})
+
+
+def _mesh_element(mesh: Mesh) -> Element:
+    inertia = "convex" if mesh.solid else "shell"
+    own: of.Attributes = {"vertex": mesh.vertices.ravel()} if not len(mesh.faces) else {"file": file_name(mesh)}
+    return Element("mesh", {"name": mesh.name, **own, "inertia": inertia, **mesh.extra})
+
+
+HOME = "home"
+
+
+def keyframes(robot: RobotDescription) -> Element:
+    """Return the ``<keyframe>`` of a robot; a keyframe of the file called ``home`` takes the place of ours."""
+    out = Element("keyframe")
+    positions, velocities = state(robot)
+    controls = [_control(dof) for dof in robot.dofs if dof.drive] + [0.0] * len(robot.actuators)
+    if positions and all(item.name != HOME for item in robot.keyframes):
+        out.add(
+            "key",
+            name=HOME,
+            qpos=positions,
+            qvel=velocities if any(velocities) else None,
+            ctrl=controls if any(controls) else None,
+        )
+    for item in robot.keyframes:
+        out.add("key", item.extra, name=item.name)
+    return out
+
+
+def state(robot: RobotDescription) -> tuple[list[float], list[float]]:
+    """Return qpos and qvel: the saved state, floating bases where they are drawn."""
+    positions: list[float] = []
+    velocities: list[float] = []
+    for body in robot.bodies:
+        if body.floating:
+            positions += [*body.pose.position, *body.pose.rotation]
+            velocities += body.velocity
+        for dof in body.dofs:
+            positions += IDENTITY if dof.kind == "ball" else (dof.position,)
+            velocities += [0.0] * 3 if dof.kind == "ball" else [dof.velocity]
+    return positions, velocities
+
+
+def _control(dof: Dof) -> float:
+    assert dof.drive is not None
+    return {"position": dof.drive.target_position, "velocity": dof.drive.target_velocity, "motor": 0.0}[dof.drive.kind]

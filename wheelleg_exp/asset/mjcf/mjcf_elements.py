@@ -1,0 +1,184 @@
+"""MJCF elements: an XML tree that prints the same bytes for the same content, and the attributes of each robot part."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from xml.sax.saxutils import quoteattr
+
+from wheelleg_exp.asset.robot_description import Actuator, Closure, Coupling, Dof, Drive, Geom, Pose, Quat, Site, Tendon
+
+Value = str | int | float | bool | Iterable[float] | None
+
+
+@dataclass
+class Element:
+    """A tag, its attributes (None is left away) and its children; ``comment`` stands in front of it."""
+
+    tag: str
+    attributes: dict[str, Value] = field(default_factory=dict)
+    children: list[Element] = field(default_factory=list)
+    comment: str = ""
+
+    def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
+        """Append a child and return it; a trailing underscore of a keyword is dropped, ``given`` stands last."""
+        named = {key.rstrip("_"): value for key, value in attributes.items()}
+        child = Element(tag, {**named, **(given or {})})
+        self.children.append(child)
+        return child
+
+    def text(self) -> str:
+        """Return the element as indented lines. Depth has no limit here."""
+        lines: list[str] = []
+        stack: list[tuple[Element | str, int]] = [(self, 0)]
+        while stack:
+            item, depth = stack.pop()
+            pad = "  " * depth
+            if isinstance(item, str):
+                lines.append(f"{pad}</{item}>")
+                continue
+            if item.comment:
+                lines.append(_comment(item.comment, pad))
+            lines.append(f"{pad}<{item.tag}{item._head()}{'>' if item.children else '/>'}")
+            if item.children:
+                stack.append((item.tag, depth))
+                stack.extend((child, depth + 1) for child in reversed(item.children))
+        return "\n".join(lines)
+
+    def depth(self) -> int:
+        """Return how many elements are nested, this one included."""
+        deepest, level = 0, [self]
+        while level:
+            deepest += 1
+            level = [child for element in level for child in element.children]
+        return deepest
+
+    def _head(self) -> str:
+        return "".join(f" {key}={quoteattr(value_text(v))}" for key, v in self.attributes.items() if v is not None)
+
+
+def _comment(text: str, pad: str) -> str:
+    safe = re.sub("-(?=-)|-$", "- ", text)  # XML has no double hyphen within a comment, and none at its end
+    lines = safe.splitlines()
+    if len(lines) == 1:
+        return f"{pad}<!-- {safe} -->"
+    return "\n".join([f"{pad}<!--", *(f"{pad}  {line}".rstrip() for line in lines), f"{pad}-->"])
+
+
+def value_text(value: Value) -> str:
+    """Return an attribute's text: floats shortest without loss, sequences with blanks between."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, (str, int)) or value is None:
+        return str(value)
+    return " ".join(number(float(v)) for v in value)
+
+
+def number(value: float) -> str:
+    """Return the shortest text that reads back as the same number."""
+    if math.isfinite(value) and abs(value) < 1e15 and value == int(value):
+        return str(int(value))
+    return repr(value)
+
+
+IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
+GREY = (0.5, 0.5, 0.5, 1.0)  # the colour that lets a material's show
+GROUP_VISUAL, GROUP_COLLIDER = 2, 3  # MuJoCo shows groups 0 to 2 unless told otherwise
+
+Attributes = dict[str, Value]
+PLAIN: Attributes = {  # MuJoCo's own defaults, which need not be written
+    "solref": (0.02, 1.0),
+    "solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
+    "solreflimit": (0.02, 1.0),
+    "solimplimit": (0.9, 0.95, 0.001, 0.5, 2.0),
+    "solreffriction": (0.02, 1.0),
+    "solimpfriction": (0.9, 0.95, 0.001, 0.5, 2.0),
+    "condim": 3,
+    "priority": 0,
+    "solmix": 1.0,
+    "margin": 0.0,
+    "gap": 0.0,
+    "stiffness": 0.0,
+    "damping": 0.0,
+    "armature": 0.0,
+    "frictionloss": 0.0,
+}
+
+
+def pose(at: Pose) -> Attributes:
+    """Return position and rotation where they are not zero."""
+    return {
+        "pos": at.position if any(at.position) else None,
+        "quat": None if at.rotation == IDENTITY else at.rotation,
+    }
+
+
+def given(attributes: Attributes) -> Attributes:
+    """Return the attributes that have a value other than MuJoCo's own default."""
+    return {k: v for k, v in attributes.items() if v is not None and (k not in PLAIN or v != PLAIN[k])}
+
+
+def joint(dof: Dof) -> Attributes:
+    """Return what joints may share: passive forces and the parameters of their constraints."""
+    own: Attributes = {
+        "stiffness": dof.stiffness or None,
+        "damping": dof.damping or None,
+        "armature": dof.armature or None,
+        "frictionloss": dof.frictionloss or None,
+        "actuatorfrcrange": dof.force_range,
+    }
+    return given({**own, **dof.extra})
+
+
+def drive(of: Drive) -> Attributes:
+    """Return what actuators may share; gains in N·m/rad and N·m·s/rad (N/m, N·s/m)."""
+    return given(
+        {
+            "kp": of.stiffness if of.kind == "position" else None,
+            "kv": of.damping if of.kind != "motor" and of.damping > 0 else None,
+            "forcerange": None if of.effort is None else (-of.effort, of.effort),
+        }
+    )
+
+
+def actuator(item: Actuator) -> Attributes:
+    """Return the parameters of a general actuator; sites that belong to its target are not shared."""
+    return {key: value for key, value in item.extra.items() if key not in ("refsite", "slidersite")}
+
+
+def tendon(item: Tendon) -> Attributes:
+    """Return a tendon's springs, limits and looks."""
+    return given({"range": item.range, **item.extra})
+
+
+def key(item: Closure | Coupling) -> str:
+    """Return what tells a closure from a coupling of the same name."""
+    return item.name if isinstance(item, Closure) else f"{item.name} (coupling)"
+
+
+def equality(item: Closure | Coupling) -> Attributes:
+    """Return the parameters of an equality's constraint."""
+    return given({k: v for k, v in item.extra.items() if k in ("solref", "solimp", "active")})
+
+
+def site(item: Site) -> Attributes:
+    """Return how a site looks."""
+    return dict(item.extra)
+
+
+def geom(item: Geom, static: bool = False) -> Attributes:
+    """Return a shape's kind, looks and contact parameters. Of static shapes nothing is shared."""
+    group = GROUP_VISUAL if not item.collides or item.drawn else GROUP_COLLIDER
+    plain = GREY if item.collides and item.drawn and not static else None  # not the colour of hidden colliders
+    own: Attributes = {
+        "type": item.kind,
+        "group": None if static and item.collides else group,
+        "material": item.material,
+        "rgba": item.rgba or plain,
+        "friction": None if item.friction is None else (item.friction,),
+    }
+    return given({**own, **item.extra})

@@ -1,0 +1,146 @@
+"""A scene for viewing a converted robot: floor, light, and a time step at which its gains and contacts are stable."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.asset.mjcf.compile_mjcf import load, told_by_mujoco
+from wheelleg_exp.asset.mjcf.mjcf_document import HOME
+from wheelleg_exp.asset.mjcf.mjcf_elements import Element, Value
+from wheelleg_exp.asset.robot_description import RobotDescription
+from wheelleg_exp.files import write_text
+
+SUFFIX, STAND = "_scene", "stand"
+MARK = "Made by 'wheelleg convert'"  # by which an older scene is known, and may be replaced
+STEPS = (0.002, 0.001, 0.0005, 0.00025)  # s, time steps that are tried
+TRIAL = 0.5  # s
+NUDGE = 0.01  # m/s and rad/s
+MOST_DOFS, MOST_GEOMS = 200, 500  # of what is tried; larger ones take the first step unseen
+CLEARANCE = 0.002  # m between the floor and the robot's lowest point
+FAST = 10.0  # m/s beyond a free fall through the robot's own size: nothing at rest gets there
+
+
+def scene_path(model: Path) -> Path:
+    """Return where the scene of an MJCF stands: beside it."""
+    return model.with_name(f"{model.stem}{SUFFIX}.xml")
+
+
+def write_scene(robot: RobotDescription, model: Path) -> Path | None:
+    """Write the scene of a robot beside its MJCF; None when another file has its name.
+
+    MuJoCo's ``discrete`` integrator is the one that takes stiffness implicitly; the time step is the largest with
+    which the robot, let go on the floor, does not fly apart within half a second.
+
+    Raises:
+        AssetError: MuJoCo refuses it.
+        RunDirectoryError: it cannot be written.
+    """
+    path = scene_path(model)
+    if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
+        return None
+    alone = load(model, model.name)
+    draft = path.with_name(f".{path.stem}.trying.xml")
+    try:
+        write_text(draft, _text(robot, model, alone, STEPS[0]))
+        trial = load(draft, path.name)
+    finally:
+        draft.unlink(missing_ok=True)
+    steps = STEPS if trial.nv <= MOST_DOFS and trial.ngeom <= MOST_GEOMS else STEPS[:1]
+    with told_by_mujoco():
+        step = next((step for step in steps[:-1] if _is_calm(trial, step)), steps[-1])
+    write_text(path, _text(robot, model, alone, step))
+    return path
+
+
+def _text(robot: RobotDescription, model: Path, alone: mujoco.MjModel, step: float) -> str:
+    """Return the scene as a document that includes the model."""
+    root = Element("mujoco", {"model": f"{robot.name} scene"})
+    root.comment = f"{robot.name} on a floor, to look at. {MARK}."
+    root.add("include", file=model.name)
+    root.add("option", timestep=step, integrator="discrete")
+    extent = _short(alone.stat.extent)
+    root.add("statistic", center=tuple(_short(value) for value in alone.stat.center), extent=extent)
+    visual = root.add("visual")
+    visual.add("headlight", diffuse=(0.6, 0.6, 0.6), ambient=(0.3, 0.3, 0.3), specular=(0.0, 0.0, 0.0))
+    names = {geom.name for geom in robot.static_geoms}
+    floors = [geom for geom in robot.static_geoms if geom.kind == "plane" and geom.collides]
+    if not floors:
+        asset = root.add("asset")
+        sky: dict[str, Value] = {"rgb1": (0.3, 0.5, 0.7), "rgb2": (0.0, 0.0, 0.0), "width": 512, "height": 3072}
+        asset.add("texture", sky, type="skybox", builtin="gradient")
+    world = root.add("worldbody")
+    world.add("light", pos=(0.0, 0.0, _short(5 * extent)), dir=(0.0, 0.0, -1.0), type="directional")
+    height, poses = _stands(alone)
+    if not floors:
+        floor = next(name for name in _free("floor") if name not in names)
+        size = (0.0, 0.0, _short(max(0.01, extent / 10)))
+        world.add("geom", name=floor, type="plane", size=size, pos=(0.0, 0.0, height), rgba=(0.5, 0.55, 0.6, 1.0))
+    if poses is not None:
+        taken = {item.name for item in robot.keyframes} | {HOME}
+        key = next(name for name in _free(STAND) if name not in taken)
+        root.add("keyframe").add("key", name=key, qpos=poses[0], ctrl=poses[1] if any(poses[1]) else None)
+    return root.text() + "\n"
+
+
+def _short(value: float) -> float:
+    """Return a number of the scene that nothing depends on, in a few digits."""
+    return float(f"{round(float(value), 6):.4g}") + 0.0
+
+
+def _free(stem: str) -> itertools.chain[str]:
+    return itertools.chain([stem], (f"{stem}_{number}" for number in itertools.count(2)))
+
+
+def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float]] | None]:
+    """Return the floor's height, and qpos and ctrl of the saved pose put down on it; None when nothing floats."""
+    data = mujoco.MjData(alone)
+    mujoco.mj_kinematics(alone, data)
+    at_zero = round(_lowest(alone, data), 5)
+    index = mujoco.mj_name2id(alone, mujoco.mjtObj.mjOBJ_KEY, HOME)
+    if index < 0:
+        return at_zero - CLEARANCE, None
+    mujoco.mj_resetDataKeyframe(alone, data, index)
+    mujoco.mj_kinematics(alone, data)
+    at_home, floor = _lowest(alone, data), at_zero - CLEARANCE
+    free = [
+        int(a) for a, kind in zip(alone.jnt_qposadr, alone.jnt_type, strict=True) if kind == mujoco.mjtJoint.mjJNT_FREE
+    ]
+    if not free:
+        return min(floor, at_home - CLEARANCE), None
+    for address in free:
+        data.qpos[address + 2] = round(float(data.qpos[address + 2] + floor + CLEARANCE - at_home), 6)
+    return round(floor, 6), ([float(v) for v in data.qpos], [float(v) for v in data.ctrl])
+
+
+def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Return how far down the boxes around all shapes that move reach, those that collide if there are any."""
+    moving = np.flatnonzero(model.geom_bodyid)
+    solid = [g for g in moving if model.geom_contype[g] or model.geom_conaffinity[g]]
+    lows = []
+    for geom in solid or moving:
+        down = data.geom_xmat[geom].reshape(3, 3)[2]
+        center, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
+        lows.append(float(data.geom_xpos[geom][2] + down @ center - np.abs(down) @ half))
+    return min(lows, default=0.0)
+
+
+def _is_calm(model: mujoco.MjModel, step: float) -> bool:
+    """Return whether the robot, let go where it begins and in its last keyframe, moves no faster than what falls."""
+    model.opt.timestep = step
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    bound = FAST + float(np.sqrt(2 * gravity * model.stat.extent))
+    for key in (None, model.nkey - 1)[: 2 if model.nkey else 1]:
+        data = mujoco.MjData(model)
+        if key is not None:
+            mujoco.mj_resetDataKeyframe(model, data, key)
+        data.qvel += NUDGE  # what is unstable grows from it
+        for _ in range(round(TRIAL / step)):
+            mujoco.mj_step(model, data)
+            linear = np.abs(data.cvel[:, 3:]).max(initial=0.0)
+            if any(item.number for item in data.warning) or not linear < bound:
+                return False
+    return True

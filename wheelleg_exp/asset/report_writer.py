@@ -1,0 +1,170 @@
+"""Make the report of a conversion from the description and the ledger; find missing colliders and implausible sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.asset.conversion_report import DofOrder, Finding, Report
+from wheelleg_exp.asset.robot_description import Body, RobotDescription
+from wheelleg_exp.asset.robot_values import plain
+from wheelleg_exp.asset.usd.ledger import Ledger
+from wheelleg_exp.asset.usd.usd_stage import Stage
+
+FALLS = "no shape of the robot collides: it falls through any ground"
+
+
+def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
+    """Record a robot without colliders, loudly, and the ends of its limbs that have none.
+
+    An end is what moves as one and carries nothing that moves in turn: a foot, a wheel, a hand.
+    """
+    if not robot.colliders:
+        ledger.find("no_colliders", robot.name, "")
+        ledger.warn(FALLS)
+        return
+    for group in _ends(robot):
+        if not any(geom.collides for body in group for geom in body.geoms):
+            mass = sum(body.inertial.mass for body in group)
+            ledger.find("end_without_collider", group[0].name, group[0].path, mass=mass)
+
+
+def _ends(robot: RobotDescription) -> list[list[Body]]:
+    """Return the bodies that are welded together at the end of a limb, the moving one first."""
+    top: dict[str, str] = {}
+    groups: dict[str, list[Body]] = {}
+    inner = set()
+    for body in robot.bodies:
+        welded = body.parent is not None and not body.dofs
+        top[body.name] = top[body.parent] if body.parent is not None and welded else body.name
+        groups.setdefault(top[body.name], []).append(body)
+        if body.parent is not None and not welded:
+            inner.add(top[body.parent])
+    return [group for name, group in groups.items() if name not in inner and group[0].dofs]
+
+
+def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
+    """Yield mass and size of each root with joints and colliders, in the form of ``implausible_size``.
+
+    The size is the longest edge of the box around colliders and joints, along the axes of the root, at ``qpos0``.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    solid = ((model.geom_contype | model.geom_conaffinity) != 0) & (
+        model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE.value
+    )
+    moving = model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value
+    for body in robot.children(None):
+        root = model.body(body.name).id
+        geoms = np.flatnonzero(solid & (model.body_rootid[model.geom_bodyid] == root))
+        joints = np.flatnonzero(moving & (model.body_rootid[model.jnt_bodyid] == root))
+        if not len(geoms) or not len(joints):
+            continue
+        axes, turns = data.xmat[root].reshape(3, 3), data.geom_xmat[geoms].reshape(-1, 3, 3)
+        boxes = model.geom_aabb[geoms]
+        centers = (data.geom_xpos[geoms] + np.einsum("gij,gj->gi", turns, boxes[:, :3])) @ axes
+        halves = np.einsum("gij,gj->gi", np.abs(axes.T @ turns), boxes[:, 3:])
+        size = np.ptp(np.vstack([centers - halves, centers + halves, data.xanchor[joints] @ axes]), axis=0).max()
+        numbers = {"mass": float(model.body_subtreemass[root]), "size": float(size)}
+        yield Finding("implausible_size", body.name, body.path, numbers)
+
+
+def summarise(stage: Stage, robot: RobotDescription) -> Report:
+    """Return the report of a stage and the robot read from it."""
+    units = stage.units
+    return report_of(
+        robot,
+        stage.ledger,
+        source=stage.source.name,
+        root=str(stage.root.GetPath()),
+        stage={"metersPerUnit": units.meters, "kilogramsPerUnit": units.kilograms, "upAxis": str(units.up)},
+        variants=stage.variants,
+        unresolved=stage.unresolved,
+        layers=stage.layers,
+    )
+
+
+def report_of(
+    robot: RobotDescription,
+    ledger: Ledger,
+    *,
+    source: str,
+    root: str,
+    stage: dict[str, Any],
+    variants: dict[str, str],
+    unresolved: tuple[str, ...],
+    layers: dict[str, str],
+) -> Report:
+    """Return the report of a robot, of whatever format its file is.
+
+    Args:
+        robot: what was read.
+        ledger: what was noted on the way.
+        source: the file's name.
+        root: path of the robot within the file.
+        stage: the file's units.
+        variants: names in force by variant set.
+        unresolved: names of files that are not there.
+        layers: sha256 of each file that was read.
+    """
+    note_colliders(robot, ledger)
+    findings = _by_name(robot, ledger)
+    mapped, assumed, left, warnings = ledger.entries()
+    return Report(
+        source=source,
+        model=robot.name,
+        root=root,
+        base=base_of(robot),
+        stage=stage,
+        variants=variants,
+        totals=totals(robot, findings),
+        bodies={body.path: body.name for body in robot.bodies},
+        joints={dof.name: dof.path for dof in robot.dofs},
+        dof_order=DofOrder(robot.breadth_first_dofs, tuple(dof.name for dof in robot.dofs)),
+        velocity_limits={dof.name: dof.max_velocity for dof in robot.dofs if dof.max_velocity is not None},
+        mapped=mapped,
+        assumptions=assumed,
+        left_out=left,
+        warnings=warnings,
+        unresolved=unresolved,
+        findings=findings,
+        authored=plain(ledger.authored),
+        layers=layers,
+    )
+
+
+def _by_name(robot: RobotDescription, ledger: Ledger) -> tuple[Finding, ...]:
+    """Return the findings, those of bodies and joints by the names that these have in the model."""
+    names: dict[str, str] = {}
+    for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
+        names.setdefault(path, name)
+    return tuple(
+        item if item.kind.endswith("_not_found") else replace(item, subject=names.get(item.path, item.subject))
+        for item in ledger.findings
+    )
+
+
+def base_of(robot: RobotDescription) -> str:
+    """Return how the roots stand in the world: floating, fixed, or attached by a joint."""
+    roots = list(robot.children(None))
+    kinds = {"floating" if body.floating else "attached" if body.dofs else "fixed" for body in roots}
+    return ", ".join(sorted(kinds))
+
+
+def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, float]:
+    """Return the counts and masses (kg) that tell at a glance whether a conversion is right."""
+    assumed = sum(item.numbers["mass"] for item in findings if item.kind == "no_inertial")
+    return {
+        "bodies": len(robot.bodies),
+        "dofs": sum(3 if dof.kind == "ball" else 1 for dof in robot.dofs),
+        "mass": round(robot.mass, 9),
+        "assumed_mass": round(assumed, 9),
+        "assumed_share": round(assumed / robot.mass, 6) if robot.mass > 0 else 0.0,
+        "colliders": len(robot.colliders),
+        "visuals": sum(not geom.collides for body in robot.bodies for geom in body.geoms),
+        "actuators": len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs),
+    }

@@ -1,0 +1,354 @@
+"""A robot as plain data: bodies, joints, shapes, and drives in SI units and radians, z up; and unique names for them.
+
+Quaternions are (w, x, y, z). This module does not know USD: a reader makes the description and the MJCF writer
+prints it. ``extra`` holds attributes that only MuJoCo knows, by their MJCF names, printed without change.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+Rgba = tuple[float, float, float, float]
+ShapeKind = Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "plane", "mesh"]
+DofKind = Literal["hinge", "slide", "ball"]
+DriveKind = Literal["position", "velocity", "motor"]
+BaseMode = Literal["auto", "floating", "fixed"]
+Extra = Mapping[str, str | int | float | bool | tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position (m) and rotation of one frame in another."""
+
+    position: Vec3 = (0.0, 0.0, 0.0)
+    rotation: Quat = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass (kg), centre of mass (m, body frame), principal moments (kg m²) and the rotation of their axes."""
+
+    mass: float
+    center_of_mass: Vec3
+    moments: Vec3
+    axes: Quat
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles: vertices (n, 3) in m and faces (k, 3) of indices; ``solid`` when it is for collisions."""
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    solid: bool
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Material:
+    """A surface colour, with metallic and roughness in 0..1."""
+
+    name: str
+    rgba: Rgba
+    metallic: float | None = None
+    roughness: float | None = None
+
+
+@dataclass(frozen=True)
+class Geom:
+    """One shape of a body.
+
+    ``size`` is what the kind needs, in m: box half extents; sphere radius; capsule and cylinder radius and
+    half length along z; ellipsoid half axes; plane and mesh nothing.
+    """
+
+    name: str
+    path: str
+    kind: ShapeKind
+    size: tuple[float, ...]
+    pose: Pose
+    collides: bool
+    drawn: bool
+    mesh: str | None = None
+    material: str | None = None
+    rgba: Rgba | None = None
+    friction: float | None = None
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A motor on one degree of freedom.
+
+    ``stiffness`` in N·m/rad (N/m), ``damping`` in N·m·s/rad (N·s/m), ``effort`` in N·m (N) or None without a
+    limit; targets in rad (m). With ``acceleration`` the gains multiply the joint's effective inertia.
+    """
+
+    kind: DriveKind
+    stiffness: float
+    damping: float
+    effort: float | None
+    target_position: float = 0.0
+    target_velocity: float = 0.0
+    acceleration: bool = False
+
+
+@dataclass(frozen=True)
+class Dof:
+    """One degree of freedom (three for a ball) of a body in its parent, about ``axis`` through ``anchor``.
+
+    Axis and anchor (m) are in the body's frame. ``range`` in rad (m) or None; ``position`` and ``velocity``
+    are the saved state; ``ref`` is the coordinate at which the body stands in its ``pose``. ``force_range`` in
+    N·m (N) limits the sum of all motors. ``max_velocity`` in rad/s (m/s) is kept for whoever drives the joint,
+    because MuJoCo has no such limit.
+    """
+
+    name: str
+    path: str
+    kind: DofKind
+    axis: Vec3
+    anchor: Vec3
+    range: tuple[float, float] | None = None
+    armature: float = 0.0
+    damping: float = 0.0
+    stiffness: float = 0.0
+    frictionloss: float = 0.0
+    max_velocity: float | None = None
+    force_range: tuple[float, float] | None = None
+    drive: Drive | None = None
+    position: float = 0.0
+    velocity: float = 0.0
+    ref: float = 0.0
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """An actuator as MuJoCo has it: what it acts on, and the attributes of ``general``.
+
+    ``transmission`` is the attribute that names the target: a joint, a tendon, a site, a body, or, for a slider and
+    crank, the crank's site.
+    """
+
+    name: str
+    path: str
+    transmission: Literal["joint", "jointinparent", "tendon", "site", "body", "cranksite"]
+    target: str
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TendonPoint:
+    """A station of a spatial tendon: a site it passes, a geom it wraps around, or a pulley that divides its length.
+
+    ``name`` is the site's or geom's; ``side`` a site on that side of the geom where the tendon has to pass.
+    """
+
+    kind: Literal["site", "geom", "pulley"]
+    name: str = ""
+    side: str | None = None
+    divisor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """A length: of a path through ``points`` in m, or the sum of coordinates of ``joints`` times a factor each.
+
+    ``range`` limits it. One of ``points`` and ``joints`` is empty.
+    """
+
+    name: str
+    path: str
+    points: tuple[TendonPoint, ...] = ()
+    joints: tuple[tuple[str, float], ...] = ()
+    range: tuple[float, float] | None = None
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint whose coordinate follows another's: q = c0 + c1·r + c2·r² + c3·r³ + c4·r⁴."""
+
+    name: str
+    path: str
+    joint: str
+    reference: str
+    coefficients: tuple[float, float, float, float, float]
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Site:
+    """A named frame on a body; how it is drawn stands in ``extra``."""
+
+    name: str
+    path: str
+    pose: Pose
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body; ``pose`` is in its parent (None: the world) where its joints are at their ``ref``.
+
+    ``velocity`` is the saved one of a floating body: m/s in the world, then rad/s about its own axes.
+    """
+
+    name: str
+    path: str
+    parent: str | None
+    pose: Pose
+    inertial: Inertial
+    floating: bool = False
+    mocap: bool = False
+    weightless: bool = False
+    velocity: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    dofs: tuple[Dof, ...] = ()
+    geoms: tuple[Geom, ...] = ()
+    sites: tuple[Site, ...] = ()
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A joint that closes a loop: points on both bodies (None: the world) coincide, or frames are welded.
+
+    A hinge has two pairs, on its axis.
+    """
+
+    name: str
+    path: str
+    kind: Literal["connect", "weld"]
+    bodies: tuple[str | None, str | None]
+    anchors: tuple[tuple[Pose, Pose], ...]
+    extra: Extra = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A saved state by name: MuJoCo's ``qpos``, ``qvel``, ``ctrl`` and the like in the order of its own model."""
+
+    name: str
+    path: str
+    extra: Extra
+
+
+@dataclass(frozen=True)
+class RobotDescription:
+    """Everything that a simulator needs to know of the file. Parents stand before their children.
+
+    ``static_geoms`` and ``static_sites`` belong to the world; ``option``, ``flag`` and ``compiler`` hold MuJoCo's
+    attributes of those elements.
+    """
+
+    name: str
+    bodies: tuple[Body, ...]
+    gravity: Vec3 = (0.0, 0.0, -9.81)
+    static_geoms: tuple[Geom, ...] = ()
+    static_sites: tuple[Site, ...] = ()
+    exclusions: tuple[tuple[str, str], ...] = ()
+    closures: tuple[Closure, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    tendons: tuple[Tendon, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
+    keyframes: tuple[Keyframe, ...] = ()
+    materials: tuple[Material, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    self_collision: bool = True
+    breadth_first_dofs: tuple[str, ...] = ()
+    option: Extra = field(default_factory=dict)
+    flag: Extra = field(default_factory=dict)
+    compiler: Extra = field(default_factory=dict)
+
+    @property
+    def mass(self) -> float:
+        """Total mass in kg."""
+        return sum(body.inertial.mass for body in self.bodies)
+
+    @property
+    def dofs(self) -> tuple[Dof, ...]:
+        """All degrees of freedom but those of floating bases, in the order of the bodies (depth first)."""
+        return tuple(dof for body in self.bodies for dof in body.dofs)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Names of the degrees of freedom with a drive; none for a URDF, which has no drives."""
+        return tuple(dof.name for dof in self.dofs if dof.drive is not None)
+
+    @property
+    def colliders(self) -> tuple[Geom, ...]:
+        """All shapes of bodies that collide."""
+        return tuple(geom for body in self.bodies for geom in body.geoms if geom.collides)
+
+    def children(self, parent: str | None) -> Iterator[Body]:
+        """Yield the bodies whose parent is ``parent`` (None: the world)."""
+        return (body for body in self.bodies if body.parent == parent)
+
+
+RESERVED = frozenset({"world"})  # MuJoCo's own body
+DEEPEST = 8  # parts of a path that a name may have, before equal names are numbered
+LONGEST_FILE = 100  # characters; file systems take 255 bytes
+
+
+def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
+    """Return a name for each path: as few of its last parts, joined by ``_``, as tell all of them apart.
+
+    Args:
+        paths: prim paths, each once.
+        shown: names to prefer over the leaf, where the leaf is an encoded form of them.
+    """
+    shown = shown or {}
+    parts = {path: _last_parts(path) for path in paths}
+    names = {path: shown.get(path, own[-1]) for path, own in parts.items()}
+    for depth in range(2, DEEPEST + 1):
+        count = Counter(names.values())
+        clashing = [path for path, name in names.items() if count[name] > 1 or name in RESERVED]
+        growable = [path for path in clashing if depth <= len(parts[path])]
+        if not growable:
+            break
+        for path in growable:
+            own = parts[path]
+            names[path] = "_".join([*own[-depth:-1], shown.get(path, own[-1])])
+    return numbered(names)
+
+
+def _last_parts(path: str) -> list[str]:
+    return path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:]
+
+
+def numbered(names: dict[str, str]) -> dict[str, str]:
+    """Return the names with ``_2``, ``_3``, ... behind those that were taken before."""
+    counter = Numbered(RESERVED)
+    return {path: counter.take(name) for path, name in names.items()}
+
+
+class Numbered:
+    """Names given so far; one that is taken gets a number."""
+
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self._taken = set(taken)
+        self._next: dict[str, int] = {}
+
+    def take(self, name: str) -> str:
+        """Return ``name``, or ``name_2`` and so on where that is taken."""
+        candidate, number = name, self._next.get(name, 2)
+        while candidate in self._taken:
+            candidate, number = f"{name}_{number}", number + 1
+        self._next[name] = number
+        self._taken.add(candidate)
+        return candidate
+
+
+def file_stem(name: str) -> str:
+    """Return a name that any file system takes, and takes as one name whatever its case: short, without folders."""
+    return re.sub(r"[^\w-]", "_", name, flags=re.ASCII)[:LONGEST_FILE].strip("_") or "mesh"

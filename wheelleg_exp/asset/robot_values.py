@@ -1,0 +1,111 @@
+"""Numbers of a converted robot as plain JSON, so that a script can compare them with another source."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from wheelleg_exp.asset.rigid_geometry import rotation_matrix
+from wheelleg_exp.asset.robot_description import Body, Dof, Drive, Geom, Mesh, RobotDescription
+
+
+def values_of(robot: RobotDescription) -> dict[str, Any]:
+    """Return bodies, joints, colliders, meshes and actuators of a robot by name, in SI units and radians."""
+    colliders = [(body.name, geom) for body in robot.bodies for geom in body.geoms if geom.collides]
+    return {
+        "bodies": {body.name: _body(body) for body in robot.bodies},
+        "joints": {dof.name: _joint(dof, body.name) for body in robot.bodies for dof in body.dofs},
+        "colliders": {geom.name: _collider(geom, owner) for owner, geom in colliders},
+        "static_colliders": {geom.name: _collider(geom, None) for geom in robot.static_geoms if geom.collides},
+        "meshes": {mesh.name: _mesh(mesh) for mesh in robot.meshes},
+        "actuators": {item.name: {item.transmission: item.target, **plain(item.extra)} for item in robot.actuators},
+    }
+
+
+def _body(body: Body) -> dict[str, Any]:
+    inertial = body.inertial
+    turn = rotation_matrix(inertial.axes)
+    tensor = turn @ np.diag(inertial.moments) @ turn.T
+    order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    return {
+        "path": body.path,
+        "parent": body.parent,
+        "floating": body.floating,
+        "position": list(body.pose.position),
+        "rotation": list(body.pose.rotation),
+        "mass": inertial.mass,
+        "center_of_mass": list(inertial.center_of_mass),
+        "inertia": [float(tensor[place]) for place in order],  # xx yy zz xy xz yz, about the centre, in body axes
+    }
+
+
+def _joint(dof: Dof, body: str) -> dict[str, Any]:
+    return {
+        "path": dof.path,
+        "body": body,
+        "kind": dof.kind,
+        "axis": list(dof.axis),
+        "anchor": list(dof.anchor),
+        "range": None if dof.range is None else list(dof.range),
+        "stiffness": dof.stiffness,
+        "damping": dof.damping,
+        "armature": dof.armature,
+        "frictionloss": dof.frictionloss,
+        "effort": effort_of(dof),
+        "velocity": dof.max_velocity,
+        "drive": None if dof.drive is None else _drive(dof.drive),
+    }
+
+
+def effort_of(dof: Dof) -> float | None:
+    """Return what a joint's motors may do at most, in N·m or N; None without a limit."""
+    limits = [] if dof.force_range is None else [max(map(abs, dof.force_range))]
+    if dof.drive is not None and dof.drive.effort is not None:
+        limits.append(dof.drive.effort)
+    return min(limits, default=None)
+
+
+def _drive(drive: Drive) -> dict[str, Any]:
+    return {
+        "kind": drive.kind,
+        "kp": drive.stiffness,
+        "kv": drive.damping,
+        "effort": drive.effort,
+        "target_position": drive.target_position,
+        "target_velocity": drive.target_velocity,
+        "acceleration": drive.acceleration,
+    }
+
+
+def _collider(geom: Geom, owner: str | None) -> dict[str, Any]:
+    return {
+        "path": geom.path,
+        "body": owner,
+        "kind": geom.kind,
+        "size": list(geom.size),
+        "position": list(geom.pose.position),
+        "rotation": list(geom.pose.rotation),
+        "mesh": geom.mesh,
+        "friction": geom.friction,
+    }
+
+
+def _mesh(mesh: Mesh) -> dict[str, Any]:
+    return {
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "low": mesh.vertices.min(axis=0).tolist(),
+        "high": mesh.vertices.max(axis=0).tolist(),
+    }
+
+
+def plain(value: Any) -> Any:
+    """Return a value that JSON has: without infinity, which it does not know, and tuples."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, tuple) else value

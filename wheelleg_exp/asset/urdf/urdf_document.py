@@ -1,0 +1,315 @@
+"""Read a URDF as elements with line and path, check its numbers, note every reading, and name what nothing read.
+
+A document type is refused, so no entity can grow or reach other files. Depth and number of elements are limited.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+from wheelleg_exp.asset.file_limits import LARGEST_TEXT, MOST_ELEMENTS, require_plain_file
+from wheelleg_exp.asset.usd.ledger import HUGEST, Ledger
+from wheelleg_exp.errors import AssetError
+
+DEEPEST = 60  # elements inside each other; a URDF needs eight
+
+
+@dataclass(eq=False)
+class Element:
+    """An XML element: ``path`` as people write it (``/robot/link[base]/inertial``), ``line`` from 1."""
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    path: str = ""
+    text: str = ""
+    children: list[Element] = field(default_factory=list)
+
+    def all(self, tag: str) -> list[Element]:
+        """Return the children of one kind."""
+        return [child for child in self.children if child.tag == tag]
+
+    def first(self, tag: str) -> Element | None:
+        """Return the first child of one kind, None when there is none."""
+        return next((child for child in self.children if child.tag == tag), None)
+
+    def walk(self) -> Iterator[Element]:
+        """Yield this element and all below, in the order of the file."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+
+def parse_xml(source: Path, data: bytes) -> Element:
+    """Return the outermost element.
+
+    Args:
+        source: the file, for messages.
+        data: its bytes.
+
+    Raises:
+        AssetError: they are no XML, declare a document type or entities, or hold too many elements or too deep ones.
+    """
+    start = len(data) - len(data.lstrip(b" \t\r\n"))  # blanks before the declaration: common, and harmless
+    return _Parser(source, data[:start].count(b"\n")).parse(data[start:])
+
+
+class _Parser:
+    """Expat with a stack; a document type is refused, so that no entity can grow or reach for other files."""
+
+    def __init__(self, source: Path, skipped_lines: int) -> None:
+        self.source, self.skipped = source, skipped_lines
+        self.stack: list[tuple[Element, list[str]]] = []
+        self.count = 0
+        self.root: Element | None = None
+        self.expat = expat.ParserCreate()
+        self.expat.buffer_text = True
+        self.expat.StartElementHandler = self._start
+        self.expat.EndElementHandler = self._end
+        self.expat.CharacterDataHandler = self._text
+        self.expat.StartDoctypeDeclHandler = self._doctype
+
+    def parse(self, data: bytes) -> Element:
+        """Return the root element; AssetError, with file and line, when the text is no XML."""
+        try:
+            self.expat.Parse(data, True)
+        except expat.ExpatError as error:
+            where = f"{self.source}:{error.lineno + self.skipped}"
+            reason = expat.errors.messages[error.code]
+            raise AssetError(f"'{self.source.name}' is not valid XML: {reason}", where=where) from None
+        except (LookupError, ValueError) as error:  # an encoding that nobody knows
+            raise AssetError(f"'{self.source.name}' is not valid XML: {error}", where=str(self.source)) from None
+        assert self.root is not None
+        return self.root
+
+    def _line(self) -> int:
+        return self.expat.CurrentLineNumber + self.skipped
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes, self._line())
+        if self.stack:
+            self.stack[-1][0].children.append(element)
+        else:
+            self.root = element
+        self.stack.append((element, []))
+        self.count += 1
+        if self.count > MOST_ELEMENTS:
+            self._refuse(f"there are more than {MOST_ELEMENTS:,} elements", "one robot")
+        if len(self.stack) > DEEPEST:
+            self._refuse(f"elements stand more than {DEEPEST} deep inside each other", "fewer")
+
+    def _end(self, _: str) -> None:
+        element, parts = self.stack.pop()
+        element.text = "".join(parts)
+
+    def _text(self, text: str) -> None:
+        if self.stack:
+            self.stack[-1][1].append(text)
+
+    def _doctype(self, *_: object) -> None:
+        self._refuse("a document type (<!DOCTYPE ...>) is not read, because entities are not", "a file without it")
+
+    def _refuse(self, message: str, expected: str) -> NoReturn:
+        raise AssetError(message, where=f"{self.source}:{self._line()}", expected=expected)
+
+
+SHOWN_TEXT = 60  # characters of a value in a message
+
+
+@dataclass(eq=False)
+class Document:
+    """A URDF, and the account of what was read of it."""
+
+    source: Path
+    root: Element
+    ledger: Ledger = field(default_factory=Ledger)
+
+    def fail(self, element: Element, message: str, expected: str | None = None) -> NoReturn:
+        """Raise an AssetError that names the element and its line."""
+        raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
+
+    def text(self, element: Element, name: str, became: str | None) -> str | None:
+        """Return an attribute, None when it is absent, and note what it becomes, if anything."""
+        value = element.attributes.get(name)
+        if value is not None and became is not None:
+            self.ledger.mapped(element.path, name, became)
+        return value
+
+    def required(self, element: Element, name: str, became: str) -> str:
+        """Return an attribute that has to be there and not be empty.
+
+        Raises:
+            AssetError: it is not.
+        """
+        value = self.text(element, name, became)
+        if not value:
+            self.fail(element, f"<{element.tag}> has no '{name}'", f'{name}="..."')
+        return value
+
+    def numbers(self, element: Element, name: str, count: int, became: str) -> tuple[float, ...] | None:
+        """Return an attribute's numbers, None when it is absent or blank.
+
+        Raises:
+            AssetError: they are not ``count``, or larger than anything a robot has.
+        """
+        text = self.text(element, name, became)
+        if text is None or not text.strip():
+            return None
+        values = tuple(self._parsed(element, name, word) for word in text.split())
+        wanted = f"{count} numbers" if count > 1 else "a number"
+        if len(values) != count or not all(abs(value) <= HUGEST for value in values):
+            self.fail(element, f"'{name}' is '{text[:SHOWN_TEXT]}'", wanted)
+        return values
+
+    def number(self, element: Element, name: str, became: str | None, *, endless: bool = False) -> float | None:
+        """Return an attribute's number, None when it is absent or blank; ``endless`` lets infinity pass.
+
+        Raises:
+            AssetError: it is no number, NaN, or larger than anything a robot has.
+        """
+        text = self.text(element, name, became)
+        if text is None or not text.strip():
+            return None
+        value = self._parsed(element, name, text.strip())
+        if math.isnan(value) or (abs(value) > HUGEST and not endless):
+            self.fail(element, f"'{name}' is '{text[:SHOWN_TEXT]}'", "a number that a robot can have")
+        return value
+
+    def _parsed(self, element: Element, name: str, word: str) -> float:
+        try:
+            return float(word.replace("_", "?"))  # Python reads 1_000, no URDF means it
+        except ValueError:
+            return self.fail(element, f"'{name}' is '{word[:SHOWN_TEXT]}'", "a number")
+
+
+def open_document(source: Path) -> Document:
+    """Read a URDF.
+
+    Raises:
+        AssetError: it cannot be read, is no XML or no URDF, declares a document type or entities, or still holds
+            xacro.
+    """
+    root = parse_xml(source, _bytes(source))
+    if root.tag != "robot":
+        raise AssetError(
+            f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>",
+            where=f"{source}:{root.line}",
+            expected="<robot>",
+        )
+    _name_paths(root)
+    document = Document(source, root)
+    _refuse_xacro(document)
+    return document
+
+
+def _bytes(source: Path) -> bytes:
+    require_plain_file(source, "a URDF file", LARGEST_TEXT)
+    try:
+        return source.read_bytes()
+    except OSError as error:
+        raise AssetError(f"'{source}' cannot be read: {error.strerror}", expected="a URDF file") from None
+
+
+def _name_paths(root: Element) -> None:
+    """Give each element its path: named by ``name`` where that tells it apart, else by its place."""
+    root.path = f"/{root.tag}"
+    for element in root.walk():
+        named = Counter((child.tag, child.attributes.get("name")) for child in element.children)
+        kinds = Counter(child.tag for child in element.children)
+        seen: Counter[str] = Counter()
+        for child in element.children:
+            seen[child.tag] += 1
+            name = child.attributes.get("name")
+            if name and named[child.tag, name] == 1:
+                label = f"[{name}]"
+            else:
+                label = f"[{seen[child.tag]}]" if kinds[child.tag] > 1 else ""
+            child.path = f"{element.path}/{child.tag}{label}"
+
+
+PACKAGE = re.compile(r"^(?:file:/{0,2})?\$\(find(?:-pkg-share)? +([^)\s]+) *\)/*")
+"""How launch files name a package in a file's name; it means what ``package://NAME/`` means."""
+
+
+def _refuse_xacro(document: Document) -> None:
+    """Refuse macros and substitutions that nobody has carried out, but for those that name a file's package."""
+    for element in document.root.walk():
+        values = [PACKAGE.sub("", v) if key == "filename" else v for key, v in element.attributes.items()]
+        values.append(element.text)
+        if element.tag.startswith("xacro:") or any("${" in value or "$(" in value for value in values):
+            document.fail(element, "the file still holds xacro, which is not carried out here", "xacro IN -o OUT first")
+
+
+READ = {  # what a kind of element may hold; everything else is left as a whole
+    "robot": {"link", "joint", "material", "mujoco"},
+    "link": {"inertial", "visual", "collision"},
+    "inertial": {"origin", "mass", "inertia"},
+    "visual": {"origin", "geometry", "material"},
+    "collision": {"origin", "geometry"},
+    "geometry": {"box", "sphere", "cylinder", "capsule", "mesh"},
+    "material": {"color"},
+    "joint": {"origin", "axis", "parent", "child", "limit", "dynamics", "mimic"},
+    "mujoco": {"compiler"},
+}
+
+REASONS = {  # by the element's tag
+    "gazebo": "settings of Gazebo",
+    "transmission": "names of hardware; what drives a joint comes from the task's configuration",
+    "ros2_control": "names of hardware; what drives a joint comes from the task's configuration",
+    "sensor": "sensors are not read; observations come from the task's configuration",
+    "safety_controller": "soft limits of a hardware's controller",
+    "calibration": "the calibration of a hardware's encoder",
+    "contact": "PyBullet's contact parameters; bodies keep MuJoCo's friction",
+    "texture": "textures are not read",
+    "specular": "only colours are read",
+    "material": "colliders are drawn in one colour",
+    "joint_properties": "an old spelling of <dynamics>, which other readers pass over too",
+    "option": "settings of MuJoCo; the conversion has its own",
+    "size": "settings of MuJoCo; the conversion has its own",
+}
+
+ATTRIBUTES = {  # by tag and name
+    ("limit", "lower"): "a joint of this kind has no limits",
+    ("limit", "upper"): "a joint of this kind has no limits",
+    ("limit", "effort"): "a joint of this kind has no effort limit in the model",
+    ("limit", "velocity"): "a joint of this kind has no velocity limit in the model",
+    ("axis", "xyz"): "a joint of this kind has no axis",
+    ("axis", "rpy"): "an axis is a direction",
+    ("robot", "version"): "the version of the format",
+}
+
+
+def audit(document: Document) -> None:
+    """Name what nothing read."""
+    document.ledger.mapped(document.root.path, "name", "model name")
+    _visit(document, document.root)
+
+
+def _visit(document: Document, element: Element) -> None:
+    for name, value in element.attributes.items():
+        if not name.startswith("xmlns") and not document.ledger.knows(element.path, name):
+            reason = ATTRIBUTES.get((element.tag, name), "not supported here")
+            document.ledger.leave(element.path, name, reason, value)
+    known = READ.get(element.tag, set())
+    for child in element.children:
+        if child.tag in known:
+            _visit(document, child)
+        else:
+            reason = REASONS.get(child.tag, "no part of URDF that is read here")
+            document.ledger.leave(child.path, child.tag, reason, summary(child))
+
+
+def summary(element: Element) -> str:
+    """Return what an element holds, on one line and not too long."""
+    found = []
+    for item in element.walk():
+        found += [f"{item.tag} {name}={value}" for name, value in item.attributes.items()]
+        found += [f"{item.tag} {text}"] if (text := " ".join(item.text.split())) else []
+    return ", ".join(found)[:200]

@@ -1,0 +1,191 @@
+"""Mass properties of URDF links.
+
+A link without mass, or without ``<inertial>``, is a frame on the link that it is welded to: ROS uses such links for
+shapes and names. If no link of a moving group has a mass, the volume of its colliders gives the mass.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wheelleg_exp.asset.rigid_geometry import Array
+from wheelleg_exp.asset.robot_description import BaseMode, Inertial, Vec3
+from wheelleg_exp.asset.solids import (
+    BARE_MASS,
+    BARE_RADIUS,
+    WATER,
+    Part,
+    Solid,
+    balanced,
+    combined_center,
+    combined_tensor,
+    mesh_solid,
+    primitive,
+    principal,
+)
+from wheelleg_exp.asset.urdf.urdf_document import Document
+from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
+from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
+from wheelleg_exp.asset.usd.gprims import Shape
+
+NOISE = 1e-6  # m; a radius of gyration below this is no body's
+TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+def inertials(
+    document: Document, tree: Tree, seen: dict[str, Seen], colliders: dict[str, list[Shape]], base: BaseMode
+) -> dict[str, Inertial]:
+    """Return the mass properties of each link, by name.
+
+    Args:
+        document: the URDF.
+        tree: its links.
+        seen: MuJoCo's reading of them.
+        colliders: shapes that weigh where the file gives no mass.
+        base: what stands still may be without mass.
+
+    Raises:
+        AssetError: something moves that weighs too little for MuJoCo.
+    """
+    links = tree.links.values()
+    found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
+    for group in _welded(tree, base):
+        top = group[0]
+        moves = top.joint is not None or not (base == "fixed" or top is tree.world)
+        unweighed = [link for link in group if not found[link.name].mass]
+        if moves and unweighed and not any(_enough(found[link.name]) for link in group):
+            found.update(_moving(document, unweighed, colliders))
+        _note_unweighed(document, group, unweighed, found)
+        if moves and not any(_enough(found[link.name]) for link in group):
+            message = f"it moves, and its mass or inertia is below {SMALLEST:g}"
+            document.fail(top.element, message, "numbers that MuJoCo can divide by")
+    return {link.name: _inertial(document, link, found[link.name]) for link in links if link is not tree.world}
+
+
+def _enough(part: Part) -> bool:
+    return part.mass >= SMALLEST and float(np.linalg.eigvalsh(part.tensor)[-1]) >= SMALLEST
+
+
+def _moving(document: Document, group: list[Link], colliders: dict[str, list[Shape]]) -> dict[str, Part]:
+    """Return parts for links that move and weigh nothing, which no simulator takes: their volume, or PhysX's 1 kg."""
+    heavy = {link.name: part for link in group if (part := _by_volume(document, link, colliders[link.name]))}
+    top = group[0]
+    if not heavy:
+        heavy = {top.name: _bare(document, top, BARE_MASS, np.zeros(3))}
+    mass = sum(part.mass for part in heavy.values())
+    reason = "it moves, and neither it nor what is welded to it has a mass"
+    document.ledger.warn(f"{top.element.path}: {reason}; it weighs {mass:.6g} kg in the model, as in PhysX")
+    return heavy
+
+
+def _note_unweighed(document: Document, group: list[Link], unweighed: list[Link], found: dict[str, Part]) -> None:
+    """Record the links of a group that have no ``<inertial>``, or weigh what is not written, with their kilograms."""
+    for link in group:
+        if link.element.first("inertial") is None or (link in unweighed and found[link.name].mass):
+            document.ledger.find("no_inertial", link.name, link.element.path, mass=found[link.name].mass)
+
+
+def _welded(tree: Tree, base: BaseMode) -> list[list[Link]]:
+    """Return the links in groups that move as one, each with the link nearest to the root first."""
+    groups: dict[str, list[Link]] = {}
+    top: dict[str, str] = {}
+    for link in tree.depth_first():
+        joint = link.joint
+        dropped = base == "floating" and joint is not None and joint.parent is tree.world
+        top[link.name] = top[joint.parent.name] if joint and joint.welds and not dropped else link.name
+        groups.setdefault(top[link.name], []).append(link)
+    return list(groups.values())
+
+
+def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> Part:
+    """Return a link's mass, centre and tensor in its own frame; no mass and no volume is a part of 0 kg."""
+    center, tensor = seen.inertia_frame.translation, _tensor(document, link, seen.mass)
+    if seen.mass > 0 and tensor is not None:
+        turn = seen.inertia_frame.rotation
+        return Part(seen.mass, center, turn @ tensor @ turn.T)
+    if seen.mass == 0:
+        return Part(0.0, center, np.zeros((3, 3)))
+    parts = _weights(colliders)
+    document.ledger.find("no_inertia", link.name, link.element.path, mass=seen.mass)
+    if not parts:
+        return _bare(document, link, seen.mass, center)
+    document.ledger.assume(link.element.path, "no inertia: from the colliders, scaled to the mass", "tensor")
+    return Part(seen.mass, center, combined_tensor(parts, seen.mass, center))
+
+
+def _weights(colliders: list[Shape]) -> list[Part]:
+    solids = [solid for shape in colliders if (solid := _solid(shape)) is not None]
+    return [Part.of(solid, WATER * solid.volume) for solid in solids]
+
+
+def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> Part | None:
+    """Return what the colliders weigh as water, None when they have no volume."""
+    parts = _weights(colliders)
+    if not parts:
+        return None
+    mass, middle = sum(part.mass for part in parts), combined_center(parts)
+    document.ledger.assume(link.element.path, f"no mass: the colliders' volume, {WATER:g} kg/m³", f"{mass:.6g} kg")
+    return Part(mass, middle, combined_tensor(parts, mass, middle))
+
+
+def _tensor(document: Document, link: Link, mass: float) -> Array | None:
+    """Return the tensor in the inertial frame, None when none is given: absent, zero, or the noise of exporters."""
+    inertial = link.element.first("inertial")
+    element = inertial.first("inertia") if inertial else None
+    if element is None:
+        return None
+    values = [document.number(element, name, "inertial diaginertia and quat") or 0.0 for name in TENSOR]
+    a, b, c, d, e, f = values
+    tensor = np.array([[a, d, e], [d, b, f], [e, f, c]])
+    if not any(values):
+        return None
+    moments, _ = principal(tensor)
+    if max(moments) > mass * NOISE**2:
+        return tensor
+    document.ledger.leave(element.path, "inertia", "zero but for rounding, which means not given", _listed(moments))
+    document.ledger.find("tiny_inertia", link.name, link.element.path, mass=mass, largest=max(moments))
+    return None
+
+
+def _bare(document: Document, link: Link, mass: float, center: Array) -> Part:
+    rule = "no inertia and no collider: a sphere of 0.1 m, as PhysX"
+    document.ledger.assume(link.element.path, rule, f"{mass:g} kg")
+    return Part(mass, center, np.eye(3) * 0.4 * mass * BARE_RADIUS**2)
+
+
+def _solid(shape: Shape) -> Solid | None:
+    try:
+        if shape.vertices is None:
+            solid = primitive(shape.kind, shape.size)
+        else:
+            solid = mesh_solid(shape.vertices, shape.faces, "convex")
+    except ValueError:
+        return None
+    return solid.seen_from(shape.frame) if solid.volume > 0 else None
+
+
+def _inertial(document: Document, link: Link, part: Part) -> Inertial:
+    x, y, z = (float(value) + 0.0 for value in part.center)
+    if part.mass == 0:
+        document.ledger.assume(link.element.path, "no mass: a frame on its parent", "0 kg")
+        return Inertial(0.0, (x, y, z), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    moments, axes = principal(part.tensor)
+    return Inertial(part.mass, (x, y, z), _possible(document, link, moments), axes)
+
+
+def _possible(document: Document, link: Link, moments: Vec3) -> Vec3:
+    """Return moments that a body can have, and say so when the file's are not."""
+    path, shown = link.element.path, _listed(moments)
+    able = balanced(moments)
+    if able != moments:
+        a, b, c = moments
+        document.ledger.find("impossible_inertia", link.name, path, a=a, b=b, c=c, cut_to=max(able))
+        rule = "moments that no body can have (A + B < C): the largest is cut"
+        document.ledger.assume(path, rule, f"{shown} to {_listed(able)} kg m²")
+        if not np.allclose(able, moments, rtol=0.01, atol=0):
+            document.ledger.warn(f"{path}: no body has the moments of inertia {shown}; the model has {_listed(able)}")
+    return able
+
+
+def _listed(moments: Vec3) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in moments) + ")"

@@ -1,0 +1,415 @@
+"""Read a URDF into a robot description and a report.
+
+Axes of joints are those that MuJoCo reads; limits and couplings come from the XML.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wheelleg_exp.asset.conversion_report import Report, is_placeholder
+from wheelleg_exp.asset.report_writer import report_of
+from wheelleg_exp.asset.rigid_geometry import Frame
+from wheelleg_exp.asset.robot_description import (
+    RESERVED,
+    BaseMode,
+    Body,
+    Coupling,
+    Dof,
+    Inertial,
+    Pose,
+    RobotDescription,
+    Vec3,
+)
+from wheelleg_exp.asset.urdf.mesh_files import Files
+from wheelleg_exp.asset.urdf.urdf_document import Document, Element, audit, open_document
+from wheelleg_exp.asset.urdf.urdf_inertia import inertials
+from wheelleg_exp.asset.urdf.urdf_shapes import Shapes
+from wheelleg_exp.asset.urdf.urdf_tree import Axis, Joint, Link, Seen, Tree, read_tree, read_with_mujoco
+from wheelleg_exp.asset.usd.usd_stage import HUGE, effort_limit, endless
+from wheelleg_exp.errors import nearest_name
+
+FAR = 1e6  # stands for the missing side of a range
+UNIT_LENGTH = 1e-6  # an axis this near to length 1 is kept as written
+PLANAR = ("_transX", "_transY", "_rotZ")  # in the frame whose z is the joint's axis
+
+Range = tuple[float, float]
+
+
+def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[Dof, ...]:
+    """Return the degrees of freedom of a joint; none for a weld, and none for a floating one."""
+    axes = seen.axes if joint.kind != "floating" else ()
+    document.ledger.mapped(joint.element.path, "joint", _became(joint, axes))
+    suffixes = PLANAR if joint.kind == "planar" else ("",)
+    if not axes:
+        return ()
+    limits = _limits(document, joint)
+    return tuple(_dof(document, joint, axis, suffix, limits) for axis, suffix in zip(axes, suffixes, strict=True))
+
+
+def _became(joint: Joint, axes: tuple[Axis, ...]) -> str:
+    if joint.kind == "floating":
+        return "freejoint"
+    if not axes:
+        return "a weld to the parent body"
+    return f"joint {joint.name} ({', '.join(axis.kind for axis in axes)})"
+
+
+def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> Dof:
+    own = not suffix  # a planar joint's limits do not say which of its three they mean
+    return Dof(
+        name=joint.name + suffix,
+        path=joint.element.path,
+        kind=axis.kind,
+        axis=_direction(document, joint, axis.axis),
+        anchor=(0.0, 0.0, 0.0),
+        range=limits.range if own else None,
+        damping=axis.damping,
+        frictionloss=axis.friction,
+        max_velocity=limits.velocity if own else None,
+        force_range=limits.effort if own else None,
+    )
+
+
+def _direction(document: Document, joint: Joint, axis: Vec3) -> Vec3:
+    length = float(np.linalg.norm(axis))
+    if abs(length - 1.0) < UNIT_LENGTH:
+        return axis
+    document.ledger.assume(joint.element.path, "the axis is not of unit length: its direction", f"length {length:.6g}")
+    x, y, z = (value / length for value in axis)
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """A joint's ``<limit>``: range in rad or m, effort in N·m or N, velocity in rad/s or m/s; None: none."""
+
+    range: Range | None = None
+    effort: Range | None = None
+    velocity: float | None = None
+
+
+def _limits(document: Document, joint: Joint) -> _Limits:
+    element = joint.element.first("limit")
+    if joint.kind in ("planar", "spherical"):
+        return _Limits()  # the audit names what stands there
+    if element is None:
+        return _Limits(_range(document, joint, None))
+    return _Limits(
+        _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
+    )
+
+
+def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:
+    """Return the limits of a hinge or slide. A side that is not written is 0, says URDF."""
+    if joint.kind == "continuous":
+        _note_ignored(document, joint, element)
+        return None
+    ledger, path, angular = document.ledger, joint.element.path, joint.kind == "revolute"
+    found = [_written(document, joint, element, side, "range") for side in ("lower", "upper")]
+    low, high = (0.0 if value is None else value for value in found)
+    if low >= high:
+        written = {side: value for side, value in zip(("lower", "upper"), found, strict=True) if value is not None}
+        ledger.find("no_limits", joint.name, path, **written)
+    if low == high:
+        what = f"limits {low:g} to {high:g}" if element else "no <limit>"
+        ledger.assume(path, "lower and upper limit are equal, or not given: no limits", what)
+        ledger.warn(f"{path}: {what}, read as no limits; other simulators lock such a joint")
+        return None
+    if low > high:
+        ledger.assume(path, "the lower limit is above the upper one: no limits", f"{low:g} to {high:g}")
+        ledger.warn(f"{path}: limits {low:g} to {high:g} are the wrong way round and were read as none")
+        return None
+    if None in found:
+        ledger.assume(path, "only one limit is given: the other is 0, as URDF says", f"{low:g} to {high:g}")
+    no_low, no_high = (endless(math.degrees(value) if angular else value, angular) for value in (low, high))
+    if (no_low or no_high) if angular else (no_low and no_high):
+        ledger.assume(path, "limits are infinite or huge: none", f"{low:g} to {high:g}")
+        return None
+    return (-FAR if no_low else low, FAR if no_high else high)
+
+
+def _note_ignored(document: Document, joint: Joint, element: Element | None) -> None:
+    """Say that a joint that turns without end has limits all the same, where it has; they are left to the audit."""
+    if element is None or not {"lower", "upper"} <= set(element.attributes):
+        return
+    low, high = (_written(document, joint, element, side, None) for side in ("lower", "upper"))
+    if low is None or high is None or not low < high or endless(math.degrees(low), True):
+        return
+    path = joint.element.path
+    document.ledger.find("limits_ignored", joint.name, path, lower=low, upper=high)
+    document.ledger.warn(f"{path}: a continuous joint has no limits; {low:g} to {high:g} are written and do not count")
+
+
+def _written(document: Document, joint: Joint, element: Element | None, name: str, became: str | None) -> float | None:
+    """Return a number of ``<limit>``, and keep it as the file has it."""
+    value = None if element is None else document.number(element, name, became, endless=True)
+    if value is not None:
+        document.ledger.authored.setdefault(joint.element.path, {})[name] = value
+    return value
+
+
+def _effort(document: Document, joint: Joint, element: Element) -> Range | None:
+    value = _written(document, joint, element, "effort", "joint actuatorfrcrange")
+    if value is not None and math.isfinite(value) and is_placeholder(value):
+        document.ledger.find("placeholder_effort", joint.name, joint.element.path, value=value)
+    limit = effort_limit(None if value is None else abs(value))
+    if limit is None:
+        if value is not None:
+            document.ledger.leave(element.path, "effort", "zero, infinite or huge, which means not given", value)
+        return None
+    return -limit, limit
+
+
+def _velocity(document: Document, joint: Joint, element: Element) -> float | None:
+    value = _written(document, joint, element, "velocity", "velocity_limits")
+    if value is None:
+        return None
+    if math.isfinite(value) and is_placeholder(value):
+        document.ledger.find("placeholder_velocity", joint.name, joint.element.path, value=value)
+    limit = abs(value)
+    if limit == 0 or limit >= HUGE:
+        document.ledger.leave(element.path, "velocity", "zero, infinite or huge, which means not given", value)
+        return None
+    unit = "m/s" if joint.kind == "prismatic" else "rad/s"
+    reason = f"MuJoCo has no velocity limit; kept in the report's velocity_limits in {unit}"
+    document.ledger.leave(element.path, "velocity", reason, f"{limit:g} {unit}")
+    return limit
+
+
+def couplings(document: Document, tree: Tree, dofs: dict[str, Dof]) -> tuple[Coupling, ...]:
+    """Return the joints that follow another one: q = offset + multiplier · r.
+
+    Args:
+        document: the URDF.
+        tree: its joints.
+        dofs: the degree of freedom of each hinge and slide, by the joint's name.
+    """
+    found = []
+    for joint in tree.joints.values():
+        element = joint.element.first("mimic")
+        if element is not None:
+            coupling = _coupling(document, joint, element, tree, dofs)
+            found += [coupling] if coupling else []
+    return tuple(found)
+
+
+def _coupling(document: Document, joint: Joint, element: Element, tree: Tree, dofs: dict[str, Dof]) -> Coupling | None:
+    leader = document.required(element, "joint", "equality joint")
+    multiplier = document.number(element, "multiplier", "equality joint polycoef")
+    offset = document.number(element, "offset", "equality joint polycoef")
+    if joint.name not in dofs or leader not in dofs or leader == joint.name:
+        _leave_coupling(document, element, leader, tree)
+        return None
+    ratio = 1.0 if multiplier is None else multiplier
+    return Coupling(
+        f"{joint.name}_coupling",
+        element.path,
+        dofs[joint.name].name,
+        dofs[leader].name,
+        (offset or 0.0, ratio, 0.0, 0.0, 0.0),
+    )
+
+
+def _leave_coupling(document: Document, element: Element, leader: str, tree: Tree) -> None:
+    reason = "only a hinge or slide can follow another one"
+    if leader not in tree.joints:
+        nearest = nearest_name(leader, tree.joints)
+        reason = f"there is no joint '{leader}'" + (f"; was '{nearest}' meant?" if nearest else "")
+    document.ledger.leave(element.path, "joint", reason, leader)
+    document.ledger.warn(f"{element.path}: the coupling was left out: {reason}")
+
+
+SUFFIXES = (".urdf",)
+EARTH = 9.81
+SI = {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"}  # URDF has no others
+
+
+def read_urdf(source: Path, base: BaseMode) -> tuple[RobotDescription, Report]:
+    """Read a robot and say what was read, assumed and left out.
+
+    Raises:
+        AssetError: the file cannot be read, or is no robot.
+    """
+    document = open_document(source)
+    robot, files = describe(document, base)
+    return robot, summarise(document, robot, files)
+
+
+def source_files(source: Path) -> dict[str, str]:
+    """Return the sha256 of a URDF and of each mesh file that it names, by path as seen from its folder.
+
+    Raises:
+        AssetError: the file cannot be read.
+    """
+    document = open_document(source)
+    files = Files(document)
+    for element in document.root.walk():
+        if element.tag == "mesh" and (name := element.attributes.get("filename")):
+            files.find(name)
+    return dict(sorted(files.hashes.items()))
+
+
+def describe(document: Document, base: BaseMode) -> tuple[RobotDescription, Files]:
+    """Return the robot of a document, and the files that it is made of."""
+    return _Builder(document, base).build()
+
+
+class _Builder:
+    """Makes bodies of links; the world, if the file has it, is none."""
+
+    def __init__(self, document: Document, base: BaseMode) -> None:
+        self.document, self.base = document, base
+        self.tree: Tree = read_tree(document)
+        self.seen: dict[str, Seen] = read_with_mujoco(document, self.tree)
+        self.files = Files(document)
+        self.shapes = Shapes(document, self.tree, self.seen, self.files)
+        self.names = _body_names(document, self.tree)
+        joints = self.tree.joints.values()
+        self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
+
+    def build(self) -> tuple[RobotDescription, Files]:
+        """Return the robot, and the files that it names."""
+        tree, document = self.tree, self.document
+        masses = inertials(document, tree, self.seen, self.shapes.solids(), self.base)
+        links = [link for link in tree.depth_first() if link is not tree.world]
+        if not links:
+            document.fail(tree.root.element, "the file holds the world and nothing in it", "a robot")
+        bodies = _floating_last([self._body(link, masses[link.name]) for link in links])
+        robot = RobotDescription(
+            name=document.root.attributes.get("name") or document.source.stem,
+            bodies=bodies,
+            gravity=(0.0, 0.0, -EARTH),
+            static_geoms=self.shapes.geoms(tree.world) if tree.world else (),
+            exclusions=self._exclusions(),
+            couplings=couplings(document, tree, self._single_dofs()),
+            materials=tuple(self.shapes.looks.used.values()),
+            meshes=self.shapes.meshes(),
+            breadth_first_dofs=self._breadth_first(),
+        )
+        document.ledger.assume(document.source.name, "a URDF has no gravity", f"{EARTH} m/s² downwards")
+        audit(document)
+        for name in self.files.missing:
+            document.ledger.warn(f"not found, read without it: {name}")
+            document.ledger.find("mesh_not_found", name, document.source.name, **self._named_by(name))
+        return robot, self.files
+
+    def _named_by(self, file: str) -> dict[str, float]:
+        """Return how many colliders and visuals name a file."""
+        shapes = [placed for seen in self.seen.values() for placed in seen.shapes]
+        of_file = [
+            placed.collides
+            for placed in shapes
+            if any(e.attributes.get("filename") == file for e in placed.element.walk())
+        ]
+        return {"colliders": sum(of_file), "visuals": len(of_file) - sum(of_file)}
+
+    # ------------------------------------------------------------ bodies
+    def _body(self, link: Link, inertial: Inertial) -> Body:
+        joint, path = link.joint, link.element.path
+        self.document.ledger.mapped(path, "link", f"body {self.names[link.name]}")
+        floating = self._floats(link)
+        inside = joint is not None and joint.parent is not self.tree.world and not floating
+        return Body(
+            name=self.names[link.name],
+            path=path,
+            parent=self.names[joint.parent.name] if joint and inside else None,
+            pose=self._world_pose(link) if floating else self.seen[link.name].pose,
+            inertial=inertial,
+            floating=floating,
+            dofs=self.dofs[joint.name] if joint else (),
+            geoms=self.shapes.geoms(link),
+        )
+
+    def _floats(self, link: Link) -> bool:
+        """Return whether a link moves freely: by a floating joint, or as the root of a robot that is not fixed."""
+        joint, ledger = link.joint, self.document.ledger
+        if joint is None:
+            if self.base == "auto":
+                rule = "a URDF does not say how its base stands: as in Gazebo and PyBullet; --base fixed pins it"
+                ledger.assume(link.element.path, rule, "floating")
+            elif self.base == "fixed":
+                ledger.assume(link.element.path, "--base fixed", "no free joint")
+            return self.base != "fixed"
+        to_world = joint.parent is self.tree.world
+        if to_world and joint.welds and self.base == "floating":
+            ledger.leave(joint.element.path, "joint", "--base floating drops the joint to the world")
+            return True
+        if to_world and joint.kind == "floating" and self.base == "fixed":
+            ledger.leave(joint.element.path, "joint", "--base fixed removes the free joint")
+            return False
+        return joint.kind == "floating"
+
+    def _world_pose(self, link: Link) -> Pose:
+        """Return where a link stands when all coordinates are zero."""
+        chain = [link]
+        while chain[-1].joint is not None:
+            chain.append(chain[-1].joint.parent)
+        if len(chain) == 1:
+            return self.seen[link.name].pose
+        frame = Frame.identity()
+        for item in reversed(chain):
+            frame = frame @ Frame.of(self.seen[item.name].pose)
+        return frame.pose()
+
+    # ------------------------------------------------------------ joints
+    def _single_dofs(self) -> dict[str, Dof]:
+        return {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
+
+    def _breadth_first(self) -> tuple[str, ...]:
+        joints = [link.joint for link in self.tree.breadth_first() if link.joint is not None]
+        return tuple(dof.name for joint in joints for dof in self.dofs[joint.name])
+
+    def _exclusions(self) -> tuple[tuple[str, str], ...]:
+        """Return the pairs that never touch: links that a joint holds together."""
+        pairs = []
+        for joint in self.tree.joints.values():
+            if joint.parent is not self.tree.world and joint.kind != "floating":
+                pairs.append((self.names[joint.parent.name], self.names[joint.child.name]))
+        return tuple(pairs)
+
+
+def _floating_last(bodies: list[Body]) -> tuple[Body, ...]:
+    """Return the bodies so that each tree stands whole: a link on a floating joint starts a tree of its own."""
+    children: dict[str | None, list[Body]] = {}
+    for body in bodies:
+        children.setdefault(body.parent, []).append(body)
+    out: list[Body] = []
+    stack = list(reversed(children.get(None, [])))
+    while stack:
+        body = stack.pop()
+        out.append(body)
+        stack.extend(reversed(children.get(body.name, [])))
+    return tuple(out)
+
+
+def _body_names(document: Document, tree: Tree) -> dict[str, str]:
+    """Return the bodies' names: the links', but for one that MuJoCo keeps for itself."""
+    names = {name: name for name in tree.links}
+    for name in RESERVED & set(names):
+        if tree.world is not None and tree.world.name == name:
+            continue
+        free = f"{name}_link"
+        while free in names:
+            free += "_"
+        names[name] = free
+        document.ledger.assume(tree.links[name].element.path, f"MuJoCo keeps the name '{name}'", free)
+    return names
+
+
+def summarise(document: Document, robot: RobotDescription, files: Files) -> Report:
+    """Return the report of a URDF and the robot read from it."""
+    return report_of(
+        robot,
+        document.ledger,
+        source=document.source.name,
+        root=document.root.path,
+        stage=dict(SI),
+        variants={},
+        unresolved=tuple(files.missing),
+        layers=dict(sorted(files.hashes.items())),
+    )

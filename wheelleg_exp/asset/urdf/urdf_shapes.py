@@ -1,0 +1,228 @@
+"""Convert URDF visuals and colliders to geoms: primitives as MuJoCo reads them, meshes from their files."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from wheelleg_exp.asset.file_limits import MOST_POINTS, MOST_SHAPES, require_near, require_size
+from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.robot_description import Geom, Material, Mesh, Numbered, Rgba, ShapeKind
+from wheelleg_exp.asset.urdf.mesh_files import Files, Triangles, read_mesh, reader_of
+from wheelleg_exp.asset.urdf.urdf_document import Document, Element
+from wheelleg_exp.asset.urdf.urdf_tree import Link, Placed, Seen, Tree
+from wheelleg_exp.asset.usd.gprims import SMALLEST_AREA, Shape, flat_to_box
+from wheelleg_exp.errors import AssetError
+
+
+class Looks:
+    """The colours of a document; ``used`` holds the materials that shapes have asked for."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self._colors: dict[str, Rgba] = {}
+        for element in document.root.walk():
+            if element.tag == "material":
+                self._register(element)
+        self.used: dict[tuple[str, Rgba], Material] = {}
+        self._count: Counter[str] = Counter()
+        self._taken: set[str] = set()
+
+    def _register(self, element: Element) -> None:
+        """Keep the first colour of each name; a later shape may still bring its own."""
+        name, color = element.attributes.get("name"), self._color(element)
+        if name and color is not None:
+            self._colors.setdefault(name, color)
+        if element.first("color") is not None:
+            self.document.ledger.mapped(element.path, "name", "material")
+
+    def _color(self, element: Element) -> Rgba | None:
+        color = element.first("color")
+        try:
+            values = self.document.numbers(color, "rgba", 4, "material rgba") if color else None
+        except AssetError as error:  # no reason to refuse a robot
+            self.document.ledger.leave(element.path, "color", "a colour is four numbers", error.message)
+            return None
+        if values is None:
+            return None
+        r, g, b, a = (min(max(value, 0.0), 1.0) for value in values)
+        return r, g, b, a
+
+    def of(self, shape: Element) -> tuple[str | None, Rgba | None]:
+        """Return the name of the material of a shape, or its own colour when that has no name."""
+        element = shape.first("material")
+        if element is None:
+            return None, None
+        name = self.document.text(element, "name", "material") or ""
+        color = self._color(element) or self._colors.get(name)
+        if color is None:
+            if name:
+                self.document.ledger.leave(element.path, "name", "a material without colour", name)
+            return None, None
+        return (self._named(name, color), None) if name else (None, color)
+
+    def _named(self, name: str, color: Rgba) -> str:
+        if (name, color) not in self.used:
+            self._count[name] += 1
+            free = name if self._count[name] == 1 else f"{name}_{self._count[name]}"
+            while free in self._taken:
+                free += "_"
+            self._taken.add(free)
+            self.used[name, color] = Material(free, color)
+        return self.used[name, color].name
+
+
+LONGEST_NAME = 100  # bytes of a mesh's name; its file's is longer
+KINDS: dict[str, ShapeKind] = {"box": "box", "sphere": "sphere", "cylinder": "cylinder", "capsule": "capsule"}
+
+
+class Shapes:
+    """All shapes of a robot, by link."""
+
+    def __init__(self, document: Document, tree: Tree, seen: dict[str, Seen], files: Files) -> None:
+        self.document, self.files = document, files
+        self._points, self._where = 0, str(document.source)
+        require_size(sum(len(item.shapes) for item in seen.values()), MOST_SHAPES, "shapes", where=self._where)
+        self.looks = Looks(document)
+        self._loaded: dict[str, Triangles | str] = {}
+        self._meshes: dict[str, Mesh] = {}
+        self._taken, self._mesh_names = Numbered(), Numbered()
+        self._made = {name: self._of(name, seen[name]) for name in tree.links}
+
+    def solids(self) -> dict[str, list[Shape]]:
+        """Return the colliders of each link."""
+        return {name: [shape for shape, geom in made if geom.collides] for name, made in self._made.items()}
+
+    def geoms(self, link: Link) -> tuple[Geom, ...]:
+        """Return the geoms of a link."""
+        return tuple(geom for _, geom in self._made[link.name])
+
+    def meshes(self) -> tuple[Mesh, ...]:
+        """Return the meshes in use, equal ones once."""
+        return tuple(self._meshes.values())
+
+    def _of(self, owner: str, seen: Seen) -> list[tuple[Shape, Geom]]:
+        made = []
+        for placed in seen.shapes:
+            shape = self._shape(placed)
+            if shape is not None:
+                made.append((shape, self._geom(owner, placed, shape)))
+        return made
+
+    def _geom(self, owner: str, placed: Placed, shape: Shape) -> Geom:
+        name = self._name(owner, placed)
+        what = "collider" if placed.collides else "visual"
+        self.document.ledger.mapped(placed.element.path, placed.element.tag, f"{what} geom {name} ({shape.kind})")
+        material, rgba = (None, None) if placed.collides else self.looks.of(placed.element)
+        return Geom(
+            name=name,
+            path=placed.element.path,
+            kind=shape.kind,
+            size=shape.size,
+            pose=placed.pose if placed.kind or shape.kind == "mesh" else shape.frame.pose(),
+            collides=placed.collides,
+            drawn=not placed.collides,
+            mesh=self._mesh(placed, shape) if shape.kind == "mesh" else None,
+            material=material,
+            rgba=rgba,
+        )
+
+    def _name(self, owner: str, placed: Placed) -> str:
+        """Return a geom's name: the link's, the element's own if it has one, and what it is."""
+        own = self.document.text(placed.element, "name", "geom name") or ""
+        short = own if own == owner or own.startswith(f"{owner}_") else "_".join(filter(None, (owner, own)))
+        if placed.collides and not own:
+            short += "_collision"
+        return self._taken.take(short if placed.collides else f"{short}_visual")
+
+    # ------------------------------------------------------------ shapes
+    def _shape(self, placed: Placed) -> Shape | None:
+        frame = Frame.of(placed.pose)
+        if placed.kind:
+            if min(placed.size) <= 0:
+                self._left(placed, "it has no size")
+                return None
+            return Shape(KINDS[placed.kind], placed.size, frame)
+        geometry = placed.element.first("geometry")
+        mesh = geometry.first("mesh") if geometry else None
+        if mesh is not None:
+            return self._mesh_shape(placed, mesh, frame)
+        kinds = [child.tag for child in geometry.children] if geometry else []
+        self._left(placed, f"a shape of kind '{kinds[0]}' is not supported" if kinds else "it has no shape")
+        return None
+
+    def _mesh_shape(self, placed: Placed, mesh: Element, frame: Frame) -> Shape | None:
+        name = self.document.text(mesh, "filename", "mesh file") or ""
+        scale = self.document.numbers(mesh, "scale", 3, "the mesh's points") or (1.0, 1.0, 1.0)
+        found = self._load(name)
+        if isinstance(found, str):
+            self.document.ledger.leave(mesh.path, "filename", found, name)
+            self._left(placed, f"mesh '{name}': {found}")
+            return None
+        with np.errstate(over="ignore"):
+            vertices, faces = found[0] * scale, found[1]
+        require_near(vertices, key=mesh.path, where=self._where)
+        if np.prod(scale) < 0:
+            faces = faces[:, ::-1]
+        if _area(vertices, faces) < SMALLEST_AREA:
+            self._left(placed, f"mesh '{name}': it has no surface")
+            return None
+        if len(vertices) == 3:  # MuJoCo wants four points
+            vertices = np.vstack([vertices, vertices.mean(axis=0)])
+        shape = Shape("mesh", (), frame, vertices, faces)
+        self._points += shape.points
+        require_size(self._points, MOST_POINTS, "points and triangles of meshes", key=mesh.path, where=self._where)
+        return self._solid(placed, shape) if placed.collides else shape
+
+    def _solid(self, placed: Placed, shape: Shape) -> Shape:
+        """Return what a mesh collides as: its hull, as everywhere in MuJoCo, or a thin box when it is flat."""
+        flat = flat_to_box(shape)
+        if flat is not shape:
+            self.document.ledger.warn(f"{placed.element.path}: a flat collider became a thin box")
+        return flat
+
+    def _load(self, name: str) -> Triangles | str:
+        """Return a file's triangles, or why there are none."""
+        if name not in self._loaded:
+            try:
+                self._loaded[name] = self._read(name)
+            except ValueError as error:
+                self._loaded[name] = str(error)
+        return self._loaded[name]
+
+    def _read(self, name: str) -> Triangles | str:
+        if not name:
+            return "it names no file"
+        reader_of(name)
+        path = self.files.find(name)
+        return "the file is not there" if path is None else read_mesh(path)
+
+    def _left(self, placed: Placed, reason: str) -> None:
+        element, ledger = placed.element, self.document.ledger
+        ledger.leave(element.path, element.tag, reason)
+        if placed.collides:
+            ledger.warn(f"{element.path}: a collider was left out: {reason}")
+
+    def _mesh(self, placed: Placed, shape: Shape) -> str:
+        """Return the name of a shape's mesh: its file's, numbered where others have it; equal ones are kept once."""
+        assert shape.vertices is not None
+        assert shape.faces is not None
+        vertices = np.round(shape.vertices, 9) + 0.0
+        key = hashlib.sha256(vertices.tobytes() + shape.faces.tobytes() + bytes([placed.collides])).hexdigest()
+        if key not in self._meshes:
+            self._meshes[key] = Mesh(self._mesh_name(placed), vertices, shape.faces, placed.collides)
+        return self._meshes[key].name
+
+    def _mesh_name(self, placed: Placed) -> str:
+        mesh = next(element for element in placed.element.walk() if element.tag == "mesh")
+        file = PurePosixPath(mesh.attributes["filename"].replace("\\", "/"))
+        name = file.stem.encode()[:LONGEST_NAME].decode(errors="ignore") + ("" if placed.collides else "_visual")
+        return name + self._mesh_names.take(name.lower())[len(name) :]  # file systems may not tell cases apart
+
+
+def _area(vertices: Array, faces: np.ndarray) -> float:
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2

@@ -1,0 +1,339 @@
+"""Make a tree of bodies from a graph of joints: parents, poses at zero, and the joints that close loops.
+
+An equality stands for a joint that closes a loop if MuJoCo has one with the same effect.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from pxr import Sdf
+
+from wheelleg_exp.asset.rigid_geometry import Frame
+from wheelleg_exp.asset.robot_description import BaseMode, Closure, Pose
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links
+from wheelleg_exp.asset.usd.bodies.roots import Graph, articulated, articulation_prims, find_roots
+from wheelleg_exp.asset.usd.joints.usd_joints import WELD, Joint
+from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
+
+
+@dataclass(eq=False)
+class Node:
+    """A body in the tree: its pose in the parent (None: the world) at zero, the joint that leads there."""
+
+    link: Link
+    parent: Link | None
+    pose: Pose
+    joint: Joint | None
+    floating: bool
+    depth: int
+    added: list[Joint] = field(default_factory=list)
+
+    @property
+    def reversed(self) -> bool:
+        """Whether the joint names this body first, as body0."""
+        return self.joint is not None and self.joint.links[0] is self.link
+
+    @property
+    def joints(self) -> list[Joint]:
+        """Return all joints to the parent, outermost first: one, unless the file says that joints add up."""
+        return [self.joint, *self.added] if self.joint else []
+
+    def frame_in_body(self, joint: Joint) -> Frame:
+        """Return a joint's frame in this body."""
+        return joint.frames[joint.side(self.link)]
+
+
+@dataclass
+class Tree:
+    """Nodes with parents before children, level by level, and the joints that close loops."""
+
+    nodes: list[Node] = field(default_factory=list)
+    closures: list[Joint] = field(default_factory=list)
+
+    def depth_first(self) -> list[Node]:
+        """Return the nodes in the order in which nested bodies are written."""
+        children: dict[str | None, list[Node]] = {}
+        for node in self.nodes:
+            children.setdefault(node.parent.path if node.parent else None, []).append(node)
+        out: list[Node] = []
+        stack = list(reversed(children.get(None, [])))
+        while stack:
+            node = stack.pop()
+            out.append(node)
+            stack.extend(reversed(children.get(node.link.path, [])))
+        return out
+
+
+def drawn_in_parent(node: Node) -> Frame:
+    """Return the pose in the parent that the file draws."""
+    return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
+
+
+HINGE_REACH = 0.05  # m between the two points that keep a loop's hinge on its axis
+
+
+def is_exact(joint: Joint) -> bool:
+    """Return whether equalities say the same as the joint: a weld, one hinge, or a ball."""
+    return joint.welds or (len(joint.axes) == 1 and joint.axes[0].kind != "slide")
+
+
+def better_break(nodes: Sequence[Node], closures: Sequence[Joint], settled: set[str]) -> tuple[Joint, Joint] | None:
+    """Return a closing joint that no equality can stand for, and the joint to open in its place; None for none.
+
+    That joint is of the same loop, can be an equality, and has no drive; of several the one furthest from the root.
+    """
+    by_path = {node.link.path: node for node in nodes}
+    for joint in closures:
+        if is_exact(joint) or joint.path in settled:
+            continue
+        settled.add(joint.path)
+        able = [n for n in _loop(by_path, joint) if n.joint and is_exact(n.joint) and not _driven(n.joint)]
+        turning = [n for n in able if n.joint and not n.joint.welds] or able
+        if turning:
+            opened = max(turning, key=lambda node: node.depth).joint
+            assert opened is not None
+            return joint, opened
+    return None
+
+
+def _loop(by_path: dict[str, Node], joint: Joint) -> list[Node]:
+    """Return the nodes whose joints are in the loop that a joint closes."""
+    chains = []
+    for link in joint.links:
+        chain = []
+        node = by_path[link.path] if link else None
+        while node is not None:
+            chain.append(node)
+            node = by_path[node.parent.path] if node.parent else None
+        chains.append(chain)
+    shared = {node.link.path for node in chains[0]} & {node.link.path for node in chains[1]}
+    return [node for chain in chains for node in chain if node.link.path not in shared]
+
+
+def _driven(joint: Joint) -> bool:
+    return any(name.startswith("PhysicsDriveAPI") for name in schemas(joint.prim))
+
+
+def read_closures(stage: Stage, joints: list[Joint]) -> tuple[Closure, ...]:
+    """Return the equalities that stand for joints that close loops."""
+    found = (_closure(stage, joint) for joint in joints)
+    return tuple(closure for closure in found if closure is not None)
+
+
+def _closure(stage: Stage, joint: Joint) -> Closure | None:
+    _leave_coordinates(stage, joint)
+    if any(axis.kind == "slide" for axis in joint.axes):
+        stage.ledger.leave(joint.path, joint.kind, "a sliding joint that closes a loop")
+        stage.ledger.warn(f"{joint.path}: a sliding joint closes a loop and was left out; MuJoCo has no such equality")
+        return None
+    if len(joint.axes) > 1:
+        stage.ledger.warn(f"{joint.path}: closes a loop with {len(joint.axes)} axes; only its point is kept")
+    equality: Literal["weld", "connect"] = "weld" if joint.welds else "connect"
+    stage.ledger.mapped(joint.path, joint.kind, f"equality {equality}")
+    first, second = (link.name if link else None for link in joint.links)
+    return Closure(joint.name, joint.path, equality, (first, second), tuple(_anchors(joint)))
+
+
+def _anchors(joint: Joint) -> Iterator[tuple[Pose, Pose]]:
+    """Yield pairs of points that a loop's joint holds together: for a hinge a second one along its axis."""
+    first, second = joint.frames
+    yield first.pose(), second.pose()
+    if len(joint.axes) == 1 and joint.axes[0].kind == "hinge":
+        along = Frame(np.eye(3), HINGE_REACH * np.array(joint.axes[0].axis))
+        yield (first @ along).pose(), (second @ along).pose()
+
+
+OF_COORDINATES = ("drive:", "state:", "physics:lowerLimit", "physics:upperLimit", "physxJoint", "newton:")
+
+
+def _leave_coordinates(stage: Stage, joint: Joint) -> None:
+    """Name what a joint says of its coordinate, which it does not have in the model; a drive with a warning."""
+    reason = "the joint closes a loop, so it has no coordinate in the model"
+    for prop in joint.prim.GetAuthoredProperties():
+        name = prop.GetName()
+        if name.startswith(OF_COORDINATES) or (name.startswith("limit:") and joint.axes):
+            stage.ledger.leave(joint.path, name, reason)
+    if _driven(joint):
+        stage.ledger.warn(f"{joint.path}: its drive is lost, because the joint closes a loop")
+
+
+def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
+    """Return the spanning tree of the joints, from each articulation's root outwards.
+
+    Level by level, so that a loop that nobody marked opens at the joint that is furthest from the root. Where no
+    equality could stand for the joint that closes a loop, another joint of that loop is opened, if one can be.
+
+    Args:
+        stage: the open stage.
+        links: its bodies.
+        joints: its joints; those to the world decide the base.
+        base: ``floating`` drops what pins a root to the world, ``fixed`` removes the free joint.
+    """
+    joints = _pinned(stage, _moving(stage, joints))
+    _articulate(stage, articulated(stage, Graph(links, joints)))
+    released: list[Link] = []
+    if base == "floating":
+        joints, released = _unpinned(stage, joints)
+    settled: set[str] = set()
+    while True:
+        builder = _Builder(stage, Graph(links, joints, released), base)
+        tree = builder.grown()
+        trade = better_break(tree.nodes, tree.closures, settled)
+        if trade is None:
+            builder.note()
+            return tree
+        _trade(stage, *trade)
+        settled.add(trade[0].path)
+
+
+def _trade(stage: Stage, kept: Joint, opened: Joint) -> None:
+    kept.closes, opened.closes = False, True
+    rule = f"no equality can stand for it where it closes a loop, so the loop opens at {opened.path}"
+    stage.ledger.assume(kept.path, rule, "a joint of the tree")
+    stage.ledger.warn(f"{kept.path}: {rule}, which has no coordinate in the model")
+
+
+def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
+    """Leave out joints that move nothing: those that hold kinematic bodies to the world or to each other."""
+    kept = []
+    for joint in joints:
+        if all(link is None or link.kinematic for link in joint.links):
+            reason = "a kinematic body is moved by no joint"
+            stage.ledger.leave(joint.path, joint.kind, reason)
+            stage.ledger.warn(f"{joint.path}: left out, because {reason}")
+        else:
+            kept.append(joint)
+    return kept
+
+
+def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
+    """Read a generic joint without any limit from the root to the world as a fixed one, as PhysX does."""
+    marks = articulation_prims(stage)
+    for joint in joints:
+        free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
+        link = joint.other(None) if None in joint.links else None
+        if not free or link is None:
+            continue
+        if any(Sdf.Path(link.path).HasPrefix(mark) or mark == Sdf.Path(joint.path) for mark in marks):
+            joint.axes = []
+            stage.ledger.mapped(joint.path, joint.kind, "a fixed base")
+            stage.ledger.assume(joint.path, "a generic joint without limits from the root to the world", "fixed base")
+    return joints
+
+
+def _articulate(stage: Stage, joints: list[Joint]) -> None:
+    """Read joints inside an articulation as PhysX does: generic ones do not slide, and none lets its bodies touch."""
+    for joint in joints:
+        if joint.kind == "PhysicsJoint" and any(axis.kind == "slide" for axis in joint.axes):
+            joint.axes = [axis for axis in joint.axes if axis.kind != "slide"]
+            if joint.welds:
+                stage.ledger.mapped(joint.path, joint.kind, WELD)
+            rule = "a generic joint of an articulation does not slide in PhysX: locked"
+            stage.ledger.assume(joint.path, rule, "no slides")
+            stage.ledger.warn(f"{joint.path}: {rule}, though its file leaves translations free")
+        if joint.may_collide:
+            joint.may_collide = False
+            rule = "PhysX ignores collisionEnabled of joints inside an articulation"
+            stage.ledger.assume(joint.path, rule, "the joined bodies do not touch")
+
+
+def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link]]:
+    """Drop what pins bodies to the world; return the other joints, and the bodies, which stay the roots."""
+    kept: list[Joint] = []
+    released: list[Link] = []
+    for joint in joints:
+        if None in joint.links and joint.welds:
+            stage.ledger.leave(joint.path, joint.kind, "--base floating drops the joint to the world")
+            released += [link for link in joint.links if link]
+        else:
+            kept.append(joint)
+    return kept, released
+
+
+class _Builder:
+    """Grows trees breadth first; joints that reach a body already placed close a loop."""
+
+    def __init__(self, stage: Stage, graph: Graph, base: BaseMode) -> None:
+        self.stage, self.graph, self.base = stage, graph, base
+        self.tree = Tree()
+        self._placed: dict[str, Frame] = {}
+        self._used: set[str] = set()
+
+    def grown(self) -> Tree:
+        """Return all trees, and what closes loops in them."""
+        for root, joint in find_roots(self.stage, self.graph):
+            self._grow(root, joint)
+        for link in self.graph.links:
+            self._grow(link, None)
+        self._close()
+        return self.tree
+
+    def note(self) -> None:
+        """Say what was decided, once it is settled."""
+        for node in self.tree.nodes:
+            if node.joint is None and self.base == "fixed" and not node.link.kinematic:
+                self.stage.ledger.assume(node.link.path, "--base fixed", "no free joint")
+        for joint in self.tree.closures:
+            if not joint.closes:
+                self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
+
+    def _grow(self, root: Link, joint: Joint | None) -> None:
+        """Place ``root`` (by ``joint`` to the world, or free) and all that hangs on it."""
+        if root.path in self._placed:
+            return
+        self._place(root, None, joint, 0)
+        queue = deque([(root, 0)])
+        while queue:
+            link, depth = queue.popleft()
+            for edge in self.graph.at(link):
+                child = edge.other(link)
+                if child is None or edge.closes or child.kinematic or child.path in self._placed:
+                    continue
+                self._place(child, link, edge, depth + 1)
+                queue.append((child, depth + 1))
+
+    def _place(self, link: Link, parent: Link | None, joint: Joint | None, depth: int) -> None:
+        if joint is None:
+            relative, floating = link.frame, self.base != "fixed" and not link.kinematic
+        else:
+            side = joint.side(link)
+            relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
+            self._used.add(joint.path)
+        above = self._placed[parent.path] if parent else Frame.identity()
+        self._placed[link.path] = above @ relative
+        self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))
+
+    def _close(self) -> None:
+        """Take the joints that are no edge of the tree for loops, or add them to their edge."""
+        said = _joints_add_up(self.stage)
+        edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
+        for joint in self.graph.joints:
+            if joint.path in self._used:
+                continue
+            edge = edges.get((id(joint.links[0]), id(joint.links[1])))
+            adds = _are_mujocos(edge.joint, joint) if said is None and edge else said
+            if edge is not None and not joint.closes and adds:
+                edge.added.append(joint)
+            elif all(link is None or link.kinematic for link in joint.links):
+                reason = "joins bodies that nothing moves: kinematic ones, or the world"
+                self.stage.ledger.leave(joint.path, joint.kind, reason)
+            else:
+                self.tree.closures.append(joint)
+
+
+def _joints_add_up(stage: Stage) -> bool | None:
+    """Return whether several joints between two bodies add their freedoms, as in MuJoCo; None when nothing says so."""
+    name = "newton:jointsAddMobility"
+    said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
+    given = [value for value in said if value is not None]
+    return any(given) if given else None
+
+
+def _are_mujocos(*joints: Joint | None) -> bool:
+    """Return whether joints carry MuJoCo's schema, which lets several of one body add up."""
+    return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

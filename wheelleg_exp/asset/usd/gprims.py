@@ -1,0 +1,330 @@
+"""Fit MuJoCo's shapes to USD's gprims, and give the volume and moments of solid shapes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sized
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom
+
+from wheelleg_exp.asset.file_limits import MOST_POINTS, require_size
+from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, rounded, split_scale
+from wheelleg_exp.asset.robot_description import ShapeKind
+from wheelleg_exp.asset.solids import Solid, cone, primitive
+from wheelleg_exp.asset.usd.ledger import number_of, plain
+
+THIN = 1e-3  # m, the thickness of what is flat
+SMALLEST_AREA = 1e-12  # m²; MuJoCo refuses meshes without a surface
+_SEGMENTS = 32  # sides of a cone, and of a cylinder that is not round
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A shape in its body: MuJoCo's kind and size (m), a frame, a mesh's points (n, 3), triangles (k, 3).
+
+    ``weight`` is the solid that PhysX weighs, in the shape's frame, where the shape itself is another one.
+    """
+
+    kind: ShapeKind
+    size: tuple[float, ...]
+    frame: Frame
+    vertices: Array | None = None
+    faces: NDArray[np.int64] | None = None
+    note: str = ""
+    weight: Solid | None = None
+
+    @property
+    def points(self) -> int:
+        """Return the number of a mesh's points and triangles, 0 for other shapes."""
+        return sum(len(array) for array in (self.vertices, self.faces) if array is not None)
+
+
+def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
+    """Return the shape of a gprim, None when the kind is not supported or a mesh is broken.
+
+    Args:
+        prim: a Cube, Sphere, Capsule, Cylinder (or the newer Capsule_1, Cylinder_1), Cone, Plane or Mesh.
+        matrix: 4x4, from the gprim's coordinates to its body's in metres.
+    """
+    make = _MAKERS.get(str(prim.GetTypeName()))
+    if make is None:
+        return None
+    rotation, stretch = split_scale(matrix[:3, :3])
+    return make(prim, _Placing(rotation, stretch, matrix[:3, 3].copy()))
+
+
+@dataclass(frozen=True, eq=False)
+class _Placing:
+    rotation: Array
+    stretch: Array
+    origin: Array
+
+    @property
+    def scale(self) -> Array | None:
+        """Scale along the shape's own axes, None when it is sheared."""
+        off = self.stretch - np.diag(np.diag(self.stretch))
+        if np.abs(off).max() > 1e-6 * np.abs(self.stretch).max():
+            return None
+        return np.abs(np.diag(self.stretch))
+
+    def frame(self, turn: Array | None = None) -> Frame:
+        return Frame(self.rotation if turn is None else self.rotation @ turn, self.origin)
+
+
+Maker = Callable[[Usd.Prim, _Placing], "Shape | None"]
+
+
+def _clean(*sizes: float) -> tuple[float, ...]:
+    return tuple(rounded(float(size)) for size in sizes)
+
+
+def _axis(prim: Usd.Prim) -> tuple[str, str]:
+    """Return the axis of a shape, and a note when the file names one that there is not."""
+    value = plain(prim.GetAttribute("axis").Get())
+    if value is None or (isinstance(value, str) and value in (*Z_TO_AXIS, "")):
+        return value or "Z", ""
+    return "Z", f"axis '{str(value)[:20]}' is unknown: Z"
+
+
+def _cube(prim: Usd.Prim, at: _Placing) -> Shape:
+    half = number_of(prim, "size") / 2
+    if at.scale is None:
+        corners = np.array([[x, y, z] for x in (-half, half) for y in (-half, half) for z in (-half, half)])
+        return _hull(corners, at, "sheared")
+    return Shape("box", _clean(*(half * at.scale)), at.frame())
+
+
+def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
+    radius = number_of(prim, "radius")
+    if at.scale is None:
+        values, axes = np.linalg.eigh(at.stretch)
+        axes = axes if np.linalg.det(axes) > 0 else -axes
+        return Shape("ellipsoid", _clean(*(radius * np.abs(values))), at.frame(axes), note="scaled unevenly: ellipsoid")
+    if np.ptp(at.scale) <= 1e-6 * at.scale.max():
+        return Shape("sphere", _clean(radius * at.scale[0]), at.frame())
+    weight = primitive("sphere", (radius * float(at.scale.max()),))
+    note = "scaled unevenly: ellipsoid, weighed as the sphere around it as in PhysX"
+    return Shape("ellipsoid", _clean(*(radius * at.scale)), at.frame(), note=note, weight=weight)
+
+
+def _round(kind: ShapeKind) -> Maker:
+    def make(prim: Usd.Prim, at: _Placing) -> Shape:
+        radius = number_of(prim, "radius")
+        return _between(kind, prim, at, radius, radius)
+
+    return make
+
+
+def _tapered(kind: ShapeKind) -> Maker:
+    """Return the maker of Capsule_1 and Cylinder_1, whose ends have radii of their own."""
+
+    def make(prim: Usd.Prim, at: _Placing) -> Shape:
+        return _between(kind, prim, at, number_of(prim, "radiusTop"), number_of(prim, "radiusBottom"))
+
+    return make
+
+
+def _between(kind: ShapeKind, prim: Usd.Prim, at: _Placing, top: float, bottom: float) -> Shape:
+    """Return a capsule or cylinder from its lower end to its upper one; the hull where MuJoCo has no such shape."""
+    (axis, note), half = _axis(prim), number_of(prim, "height") / 2
+    along = "XYZ".index(axis)
+    across = [i for i in range(3) if i != along]
+    tapered = abs(top - bottom) > 1e-6 * max(top, bottom)
+    oval = at.scale is None or (
+        kind == "cylinder" and abs(np.subtract(*at.scale[across])) > 1e-6 * at.scale[across].max()
+    )
+    if (tapered or oval) and min(top, bottom, half) >= 0 < max(top, bottom):
+        why = "with two radii" if tapered else "scaled unevenly or sheared"
+        hull = _hull(_rings(top, bottom, half, kind) @ Z_TO_AXIS[axis].T, at, why)
+        return hull if tapered else _weighed(hull, "cylinder", at, axis, top, half)
+    scale = np.ones(3) if at.scale is None else at.scale
+    radius, length = top * scale[across].max(), half * scale[along]
+    if kind == "capsule" and length == 0:
+        return Shape("sphere", _clean(radius), at.frame(), note=note or "a capsule without height: a sphere")
+    return Shape(kind, _clean(radius, length), at.frame(Z_TO_AXIS[axis]), note=note)
+
+
+def _rings(top: float, bottom: float, half: float, kind: ShapeKind) -> Array:
+    """Return points of a cylinder or a capsule about z, with a radius at either end."""
+    levels = [(half, top), (-half, bottom)]
+    if kind == "capsule":
+        tilt = np.linspace(0, math.pi / 2, 7)
+        levels = [
+            (side * (half + radius * math.sin(t)), radius * math.cos(t))
+            for t in tilt
+            for side, radius in ((1, top), (-1, bottom))
+        ]
+    angles = np.linspace(0, 2 * math.pi, _SEGMENTS, endpoint=False)
+    return np.array([[r * math.cos(a), r * math.sin(a), z] for z, r in levels for a in angles])
+
+
+def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
+    (axis, _), half, radius = _axis(prim), number_of(prim, "height") / 2, number_of(prim, "radius")
+    angles = np.linspace(0, 2 * math.pi, _SEGMENTS, endpoint=False)
+    ring = [[math.cos(a) * radius, math.sin(a) * radius, -half] for a in angles]
+    hull = _hull(np.array([*ring, [0.0, 0.0, half]]) @ Z_TO_AXIS[axis].T, at, f"a cone of {_SEGMENTS} sides")
+    return _weighed(hull, "cone", at, axis, radius, half)
+
+
+def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
+    """Return a plane that goes on for ever; its solid side stays the one below its axis, mirrored or not."""
+    axis, note = _axis(prim)
+    turn = Z_TO_AXIS[axis]
+    if at.scale is None or np.diag(at.stretch).min() < 0:
+        normal = np.linalg.pinv(at.stretch).T @ turn[:, 2]
+        turn = _turn_z_to(normal / (np.linalg.norm(normal) or 1.0))
+    return Shape("plane", (0.0, 0.0, 1.0), at.frame(turn), note=note)
+
+
+def _turn_z_to(direction: Array) -> Array:
+    """Return some rotation that carries z onto a unit vector."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    x = np.cross(helper, direction)
+    x /= np.linalg.norm(x) or 1.0
+    return np.stack([x, np.cross(direction, x), direction], axis=1)
+
+
+def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
+    """Return a drawn plane as a thin box of its width and length, for bodies that move: MuJoCo's planes do not."""
+    rotation, stretch = split_scale(matrix[:3, :3])
+    along = "XYZ".index(_axis(prim)[0])
+    sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # which way width and length go, by UsdGeomPlane
+    half = np.full(3, THIN / 2)
+    for side, name in zip(sides, ("width", "length"), strict=True):
+        half[side] = number_of(prim, name) / 2 * abs(stretch[side, side])
+    return Shape("box", _clean(*half), Frame(rotation, matrix[:3, 3].copy()), note="a plane that moves: a thin box")
+
+
+def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
+    """Return a mesh's points, stretched, and its triangles without the holes; None when it is broken."""
+    mesh = UsdGeom.Mesh(prim)
+    points = _points(mesh)
+    counts, indices = (_integers(_array(a)) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
+    if points is None or counts is None or indices is None or not _consistent(len(points), counts, indices):
+        return None
+    faces = triangles(counts, indices, _holes(mesh, len(counts)))
+    if len(points) == 3:  # MuJoCo wants four points
+        points = np.vstack([points, points.mean(axis=0)])
+    with np.errstate(all="ignore"):  # whoever asked looks for what is not finite
+        vertices = points @ at.stretch.T
+    if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
+        return None
+    flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
+    return Shape("mesh", (), at.frame(), vertices, faces[:, ::-1] if flipped else faces)
+
+
+def _array(attribute: Usd.Attribute) -> object:
+    """Return an array, before anything is made of it that is larger."""
+    value = attribute.Get()
+    if isinstance(value, Sized):
+        require_size(len(value), 3 * MOST_POINTS, "numbers", key=str(attribute.GetPath()), expected="fewer")
+    return value
+
+
+def _points(mesh: UsdGeom.Mesh) -> Array | None:
+    try:
+        points = np.asarray(_array(mesh.GetPointsAttr()), dtype=float)
+    except (TypeError, ValueError):
+        return None
+    return points if points.ndim == 2 and points.shape[1] == 3 and len(points) >= 3 else None
+
+
+def _integers(value: object) -> NDArray[np.int64] | None:
+    array = np.asarray([] if value is None else value)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        return None
+    return array.astype(np.int64)
+
+
+def _consistent(points: int, counts: NDArray[np.int64], indices: NDArray[np.int64]) -> bool:
+    if (counts < 0).any() or counts.sum() != len(indices):
+        return False
+    return not len(indices) or bool(indices.min() >= 0 and indices.max() < points)
+
+
+def _holes(mesh: UsdGeom.Mesh, faces: int) -> NDArray[np.int64]:
+    holes = _integers(_array(mesh.GetHoleIndicesAttr()))
+    return np.zeros(0, dtype=np.int64) if holes is None else holes[(holes >= 0) & (holes < faces)]
+
+
+def _area(vertices: Array, faces: NDArray[np.int64]) -> float:
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    with np.errstate(all="ignore"):
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+
+
+def triangles(
+    counts: NDArray[np.int64], indices: NDArray[np.int64], holes: NDArray[np.int64] | None = None
+) -> NDArray[np.int64]:
+    """Return triangles (k, 3): each polygon but the holes as a fan around its first corner, in their order."""
+    starts = np.cumsum(counts) - counts
+    fans = np.maximum(counts - 2, 0)
+    if holes is not None:
+        fans[holes] = 0
+    first = np.repeat(starts, fans)
+    corner = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans) + 1
+    return np.stack([indices[first], indices[first + corner], indices[first + corner + 1]], axis=1).astype(np.int64)
+
+
+def _weighed(hull: Shape, kind: str, at: _Placing, axis: str, radius: float, half: float) -> Shape:
+    """Let a hull weigh as the round solid that PhysX makes of it: the larger scale across its axis counts."""
+    if at.scale is None:
+        return hull
+    along = "XYZ".index(axis)
+    size = radius * float(np.delete(at.scale, along).max()), half * float(at.scale[along])
+    solid = cone(*size) if kind == "cone" else primitive(kind, size)
+    mirrored = -1.0 if np.trace(at.stretch) < 0 else 1.0
+    return replace(hull, weight=solid.seen_from(Frame(mirrored * Z_TO_AXIS[axis], np.zeros(3))))
+
+
+def _hull(points: Array, at: _Placing, note: str) -> Shape:
+    return Shape("mesh", (), at.frame(), points @ at.stretch.T, None, f"{note}: a mesh")
+
+
+_MAKERS: dict[str, Maker] = {
+    "Cube": _cube,
+    "Sphere": _sphere,
+    "Capsule": _round("capsule"),
+    "Cylinder": _round("cylinder"),
+    "Capsule_1": _tapered("capsule"),
+    "Cylinder_1": _tapered("cylinder"),
+    "Cone": _cone,
+    "Plane": _plane,
+    "Mesh": _mesh,
+}
+
+
+def bounding_box(shape: Shape) -> Shape:
+    """Return the box around a mesh, along the mesh's axes."""
+    assert shape.vertices is not None
+    low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+    frame = shape.frame @ Frame(np.eye(3), (low + high) / 2)
+    return Shape("box", _clean(*((high - low) / 2)), frame, note="box around the mesh")
+
+
+def bounding_sphere(shape: Shape) -> Shape:
+    """Return the sphere around a mesh, about the middle of its box."""
+    assert shape.vertices is not None
+    middle = (shape.vertices.min(axis=0) + shape.vertices.max(axis=0)) / 2
+    radius = float(np.linalg.norm(shape.vertices - middle, axis=1).max())
+    return Shape("sphere", _clean(radius), shape.frame @ Frame(np.eye(3), middle), note="sphere around the mesh")
+
+
+def flat_to_box(shape: Shape, thickness: float = THIN) -> Shape:
+    """Return a thin box for a mesh whose points lie in one plane, else the shape itself."""
+    assert shape.vertices is not None
+    middle = shape.vertices.mean(axis=0)
+    _, spread, axes = np.linalg.svd(shape.vertices - middle, full_matrices=False)
+    if spread[-1] > 1e-6 * max(spread[0], 1e-12):
+        return shape
+    axes = axes if np.linalg.det(axes) > 0 else -axes
+    local = (shape.vertices - middle) @ axes.T
+    low, high = local.min(axis=0), local.max(axis=0)
+    half = (high - low) / 2
+    half[2] = thickness / 2
+    center = (low + high) / 2
+    frame = shape.frame @ Frame(axes.T, middle + axes.T @ center)
+    return Shape("box", _clean(*half), frame, note="flat: a thin box")

@@ -1,0 +1,181 @@
+"""The axes that a joint leaves free, their range, and where it locks the other axes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pxr import Usd
+
+from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.robot_description import Vec3
+from wheelleg_exp.asset.usd.usd_stage import Stage, Units, endless, schemas
+
+UNIT: dict[str, Vec3] = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+SLIDES, TURNS = ("transX", "transY", "transZ"), ("rotX", "rotY", "rotZ")
+
+
+@dataclass(frozen=True)
+class FreeAxis:
+    """One axis that a joint leaves free, in the joint's frame. ``token`` is its name in drives and limits."""
+
+    kind: Literal["hinge", "slide", "ball"]
+    axis: Vec3
+    token: str
+    suffix: str = ""
+
+
+def single_axis(stage: Stage, prim: Usd.Prim, angular: bool) -> list[FreeAxis]:
+    """Return the axis of a revolute or prismatic joint; an empty or unknown name is X, as in PhysX."""
+    token = "angular" if angular else "linear"
+    return [FreeAxis("hinge" if angular else "slide", UNIT[axis_name(stage, prim)], token)]
+
+
+def axis_name(stage: Stage, prim: Usd.Prim) -> str:
+    """Return X, Y or Z."""
+    name = stage.ledger.read(prim, "physics:axis", "axis")
+    if name in UNIT:
+        return str(name)
+    what = "unknown" if name else "not given"
+    stage.ledger.assume(prim.GetPath(), f"physics:axis is {what}: X", repr(name))
+    return "X"
+
+
+def ball_axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis]:
+    """Return what a spherical joint leaves free: a ball, or a hinge when both cone angles are zero."""
+    angles = [stage.ledger.read(prim, f"physics:coneAngle{i}Limit", "range of the ball") for i in (0, 1)]
+    if angles == [0, 0]:
+        stage.ledger.assume(prim.GetPath(), "a spherical joint whose cone is closed turns about its axis", "hinge")
+        return [FreeAxis("hinge", UNIT[axis_name(stage, prim)], "twist")]
+    stage.ledger.read(prim, "physics:axis", "the ball's cone axis; a ball has none")
+    return [FreeAxis("ball", UNIT["X"], "rot")]
+
+
+def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
+    """Return what a generic joint leaves free, slides before hinges, and where the locked axes stand.
+
+    An axis is locked when its low limit is above its high one (at 0), or equal to it (there). Three rotations are a
+    ball where none of them has limits, a drive, a state or friction of its own, which a ball cannot hold.
+    """
+    free, offset = [], Frame.identity()
+    for token in (*SLIDES, *TURNS):
+        low, high = _limits(stage, prim, token)
+        if low is not None and high is not None and low >= high:
+            offset = offset @ _at(stage, prim, token, low if low == high else 0.0)
+            continue
+        kind: Literal["hinge", "slide"] = "slide" if token in SLIDES else "hinge"
+        free.append(FreeAxis(kind, UNIT[token[-1]], token, f"_{token}"))
+    turns = [axis for axis in free if axis.kind == "hinge"]
+    if len(turns) == 3 and not any(_limited(stage, prim, axis.token) or _own(prim, axis.token) for axis in turns):
+        free = [axis for axis in free if axis.kind == "slide"]
+        free.append(FreeAxis("ball", UNIT["X"], "rot", "_rot" if free else ""))
+    return free, offset
+
+
+def _limits(stage: Stage, prim: Usd.Prim, token: str) -> tuple[float | None, float | None]:
+    low = stage.ledger.read(prim, f"limit:{token}:physics:low", "the choice of free axes")
+    high = stage.ledger.read(prim, f"limit:{token}:physics:high", "the choice of free axes")
+    if (low is not None or high is not None) and f"PhysicsLimitAPI:{token}" not in schemas(prim):
+        stage.ledger.assume(prim.GetPath(), f"limits of {token} are authored without PhysicsLimitAPI", "honoured")
+    return low, high
+
+
+def _limited(stage: Stage, prim: Usd.Prim, token: str) -> bool:
+    return not all(endless(value, True) for value in _limits(stage, prim, token))
+
+
+def _own(prim: Usd.Prim, token: str) -> bool:
+    """Return whether something is said of one rotation alone."""
+    return any(
+        prim.GetAuthoredPropertiesInNamespace(f"{space}:{token}") for space in ("drive", "state", "physxJointAxis")
+    )
+
+
+def _at(stage: Stage, prim: Usd.Prim, token: str, value: float) -> Frame:
+    """Return the frame of a locked axis that stands at ``value`` in degrees or stage lengths."""
+    if value == 0:
+        return Frame.identity()
+    stage.ledger.assume(prim.GetPath(), f"limits of {token} are equal: locked there", f"{value:g}")
+    unit, size = np.array(UNIT[token[-1]]), stage.units.coordinate(value, token in TURNS)
+    if token in SLIDES:
+        return Frame(np.eye(3), unit * size)
+    return Frame(turned(unit, size), np.zeros(3))
+
+
+def turned(axis: Array, angle: float) -> Array:
+    """Return the 3x3 rotation about a unit axis (3,) by an angle in rad (Rodrigues' formula)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)
+
+
+Range = tuple[float, float]
+FAR = 1e6  # stands for the missing side of a range
+LOCKED = 1e-4  # rad or m: half a range that is as good as none, because MuJoCo's has to have a width
+
+
+def read_range(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
+    """Return the limits of one axis in rad or m, None when it has none."""
+    if axis.kind == "ball":
+        return _cone(stage, prim)
+    if axis.token == "twist":
+        return None
+    if axis.suffix:
+        return _generic(stage, prim, axis)
+    return _single(stage, prim, axis.kind == "hinge")
+
+
+def _generic(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
+    low = stage.ledger.read(prim, f"limit:{axis.token}:physics:low", "range")
+    high = stage.ledger.read(prim, f"limit:{axis.token}:physics:high", "range")
+    return _range(stage.units, low, high, axis.kind == "hinge", one_sided=True)
+
+
+def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
+    ledger = stage.ledger
+    low = ledger.read(prim, "physics:lowerLimit", "range")
+    high = ledger.read(prim, "physics:upperLimit", "range")
+    if low is not None and high is not None and low == high:
+        ledger.assume(prim.GetPath(), "lower and upper limit are equal: no limits", f"{low:g}")
+        ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
+        ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are read as none; PhysX locks such a joint")
+        return None
+    if low is not None and high is not None and low > high:
+        ledger.assume(prim.GetPath(), "the lower limit is above the upper one: locked, as PhysX", LOCKED)
+        ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
+        ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are the wrong way round; the joint is locked at 0")
+        return -LOCKED, LOCKED
+    found = _range(stage.units, low, high, angular, one_sided=not angular)
+    if found is None and (low is not None or high is not None):
+        ledger.assume(prim.GetPath(), "limits are infinite, huge or one-sided: none", f"{low} to {high}")
+    return found
+
+
+def _range(units: Units, low: float | None, high: float | None, angular: bool, one_sided: bool) -> Range | None:
+    """Return a range in rad or m; where ``one_sided`` is off, a missing side means no limits at all."""
+    no_low, no_high = endless(low, angular), endless(high, angular)
+    if (no_low and no_high) or ((no_low or no_high) and not one_sided):
+        return None
+    return (
+        -FAR if no_low or low is None else units.coordinate(low, angular),
+        FAR if no_high or high is None else units.coordinate(high, angular),
+    )
+
+
+def _cone(stage: Stage, prim: Usd.Prim) -> Range | None:
+    """Return a ball's range: the smaller angle of the cone. Angles below 0 are no limits."""
+    ledger, path = stage.ledger, prim.GetPath()
+    angles = [ledger.read(prim, f"physics:coneAngle{i}Limit", "range of the ball") for i in (0, 1)]
+    given = [a for a in angles if a is not None and 0 <= a < 360]
+    if not given:
+        return None
+    if len(set(given)) > 1:
+        ledger.warn(f"{path}: cone angles {given} differ, the smaller one limits all directions")
+    positive = [a for a in given if a > 0]
+    if not positive:
+        ledger.warn(f"{path}: a cone angle of 0 has no place in a ball's range; the ball is not limited")
+        return None
+    ledger.assume(path, "a ball's range limits turning about the cone's axis too", f"{min(positive):g} degrees")
+    return 0.0, stage.units.coordinate(min(positive), True)

@@ -1,0 +1,226 @@
+"""Read drives, passive forces, and limits on speed and effort of joints.
+
+Gains per degree become gains per rad, and targets stay inside the limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pxr import Usd
+
+from wheelleg_exp.asset.conversion_report import is_placeholder
+from wheelleg_exp.asset.robot_description import Drive
+from wheelleg_exp.asset.usd.joints.joint_axes import TURNS, FreeAxis, Range
+from wheelleg_exp.asset.usd.usd_stage import HUGE, Stage, effort_limit, schemas
+
+KEYS = ("stiffness", "damping", "maxForce", "targetPosition", "targetVelocity", "type")
+
+
+def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | None, ref: float) -> Drive | None:
+    """Return the drive of one axis, None when none is authored.
+
+    Args:
+        stage: the open stage.
+        prim: the joint.
+        axis: the axis that the drive turns or pushes.
+        limits: the axis' range in rad or m; the target is clamped into it.
+        ref: coordinate of the joint where USD's is zero.
+    """
+    value = _values(stage, prim, axis.token)
+    if value is None:
+        return None
+    units, angular = stage.units, axis.kind != "slide"
+    kp, kd = (max(0.0, units.gain(value[key] or 0.0, angular)) for key in ("stiffness", "damping"))
+    limit = _effort(stage, prim, value["maxForce"])
+    target = units.coordinate(value["targetPosition"] or 0.0, angular) + ref
+    speed = units.coordinate(value["targetVelocity"] or 0.0, angular)
+    if kp > 0 and kd > 0 and speed:
+        _leave_speed(stage, prim, axis, speed * kd / kp)
+    return Drive(
+        kind="position" if kp > 0 else "velocity" if kd > 0 else "motor",
+        stiffness=kp,
+        damping=kd,
+        effort=_noted(stage, prim, value["maxForce"], None if limit is None else units.effort(limit, angular)),
+        target_position=clamped(stage, prim, f"the target of drive:{axis.token}", target, limits),
+        target_velocity=speed,
+        acceleration=value["type"] == "acceleration",
+    )
+
+
+def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
+    """Say that a position actuator follows no speed; in PhysX the drive rests ``shift`` (rad or m) from its target."""
+    name = f"drive:{axis.token}:physics:targetVelocity"
+    unit = "m" if axis.kind == "slide" else "rad"
+    reason = "a position actuator has no target of speed; PhysX would rest this far from the target position"
+    stage.ledger.leave(prim.GetPath(), name, reason, f"{shift:g} {unit}")
+    stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason} ({shift:g} {unit})")
+
+
+def _values(stage: Stage, prim: Usd.Prim, token: str) -> dict[str, Any] | None:
+    value = {key: stage.ledger.read(prim, f"drive:{token}:physics:{key}", "actuator") for key in KEYS}
+    applied = f"PhysicsDriveAPI:{token}" in schemas(prim)
+    if not applied and all(v is None for v in value.values()):
+        return None
+    if not applied:
+        stage.ledger.assume(prim.GetPath(), f"drive of {token} is authored without PhysicsDriveAPI", "honoured")
+    return value
+
+
+def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | None:
+    if authored is not None and authored <= 0:
+        rule = f"a drive's maxForce of {authored:g} is taken for not given"
+        stage.ledger.assume(prim.GetPath(), rule, "no effort limit")
+    return effort_limit(authored)
+
+
+def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
+    """Return an effort limit (N·m or N), after recording one that no motor has; infinity is none, and meant."""
+    shown = authored if effort is None else effort
+    if shown is not None and is_placeholder(shown) and shown < HUGE:
+        stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
+    return effort
+
+
+def clamped(stage: Stage, prim: Usd.Prim, what: str, value: float, limits: Range | None) -> float:
+    """Return a coordinate inside the limits, and say so when it was outside."""
+    if limits is None or limits[0] <= value <= limits[1]:
+        return value
+    inside = min(max(value, limits[0]), limits[1])
+    stage.ledger.assume(prim.GetPath(), f"{what} is outside the limits: clamped", f"{value:g} to {inside:g}")
+    return inside
+
+
+Found = tuple[str, float | None]  # an attribute and its value in SI units, None where it says nothing
+
+# Attributes in the order of precedence: MuJoCo, Newton, PhysxJointAxisAPI (new), PhysxJointAPI (old).
+_ARMATURE = ("mjc:armature", "newton:armature", "physxJointAxis:armature", "physxJoint:armature")
+_FRICTION = (
+    *("mjc:frictionloss", "newton:friction"),
+    *("physxJointAxis:dynamicFrictionEffort", "physxJointAxis:staticFrictionEffort", "urdf:dynamics:friction"),
+)
+_DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
+_VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
+# PhysX ignores PhysxJointAPI where PhysxJointAxisAPI is applied, and uses these values if the axis authors none.
+_AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
+
+
+@dataclass(frozen=True)
+class Passive:
+    """Armature in kg·m² (kg), friction loss in N·m (N), damping per rad/s (m/s), stiffness per rad (m)."""
+
+    armature: float
+    frictionloss: float
+    damping: float
+    stiffness: float
+
+
+def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
+    """Return the passive forces on one axis; MuJoCo's schemas win over Newton's, and Newton's over PhysX's."""
+    units, angular = stage.units, axis.kind != "slide"
+
+    def winner(became: str, convert: Callable[[float, bool], float], *names: str) -> float:
+        found = list(_authored(stage, prim, axis, names, lambda value: convert(value, angular)))
+        return _winner(stage, prim, became, found)
+
+    return Passive(
+        armature=winner("armature", units.rotor, *_ARMATURE),
+        frictionloss=winner("frictionloss", units.effort, *_FRICTION),
+        damping=winner("damping", units.gain, *_DAMPING),
+        stiffness=_spring(stage, prim),
+    )
+
+
+def _spring(stage: Stage, prim: Usd.Prim) -> float:
+    value = stage.ledger.read(prim, "mjc:stiffness", "stiffness")
+    return 0.0 if value is None else float(value)
+
+
+def _authored(
+    stage: Stage, prim: Usd.Prim, axis: FreeAxis, names: Iterable[str], convert: Callable[[float], float]
+) -> Iterator[Found]:
+    for name in names:
+        schema, _, what = name.partition(":")
+        if schema == "physxJointAxis":
+            yield from _per_axis(stage, prim, axis, what, convert)
+        else:
+            yield _value(stage, prim, name, float if schema in ("mjc", "urdf") else convert)
+
+
+def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], float]) -> Found:
+    value = stage.ledger.read(prim, name)
+    usable = value is not None and math.isfinite(value) and value >= 0
+    return name, convert(float(value)) if usable else None
+
+
+def _per_axis(
+    stage: Stage, prim: Usd.Prim, axis: FreeAxis, what: str, convert: Callable[[float], float]
+) -> Iterable[Found]:
+    """Yield the values of PhysxJointAxisAPI for one axis. A ball gets the strictest value of its three axes."""
+    tokens = TURNS if axis.kind == "ball" else (axis.token,)
+    found = [_value(stage, prim, f"physxJointAxis:{token}:{what}", convert) for token in tokens]
+    values = [value for _, value in found if value is not None]
+    strictest = (min if what == "maxJointVelocity" else max)(values, default=None)
+    if len({value for _, value in found}) > 1:
+        stage.ledger.warn(f"{prim.GetPath()}: {what} differs between the axes of a ball, {strictest:g} applies to all")
+    if strictest is None and any(f"PhysxJointAxisAPI:{token}" in schemas(prim) for token in tokens):
+        strictest = _AXIS_FALLBACKS.get(what)
+    for index, (name, value) in enumerate(found):
+        yield name, strictest if index == 0 else value
+
+
+def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> float:
+    """Return the first value there is; the others that are authored lose, and the report says so."""
+    given = [(name, value) for name, value in found if value is not None]
+    if not given:
+        return 0.0
+    first, value = given[0]
+    for name, other in given:
+        if _agrees(name, other, given[0]):
+            stage.ledger.mapped(prim.GetPath(), name, became)
+        else:
+            stage.ledger.leave(prim.GetPath(), name, f"{first} wins over it", f"{other:g}")
+    return value
+
+
+def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
+    """Return whether an attribute has the winner's value, or is the winner's attribute on another axis of a ball."""
+    first, *_, last = winner[0].split(":")
+    return value == winner[1] or (name.startswith(f"{first}:") and name.endswith(f":{last}"))
+
+
+def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None:
+    """Return the velocity limit of an axis in rad/s or m/s; MuJoCo has no such limit."""
+    angular = axis.kind != "slide"
+
+    def to_si(value: float) -> float:
+        return stage.units.coordinate(value, angular) if value < HUGE else math.inf
+
+    given = [(name, speed) for name, speed in _authored(stage, prim, axis, _VELOCITY, to_si) if speed is not None]
+    for _, speed in given:
+        if is_placeholder(speed) and speed < math.inf:
+            stage.ledger.find("placeholder_velocity", prim.GetName(), prim.GetPath(), value=speed)
+    given = [(name, speed) for name, speed in given if speed > 0]
+    unit = "rad/s" if angular else "m/s"
+    for name, speed in given:
+        if speed < math.inf:
+            kept = f"MuJoCo has no velocity limit; kept in the report's velocity_limits in {unit}"
+            reason = kept if _agrees(name, speed, given[0]) else f"{given[0][0]} wins over it"
+            stage.ledger.leave(prim.GetPath(), name, reason, f"{speed:g} {unit}")
+    return given[0][1] if given and given[0][1] < math.inf else None
+
+
+def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, float] | None:
+    """Return what all motors of a joint together may do, in N·m or N.
+
+    One side alone is authored where the other is MuJoCo's default, 0.
+    """
+    low, high = (stage.ledger.read(prim, f"mjc:actuatorfrcrange:{end}", "actuatorfrcrange") for end in ("min", "max"))
+    if low is not None or high is not None:
+        low, high = float(low or 0.0), float(high or 0.0)
+        return (low, high) if low < high else None
+    value = effort_limit(stage.ledger.read(prim, "urdf:limit:effort", "actuatorfrcrange"))
+    return None if value is None else (-stage.units.effort(value, angular), stage.units.effort(value, angular))

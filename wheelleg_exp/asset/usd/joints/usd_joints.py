@@ -1,0 +1,154 @@
+"""Read the joints: which bodies they join, where their frames are, and which axes they leave free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pxr import Sdf, Usd, UsdPhysics
+
+from wheelleg_exp.asset.rigid_geometry import Frame, apply, rigid_part, rotation_matrix
+from wheelleg_exp.asset.robot_description import unique_names
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
+from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, ball_axes, generic_axes, single_axis
+from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
+
+DISTANCE = "PhysicsDistanceJoint"
+
+WELD = "a weld to the parent body"
+
+
+@dataclass(eq=False)
+class Joint:
+    """A joint as authored: body0 and body1 (None: the world), and the joint's frame in each of them.
+
+    ``excluded`` is what the file says of articulations; ``closes``, whether the joint is kept out of the tree.
+    """
+
+    path: str
+    prim: Usd.Prim
+    name: str
+    links: tuple[Link | None, Link | None]
+    frames: tuple[Frame, Frame]
+    axes: list[FreeAxis] = field(default_factory=list)
+    excluded: bool = False
+    may_collide: bool = False
+    closes: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Return the name of the prim's type."""
+        return str(self.prim.GetTypeName())
+
+    @property
+    def welds(self) -> bool:
+        """Whether nothing is left free."""
+        return not self.axes
+
+    def side(self, link: Link | None) -> int:
+        """Return 0 when ``link`` is body0, else 1."""
+        return 0 if self.links[0] is link else 1
+
+    def other(self, link: Link | None) -> Link | None:
+        """Return the body on the other side."""
+        return self.links[1 - self.side(link)]
+
+
+def read_joints(stage: Stage, links: Links) -> list[Joint]:
+    """Return the enabled joints whose bodies exist, distance joints too, in the order of the stage."""
+    prims = [prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]
+    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    found = (_joint(stage, links, prim, names[str(prim.GetPath())]) for prim in prims)
+    return [joint for joint in found if joint is not None]
+
+
+def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | None:
+    ledger, path = stage.ledger, prim.GetPath()
+    enabled = ledger.read(prim, "physics:jointEnabled", "the choice of joints") is not False
+    if not enabled and not _is_inactive_equality(prim):
+        ledger.leave(path, str(prim.GetTypeName()), "the joint is switched off")
+        return None
+    ends = _ends(stage, links, prim)
+    if ends is None:
+        return None
+    (link0, frame0), (link1, frame1) = ends
+    found = _axes(stage, prim)
+    if found is None:
+        return None
+    axes, offset = found
+    joint = Joint(str(path), prim, name, (link0, link1), (frame0 @ offset, frame1), axes)
+    joint.excluded = bool(ledger.read(prim, "physics:excludeFromArticulation", "the choice of loop joints"))
+    joint.closes = joint.excluded or not enabled
+    joint.may_collide = bool(ledger.read(prim, "physics:collisionEnabled", "contact exclude"))
+    return joint
+
+
+def _is_inactive_equality(prim: Usd.Prim) -> bool:
+    """Return whether MuJoCo's schemas keep a joint that is switched off, as an equality that is."""
+    return any(name in ("MjcEqualityWeldAPI", "MjcEqualityConnectAPI") for name in schemas(prim))
+
+
+def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
+    """Return what a joint leaves free, and where it locks the rest; None for kinds that are not known."""
+    kind, same = str(prim.GetTypeName()), Frame.identity()
+    if kind == "PhysicsRevoluteJoint":
+        return single_axis(stage, prim, angular=True), same
+    if kind == "PhysicsPrismaticJoint":
+        return single_axis(stage, prim, angular=False), same
+    if kind == "PhysicsSphericalJoint":
+        return ball_axes(stage, prim), same
+    if kind == "PhysicsFixedJoint":
+        stage.ledger.mapped(prim.GetPath(), kind, WELD)
+        return [], same
+    if kind == "PhysicsJoint":
+        axes, offset = generic_axes(stage, prim)
+        if not axes:
+            stage.ledger.mapped(prim.GetPath(), kind, WELD)
+        return axes, offset
+    if kind == DISTANCE:
+        return [], same
+    stage.ledger.leave(prim.GetPath(), kind, "this kind of joint is not supported")
+    stage.ledger.warn(f"{prim.GetPath()}: a {kind} is not supported and was left out")
+    return None
+
+
+End = tuple[Link | None, Frame]
+
+
+def _ends(stage: Stage, links: Links, prim: Usd.Prim) -> tuple[End, End] | None:
+    """Return the bodies and joint frames at both ends, None when the joint joins nothing."""
+    ledger, path, kind = stage.ledger, prim.GetPath(), str(prim.GetTypeName())
+    first, second = _end(stage, links, prim, 0), _end(stage, links, prim, 1)
+    if first is None or second is None:
+        ledger.leave(path, kind, "its target does not exist")
+        ledger.warn(f"{path}: left out, because a body that it names does not exist")
+        return None
+    if first[0] is second[0]:
+        ledger.leave(path, kind, "joins nothing: both ends are on one body, or on the world")
+        return None
+    return first, second
+
+
+def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
+    """Return the body at one end and the joint's frame in it; None when the target does not exist."""
+    targets = stage.ledger.targets(prim, f"physics:body{i}", "the body tree")
+    if len(targets) > 1:
+        stage.ledger.assume(prim.GetPath(), f"physics:body{i} names several prims: the first", str(targets[0]))
+    target = stage.usd.GetPrimAtPath(targets[0].GetPrimPath()) if targets else None
+    if targets and not target:
+        return None
+    path = target.GetPath() if target else Sdf.Path.absoluteRootPath
+    link = links.owner(path)
+    return link, _joint_frame(stage, prim, i, target, link)
+
+
+def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, link: Link | None) -> Frame:
+    """Return the joint's frame in its body (or the world); localPos is stretched by the target's scale."""
+    position = stage.ledger.read(prim, f"physics:localPos{i}", "joint frame") or (0.0, 0.0, 0.0)
+    rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame") or (1.0, 0.0, 0.0, 0.0)
+    if not any(rotation):
+        rotation = (1.0, 0.0, 0.0, 0.0)
+    matrix = stage.matrix(target)
+    inside = link.frame.inverse() if link else Frame.identity()
+    origin = apply(matrix, np.array([position]))[0]
+    return inside @ Frame(rigid_part(matrix).rotation @ rotation_matrix(rotation), origin)

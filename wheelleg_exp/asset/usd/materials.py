@@ -1,0 +1,147 @@
+"""Read colours and friction from bound materials and display colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pxr import Tf, Usd, UsdGeom, UsdShade
+
+from wheelleg_exp.asset.rigid_geometry import single
+from wheelleg_exp.asset.robot_description import Material, Rgba, unique_names
+from wheelleg_exp.asset.usd.usd_stage import Stage, physics_scenes, schemas
+
+COLOR_INPUTS = ("diffuseColor", "diffuse_color_constant", "diffuse_tint", "baseColor")
+
+
+@dataclass
+class Looks:
+    """Materials met so far, by path of the USD material, in the order of meeting."""
+
+    stage: Stage
+    found: dict[str, Material] = field(default_factory=dict)
+
+    def named(self) -> dict[str, Material]:
+        """Return the materials with names that tell them apart, by USD path."""
+        names = unique_names(self.found)
+        return {path: Material(names[path], m.rgba, m.metallic, m.roughness) for path, m in self.found.items()}
+
+    def look(self, prim: Usd.Prim) -> tuple[str | None, Rgba | None]:
+        """Return the path of the material that colours a gprim, or the gprim's own colour."""
+        bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        if bound and self._read(bound.GetPrim()):
+            self.stage.ledger.mapped(prim.GetPath(), "material:binding", "material")
+            return str(bound.GetPath()), None
+        return None, display_color(prim)
+
+    def _read(self, material: Usd.Prim) -> bool:
+        path = str(material.GetPath())
+        if path in self.found:
+            return True
+        for shader in Usd.PrimRange(material):
+            color = _input(shader, COLOR_INPUTS)
+            if color is None or len(color) != 3:
+                continue
+            opacity = _input(shader, ("opacity", "opacity_constant"))
+            self.found[path] = Material(
+                path,
+                (color[0], color[1], color[2], 1.0 if opacity is None else opacity),
+                _input(shader, ("metallic", "metallic_constant")),
+                _input(shader, ("roughness", "reflection_roughness_constant")),
+            )
+            return True
+        return False
+
+
+def display_color(prim: Usd.Prim) -> Rgba | None:
+    """Return a gprim's first displayColor, with displayOpacity; None where it is no colour."""
+    gprim = UsdGeom.Gprim(prim)
+    color = _first(gprim.GetDisplayColorPrimvar(), 3)
+    if color is None:
+        return None
+    opacity = _first(gprim.GetDisplayOpacityPrimvar(), 1)
+    return color[0], color[1], color[2], opacity[0] if opacity else 1.0
+
+
+def _first(primvar: UsdGeom.Primvar, count: int) -> tuple[float, ...] | None:
+    """Return the first element of a primvar, None when it is not that many finite numbers."""
+    try:
+        values = np.asarray(primvar.ComputeFlattened(), dtype=float).reshape(-1, count)
+    except (Tf.ErrorException, TypeError, ValueError):
+        return None
+    if not len(values) or not np.isfinite(values[0]).all():
+        return None
+    return tuple(single(float(value)) for value in values[0])
+
+
+def _input(shader: Usd.Prim, names: tuple[str, ...]) -> Any:
+    for name in names:
+        attribute = shader.GetAttribute(f"inputs:{name}")
+        value = attribute.Get() if attribute and attribute.HasAuthoredValue() else None
+        if isinstance(value, (float, int)):
+            return single(float(value))
+        if value is not None and len(np.shape(value)) == 1:
+            return tuple(single(float(v)) for v in value)
+    return None
+
+
+def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
+    """Return the physics material of a gprim: bound for physics or all purposes, there, above, or by a collection."""
+    material, relationship = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+    if not material or "PhysicsMaterialAPI" not in schemas(material.GetPrim()):
+        return None
+    if relationship:
+        stage.ledger.mapped(relationship.GetPrim().GetPath(), relationship.GetName(), "friction and density")
+    return material.GetPrim()
+
+
+def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
+    """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's own.
+
+    None leaves it to MuJoCo, which is right for files that carry MuJoCo's own schemas.
+    """
+    material = physics_material(stage, prim) or _scene_material(stage)
+    if material is None:
+        return _unbound(stage)
+    ledger = stage.ledger
+    dynamic = ledger.read(material, "physics:dynamicFriction", "geom friction[0]")
+    for name, reason in _NO_PLACE.items():
+        value = ledger.read(material, name)
+        if value is not None:
+            ledger.leave(material.GetPath(), name, reason, value)
+    _combine(stage, material)
+    return 0.0 if dynamic is None else max(0.0, float(dynamic))
+
+
+PHYSX_FRICTION = 0.5
+
+
+def _scene_material(stage: Stage) -> Usd.Prim | None:
+    """Return the physics material that a PhysicsScene is bound to: PhysX's default for what has none."""
+    for scene in physics_scenes(stage):
+        material = physics_material(stage, scene)
+        if material is not None:
+            return material
+    return None
+
+
+def _unbound(stage: Stage) -> float | None:
+    if any(name.startswith("Mjc") for scene in physics_scenes(stage) for name in schemas(scene)):
+        return None
+    rule = "colliders without a physics material: PhysX's own friction"
+    stage.ledger.assume(stage.root.GetPath(), rule, PHYSX_FRICTION)
+    return PHYSX_FRICTION
+
+
+_NO_PLACE = {
+    "physics:staticFriction": "MuJoCo has one sliding friction: the dynamic one",
+    "physics:restitution": "MuJoCo has no coefficient of restitution; contacts are solref and solimp",
+}
+
+
+def _combine(stage: Stage, material: Usd.Prim) -> None:
+    mode = stage.ledger.read(material, "physxMaterial:frictionCombineMode") or "average"
+    if mode != "max":
+        rule = f"PhysX combines friction by '{mode}', MuJoCo takes the larger"
+        stage.ledger.assume(material.GetPath(), rule, "friction as authored")

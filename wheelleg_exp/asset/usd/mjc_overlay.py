@@ -1,0 +1,461 @@
+"""Add what only MuJoCo's own USD schemas say to the robot that the other readers made.
+
+These are attributes of joints, geoms, and equalities; the scene's options and flags; compiler settings with their
+effect on masses and inertias; and the parts of ``mjc_parts``.
+
+If two schemas state the same fact, MuJoCo's wins over Newton's, and Newton's over PhysX's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Protocol, TypeVar
+
+from pxr import Usd, UsdShade
+
+from wheelleg_exp.asset.robot_description import (
+    Actuator,
+    Body,
+    Closure,
+    Coupling,
+    Dof,
+    Geom,
+    Inertial,
+    RobotDescription,
+    Site,
+    Tendon,
+    Vec3,
+)
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links
+from wheelleg_exp.asset.usd.colliders import world_sites
+from wheelleg_exp.asset.usd.mjc_parts import (
+    Attribute,
+    Targets,
+    attributes,
+    indices,
+    leave,
+    read_actuators,
+    read_keyframes,
+    read_tendons,
+    with_wraps,
+)
+from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians, find_scene, schemas
+
+__all__ = ["with_mujoco"]
+
+
+JOINT_ATTRIBUTES = {
+    "mjc:springdamper": "springdamper",
+    "mjc:margin": "margin",
+    "mjc:solreflimit": "solreflimit",
+    "mjc:solimplimit": "solimplimit",
+    "mjc:solreffriction": "solreffriction",
+    "mjc:solimpfriction": "solimpfriction",
+    "mjc:actuatorgravcomp": "actuatorgravcomp",
+    "mjc:group": "group",
+}
+
+
+def with_body_extra(stage: Stage, body: Body) -> Body:
+    """Return a body whose joints, and itself, have MuJoCo's own attributes."""
+    prim = stage.usd.GetPrimAtPath(body.path)
+    found = attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
+    dofs = tuple(_dof(stage, dof) for dof in body.dofs)
+    return replace(body, dofs=dofs, extra={**body.extra, **found})
+
+
+def _dof(stage: Stage, dof: Dof) -> Dof:
+    prim = stage.usd.GetPrimAtPath(dof.path)
+    found = attributes(stage, prim, JOINT_ATTRIBUTES)
+    springref = stage.ledger.read(prim, "mjc:springref", "springref")
+    if springref is not None:
+        found["springref"] = angle_in_radians(stage, springref) if dof.kind == "hinge" else float(springref)
+    found |= _unlimited(stage, prim, dof)
+    return replace(dof, extra={**dof.extra, **found}) if found else dof
+
+
+def _unlimited(stage: Stage, prim: Usd.Prim, dof: Dof) -> dict[str, Attribute]:
+    """Return the switch that turns a range of forces off."""
+    token = stage.ledger.read(prim, "mjc:actuatorfrclimited", "actuatorfrclimited")
+    return {"actuatorfrclimited": False} if token == "false" and dof.force_range else {}
+
+
+NEWTON = {"newton:contactMargin": "margin", "newton:contactGap": "gap"}
+GEOM_ATTRIBUTES = {
+    "mjc:condim": "condim",
+    "mjc:priority": "priority",
+    "mjc:solref": "solref",
+    "mjc:solimp": "solimp",
+    "mjc:solmix": "solmix",
+    "mjc:margin": "margin",
+    "mjc:gap": "gap",
+}
+FRICTION = (0.0, 0.005, 0.0001)  # torsional and rolling are those of a geom without any
+EXPLICIT = ("mjc:shellinertia", "mjc:inertia")  # how a shape weighs, where nothing asked for it
+DRAWN = {"MjcCollisionAPI", "MjcImageableAPI"}  # the schemas that hold a group, 0 when it is not authored
+SOLID = {"MjcCollisionAPI", "NewtonCollisionAPI"}
+
+
+def with_geom_extra(stage: Stage, geom: Geom) -> Geom:
+    """Return a geom with MuJoCo's own attributes: those of its prim, or of the prim above that carries them."""
+    prim = stage.usd.GetPrimAtPath(geom.path)
+    found: dict[str, Attribute] = {}
+    drawn = _carrier(prim, DRAWN)
+    if drawn:
+        found["group"] = int(stage.ledger.read(drawn, "mjc:group", "group") or 0)
+    solid = _carrier(prim, SOLID) if geom.collides else None
+    if solid:
+        found |= attributes(stage, solid, NEWTON) | attributes(stage, solid, GEOM_ATTRIBUTES)
+        found |= _friction(stage, prim, geom)
+        for name in EXPLICIT:
+            leave(stage, solid, name, "masses and inertias are written explicitly")
+    return replace(geom, extra={**geom.extra, **found}) if found else geom
+
+
+def hull_size(stage: Stage, geom: Geom) -> dict[str, Attribute]:
+    """Return how many vertices a mesh's convex hull may have, as the mesh's attribute."""
+    prim = stage.usd.GetPrimAtPath(geom.path)
+    names = {"newton:maxHullVertices": "maxhullvert", "mjc:maxhullvert": "maxhullvert"}
+    found = attributes(stage, prim, names)
+    return {key: value for key, value in found.items() if isinstance(value, int) and value > 0}
+
+
+def _carrier(prim: Usd.Prim, wanted: set[str]) -> Usd.Prim | None:
+    """Return the prim, or the nearest above, that has one of the schemas; bodies end the search."""
+    while prim and not prim.IsPseudoRoot():
+        found = set(schemas(prim))
+        if wanted & found:
+            return prim
+        if "PhysicsRigidBodyAPI" in found:
+            return None
+        prim = prim.GetParent()
+    return None
+
+
+def _friction(stage: Stage, prim: Usd.Prim, geom: Geom) -> dict[str, Attribute]:
+    """Return three friction coefficients where the bound material has more than the sliding one."""
+    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
+    if not bound or geom.friction is None:
+        return {}
+    material = bound.GetPrim()
+    values = [geom.friction, *FRICTION[1:]]
+    for schema, suffix in (("newton:", "Friction"), ("mjc:", "friction")):
+        for index, kind in enumerate(("torsional", "rolling"), start=1):
+            value = stage.ledger.read(material, f"{schema}{kind}{suffix}", f"geom friction[{index}]")
+            if value is not None and value >= 0:
+                values[index] = float(value)
+    return {} if tuple(values[1:]) == FRICTION[1:] else {"friction": tuple(values)}
+
+
+LINEAR = (0.0, 1.0, 0.0, 0.0, 0.0)  # a coupling without coefficients: the same coordinate
+SOLVER = {"mjc:solref": "solref", "mjc:solimp": "solimp"}
+COUPLED = {"NewtonMimicAPI", "MjcEqualityJointAPI"}
+CLOSED = {"MjcEqualityAPI", "MjcEqualityConnectAPI", "MjcEqualityWeldAPI"}
+
+
+def with_closure_extra(stage: Stage, closure: Closure) -> Closure:
+    """Return a loop's joint with the stiffness of its constraint, and whether it is active."""
+    prim = stage.usd.GetPrimAtPath(closure.path)
+    if not CLOSED & set(schemas(prim)):
+        return closure
+    found = attributes(stage, prim, SOLVER)
+    if closure.kind == "weld":
+        found |= attributes(stage, prim, {"mjc:torqueScale": "torquescale"})
+    if stage.ledger.read(prim, "physics:jointEnabled", "active") is False:
+        found["active"] = False
+    return replace(closure, extra={**closure.extra, **found})
+
+
+def read_couplings(stage: Stage, dofs: Mapping[str, Dof]) -> tuple[Coupling, ...]:
+    """Return the joints that follow another one, by NewtonMimicAPI and MjcEqualityJointAPI; ``dofs`` by prim path."""
+    found = []
+    for prim in stage.prims:
+        dof = dofs.get(str(prim.GetPath()))
+        if dof is None or not COUPLED & set(schemas(prim)):
+            continue
+        leaders = stage.ledger.targets(prim, "newton:mimicJoint", "equality joint")
+        leaders += stage.ledger.targets(prim, "mjc:target", "equality joint")
+        leader = dofs.get(str(leaders[0])) if leaders else None
+        if leader is None:
+            stage.ledger.warn(f"{prim.GetPath()}: follows no joint of the robot, so the coupling was left out")
+            continue
+        found.append(_coupling(stage, prim, dof, leader))
+    return tuple(found)
+
+
+def _coupling(stage: Stage, prim: Usd.Prim, dof: Dof, leader: Dof) -> Coupling:
+    extra: dict[str, Attribute] = attributes(stage, prim, SOLVER)
+    if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
+        extra["active"] = False
+    name = f"{dof.name}_coupling"
+    return Coupling(name, dof.path, dof.name, leader.name, _coefficients(stage, prim, dof), extra)
+
+
+def _coefficients(stage: Stage, prim: Usd.Prim, dof: Dof) -> tuple[float, float, float, float, float]:
+    """Return the polynomial in rad and m. Newton's offset is in the unit of USD's coordinate, MuJoCo's is not."""
+    values = list(LINEAR)
+    for index in range(2):
+        value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
+        if value is not None:
+            values[index] = float(value) if index else stage.units.coordinate(value, dof.kind == "hinge")
+    for index in range(5):
+        value = stage.ledger.read(prim, f"mjc:coef{index}", "equality joint polycoef")
+        if value is not None:
+            values[index] = float(value)
+    a, b, c, d, e = values
+    return a, b, c, d, e
+
+
+INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
+OPTIONS = {  # what changes the model; steps and solvers belong to the task
+    f"mjc:option:{name}": name
+    for name in (
+        "cone",
+        "impratio",
+        "density",
+        "viscosity",
+        "wind",
+        "magnetic",
+        "o_margin",
+        "o_solref",
+        "o_solimp",
+        "o_friction",
+        "noslip_iterations",
+        "noslip_tolerance",
+    )
+}
+GROUPS = 31  # groups of actuators that MuJoCo can switch off
+FLAGS = (
+    "constraint",
+    "equality",
+    "frictionloss",
+    "limit",
+    "contact",
+    "spring",
+    "damper",
+    "gravity",
+    "clampctrl",
+    "warmstart",
+    "filterparent",
+    "actuation",
+    "refsafe",
+    "sensor",
+    "midphase",
+    "eulerdamp",
+    "autoreset",
+    "nativeccd",
+    "island",
+    "override",
+    "energy",
+    "fwdinv",
+    "invdiscrete",
+    "multiccd",
+    "sleep",
+)
+SOLVER_REASON = "a setting of the solver or the step, which the task owns, not the robot"
+SOLVER_OPTIONS = (
+    "apirate",
+    "timestep",
+    "iterations",
+    "ls_iterations",
+    "tolerance",
+    "ls_tolerance",
+    "ccd_iterations",
+    "ccd_tolerance",
+    "sdf_iterations",
+    "sdf_initpoints",
+    "sleep_tolerance",
+    "jacobian",
+    "solver",
+)
+COMPILER = {  # why these settings are not written
+    "angle": "angles are written in radians",
+    "autoLimits": "ranges are written with what they mean",
+    "saveInertial": "a setting for saving models",
+    "useThread": "a setting of the compiler's speed",
+    "fitAABB": "shapes are written as they are",
+    "inertiaFromGeom": "masses and inertias are written explicitly",
+    "inertiaGroupRange:min": "masses and inertias are written explicitly",
+    "inertiaGroupRange:max": "masses and inertias are written explicitly",
+    "balanceInertia": "inertias that no solid has are made possible in any file",
+    "fuseStatic": "bodies are kept as the file has them",
+    "alignFree": "a setting of the compiler's speed",
+}
+
+
+def with_options(stage: Stage, robot: RobotDescription) -> RobotDescription:
+    """Return the robot with the scene's options and flags, and its masses as the scene's compiler leaves them."""
+    scene = find_scene(stage)
+    if scene is None:
+        return robot
+    for name in SOLVER_OPTIONS:
+        leave(stage, scene, f"mjc:option:{name}", SOLVER_REASON)
+    for name, reason in COMPILER.items():
+        leave(stage, scene, f"mjc:compiler:{name}", reason)
+    robot = with_compiled_masses(stage, scene, robot)
+    flags = {**robot.flag, **_flags(stage, scene)}
+    return replace(robot, option={**robot.option, **_options(stage, scene)}, flag=flags)
+
+
+def _options(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
+    found: dict[str, Attribute] = {}
+    name = "mjc:option:integrator"
+    integrator = stage.ledger.read(scene, name, "option integrator")
+    if integrator in INTEGRATORS:
+        found["integrator"] = INTEGRATORS[integrator]
+    elif integrator is not None:
+        stage.ledger.leave(scene.GetPath(), name, "not an integrator of MuJoCo", integrator)
+    found |= attributes(stage, scene, OPTIONS)
+    off = [g for g in indices(stage, scene, "mjc:option:actuatorgroupdisable", "option") if 0 <= g < GROUPS]
+    if off:
+        found["actuatorgroupdisable"] = " ".join(map(str, off))
+    return found
+
+
+def _flags(stage: Stage, scene: Usd.Prim) -> dict[str, Attribute]:
+    found = attributes(stage, scene, {f"mjc:flag:{name}": name for name in FLAGS})
+    passive = stage.ledger.read(scene, "mjc:flag:passive", "flags spring and damper")  # of older files
+    if passive is not None:
+        found = {"spring": passive, "damper": passive, **found}
+    return {name: "enable" if on else "disable" for name, on in found.items()}
+
+
+COMPILED_MASSES = ("boundMass", "boundInertia", "setTotalMass")
+
+
+def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: RobotDescription) -> RobotDescription:
+    """Return the robot with the masses that the scene's compiler settings make of its own."""
+    values = {
+        name: stage.ledger.read(scene, f"mjc:compiler:{name}", "masses and inertias of the bodies")
+        for name in COMPILED_MASSES
+    }
+    if not any(values.values()):
+        return robot
+    bodies = robot.bodies
+    least, smallest = values["boundMass"] or 0.0, values["boundInertia"] or 0.0
+    inertials = [_bounded(body.inertial, least, smallest) for body in bodies]
+    total, wanted = sum(inertial.mass for inertial in inertials), values["setTotalMass"] or 0.0
+    if wanted > 0 and total > 0:
+        stage.ledger.assume(scene.GetPath(), "mjc:compiler:setTotalMass scales all masses", f"{wanted / total:.6g}")
+        inertials = [_scaled(inertial, wanted / total) for inertial in inertials]
+    return replace(
+        robot, bodies=tuple(replace(b, inertial=inertial) for b, inertial in zip(bodies, inertials, strict=True))
+    )
+
+
+def _bounded(inertial: Inertial, least: float, smallest: float) -> Inertial:
+    a, b, c = (max(moment, smallest) for moment in inertial.moments)
+    return replace(inertial, mass=max(inertial.mass, least), moments=(a, b, c))
+
+
+def _scaled(inertial: Inertial, factor: float) -> Inertial:
+    a, b, c = inertial.moments
+    moments: Vec3 = (a * factor, b * factor, c * factor)
+    return replace(inertial, mass=inertial.mass * factor, moments=moments)
+
+
+def with_mujoco(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
+    """Return the robot with everything that MuJoCo's schemas say, found by the paths of its parts.
+
+    Args:
+        stage: the open stage.
+        links: its bodies.
+        robot: what the other schemas say.
+    """
+    known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
+    robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
+    robot = with_wraps(stage, links, robot)
+    robot = _with_extras(stage, robot)
+    dofs = single_dofs(robot)
+    names = {path: dof.name for path, dof in dofs.items()}
+    sites = {site.path: site.name for body in robot.bodies for site in body.sites}
+    sites |= {site.path: site.name for site in robot.static_sites}
+    shapes = {geom.path: geom.name for geom in _all_geoms(robot)}
+    tendons = distinct(robot.tendons, read_tendons(stage, names, sites, shapes))
+    ranged = {dof.name for dof in robot.dofs if dof.range} | {t.name for t in (*robot.tendons, *tendons) if t.range}
+    targets = Targets(
+        ranged=ranged,
+        joints=names,
+        tendons={tendon.path: tendon.name for tendon in tendons},
+        sites=sites,
+        bodies={body.path: body.name for body in robot.bodies},
+    )
+    couplings = distinct(robot.couplings, read_couplings(stage, dofs))
+    robot = replace(
+        robot,
+        tendons=(*robot.tendons, *tendons),
+        couplings=(*robot.couplings, *couplings),
+        actuators=(*robot.actuators, *read_actuators(stage, targets)),
+    )
+    robot = _without_doubled_drives(stage, robot)
+    robot = replace(robot, actuators=distinct([dof for dof in robot.dofs if dof.drive], robot.actuators))
+    robot = with_options(stage, robot)
+    return replace(robot, keyframes=(*robot.keyframes, *read_keyframes(stage, robot)))
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+Part = TypeVar("Part", Site, Tendon, Coupling, Actuator)
+
+
+def distinct(known: Iterable[_Named], parts: Iterable[Part]) -> tuple[Part, ...]:
+    """Return ``parts`` with numbers behind the names that ``known`` parts of the same kind have already."""
+    taken, out = {item.name for item in known}, []
+    for part in parts:
+        name, number = part.name, 2
+        while name in taken:
+            name, number = f"{part.name}_{number}", number + 1
+        taken.add(name)
+        out.append(part if name == part.name else replace(part, name=name))
+    return tuple(out)
+
+
+def single_dofs(robot: RobotDescription) -> dict[str, Dof]:
+    """Return by prim path the degrees of freedom of joints that have just one."""
+    found: dict[str, Dof | None] = {}
+    for dof in robot.dofs:
+        found[dof.path] = None if dof.path in found else dof
+    return {path: dof for path, dof in found.items() if dof is not None}
+
+
+def _all_geoms(robot: RobotDescription) -> list[Geom]:
+    return [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
+
+
+def _with_extras(stage: Stage, robot: RobotDescription) -> RobotDescription:
+    hulls = {g.mesh: found for g in _all_geoms(robot) if g.mesh and (found := hull_size(stage, g))}
+    return replace(
+        robot,
+        bodies=tuple(_body(stage, body) for body in robot.bodies),
+        static_geoms=tuple(with_geom_extra(stage, geom) for geom in robot.static_geoms),
+        closures=tuple(with_closure_extra(stage, closure) for closure in robot.closures),
+        meshes=tuple(replace(m, extra={**m.extra, **hulls[m.name]}) if m.name in hulls else m for m in robot.meshes),
+    )
+
+
+def _body(stage: Stage, body: Body) -> Body:
+    body = with_body_extra(stage, body)
+    return replace(body, geoms=tuple(with_geom_extra(stage, geom) for geom in body.geoms))
+
+
+def _without_doubled_drives(stage: Stage, robot: RobotDescription) -> RobotDescription:
+    """Drop the drive of a joint that an actuator of MuJoCo's own acts on."""
+    driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
+    bodies = []
+    for body in robot.bodies:
+        dofs = tuple(replace(d, drive=None) if d.drive and d.name in driven else d for d in body.dofs)
+        for old, new in zip(body.dofs, dofs, strict=True):
+            if old is not new:
+                _leave_drive(stage, old)
+        bodies.append(replace(body, dofs=dofs) if dofs != body.dofs else body)
+    return replace(robot, bodies=tuple(bodies))
+
+
+def _leave_drive(stage: Stage, dof: Dof) -> None:
+    prim = stage.usd.GetPrimAtPath(dof.path)
+    for prop in prim.GetAuthoredPropertiesInNamespace("drive"):
+        stage.ledger.leave(dof.path, prop.GetName(), "a MjcActuator acts on this joint and wins over its drive")

@@ -1,0 +1,463 @@
+"""Read actuators, tendons, and keyframes of MuJoCo's USD schemas, with their attributes in MJCF's types.
+
+Only authored values are read. USD writes what differs from the schema's default, so one end of a range may be
+missing: it is 0. Arrays of a keyframe are in the order of MuJoCo's own model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from pxr import Usd
+
+from wheelleg_exp.asset.robot_description import (
+    Actuator,
+    Geom,
+    Keyframe,
+    Numbered,
+    RobotDescription,
+    Tendon,
+    TendonPoint,
+    unique_names,
+)
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links, shown_names
+from wheelleg_exp.asset.usd.colliders import is_site
+from wheelleg_exp.asset.usd.gprims import shape_of
+from wheelleg_exp.asset.usd.usd_stage import Stage
+
+Attribute = str | int | float | bool | tuple[float, ...]
+EXACT = {"wind": 3, "magnetic": 3, "rgba": 4}  # numbers that MuJoCo wants
+LONGEST = {  # numbers that MuJoCo takes, or fewer
+    "solref": 2,
+    "solreflimit": 2,
+    "solreffriction": 2,
+    "o_solref": 2,
+    "springdamper": 2,
+    "springlength": 2,
+    "solimp": 5,
+    "solimplimit": 5,
+    "solimpfriction": 5,
+    "o_solimp": 5,
+    "o_friction": 5,
+    "gear": 6,
+    "gainprm": 10,
+    "biasprm": 10,
+    "dynprm": 10,
+}
+WORDS = {"cone": {"pyramidal", "elliptic"}}
+
+
+def numbers(stage: Stage, prim: Usd.Prim, name: str, became: str) -> tuple[float, ...] | None:
+    """Return an array's numbers, None when it is not authored or empty."""
+    value = stage.ledger.read(prim, name, became)
+    found = None if value is None else tuple(float(v) for v in np.atleast_1d(value))
+    return found if found and _fits(stage, prim, name, became, found) else None
+
+
+def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
+    """Return an array of integers, [] when it is not authored."""
+    return [int(v) for v in numbers(stage, prim, name, became) or ()]
+
+
+def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
+    """Return what is authored of ``names`` (USD name: MJCF attribute), in the order of ``names``.
+
+    Values that are not finite stand for MuJoCo's default and are left away.
+    """
+    found: dict[str, Attribute] = {}
+    for name, became in names.items():
+        value = stage.ledger.read(prim, name, became)
+        plain = None if value is None else _plain(value)
+        if plain is not None and _fits(stage, prim, name, became, plain):
+            found[became] = plain
+    return found
+
+
+def _fits(stage: Stage, prim: Usd.Prim, name: str, became: str, value: Attribute) -> bool:
+    """Return whether MuJoCo takes a value; else leave it out and say so."""
+    if isinstance(value, tuple) and len(value) != EXACT.get(became, len(value)):
+        reason = f"MuJoCo's {became} has {EXACT[became]} numbers, not {len(value)}"
+    elif isinstance(value, tuple) and len(value) > LONGEST.get(became, len(value)):
+        reason = f"MuJoCo's {became} has {LONGEST[became]} numbers, not {len(value)}"
+    elif isinstance(value, str) and value not in WORDS.get(became, {value}):
+        reason = f"MuJoCo's {became} is one of {', '.join(sorted(WORDS[became]))}"
+    else:
+        return True
+    stage.ledger.leave(prim.GetPath(), name, reason, value)
+    stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason}")
+    return False
+
+
+def _plain(value: Any) -> Attribute | None:
+    if isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    array = tuple(float(v) for v in value)
+    return array if array and all(math.isfinite(v) for v in array) else None
+
+
+def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) -> dict[str, Attribute]:
+    """Return a range and whether it holds, as MJCF's two attributes.
+
+    Args:
+        stage: the open stage.
+        prim: where it stands.
+        stem: ``mjc:ctrlRange`` of ``mjc:ctrlRange:min`` and ``:max``.
+        switch: the token ``auto``, ``true`` or ``false``, such as ``mjc:ctrlLimited``.
+        became: the MJCF attribute of the range; that of the switch is ``ctrllimited`` for ``ctrlrange``.
+    """
+    switched = became.removesuffix("range") + "limited"
+    ends = [stage.ledger.read(prim, f"{stem}:{end}", became) for end in ("min", "max")]
+    token = stage.ledger.read(prim, switch, switched) or "auto"
+    found: dict[str, Attribute] = {}
+    low, high = (0.0 if end is None else float(end) for end in ends)
+    proper = low < high and math.isfinite(low) and math.isfinite(high)
+    if proper:
+        found[became] = (low, high)
+    if token == "false" and proper:
+        found[switched] = False
+    elif token == "true" and not proper:
+        stage.ledger.warn(f"{prim.GetPath()}: {switch} is true, but {stem} holds no range; left unlimited")
+    return found
+
+
+def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
+    """Name an authored attribute that has no place in the model, unless something was made of it already."""
+    value = stage.ledger.read(prim, name)
+    if value is not None and not stage.ledger.knows(prim.GetPath(), name):
+        stage.ledger.leave(prim.GetPath(), name, reason, value)
+
+
+Transmission = Literal["joint", "jointinparent", "tendon", "site", "body", "cranksite"]
+ACTUATOR = "MjcActuator"
+TYPES = {  # what MuJoCo knows, and how MJCF writes it
+    "dynType": {"none", "integrator", "filter", "filterexact", "muscle", "user"},
+    "gainType": {"fixed", "affine", "muscle", "user"},
+    "biasType": {"none", "affine", "muscle", "user"},
+}
+ACTUATOR_ATTRIBUTES = {
+    "mjc:group": "group",
+    "mjc:actDim": "actdim",
+    "mjc:actEarly": "actearly",
+    "mjc:crankLength": "cranklength",
+    "mjc:inheritRange": "inheritrange",
+}
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Names in the model by prim path of what an actuator may act on; ``ranged`` of them have limits."""
+
+    ranged: set[str] = field(default_factory=set)
+    joints: dict[str, str] = field(default_factory=dict)
+    tendons: dict[str, str] = field(default_factory=dict)
+    sites: dict[str, str] = field(default_factory=dict)
+    bodies: dict[str, str] = field(default_factory=dict)
+
+    def find(self, path: str) -> tuple[Transmission, str] | None:
+        """Return the kind and the name of what is at ``path``."""
+        kinds: tuple[tuple[Transmission, dict[str, str]], ...] = (
+            ("joint", self.joints),
+            ("tendon", self.tendons),
+            ("site", self.sites),
+            ("body", self.bodies),
+        )
+        return next(((kind, names[path]) for kind, names in kinds if path in names), None)
+
+
+def read_actuators(stage: Stage, targets: Targets) -> tuple[Actuator, ...]:
+    """Return the actuators whose target is in the model, in the order of the stage."""
+    prims = [prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR]
+    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    found = (_actuator(stage, prim, names[str(prim.GetPath())], targets) for prim in prims)
+    return tuple(actuator for actuator in found if actuator is not None)
+
+
+def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> Actuator | None:
+    paths = [str(path) for path in stage.ledger.targets(prim, "mjc:target", f"actuator {name}")]
+    target = targets.find(paths[0]) if paths else None
+    if target is None:
+        _leave_actuator(stage, prim, "it acts on nothing that is in the model")
+        return None
+    kinds = {key: stage.ledger.read(prim, f"mjc:{key}", key.lower()) for key in TYPES}
+    strange = [f"{key} {kind}" for key, kind in kinds.items() if kind is not None and kind not in TYPES[key]]
+    if strange:
+        _leave_actuator(stage, prim, f"MuJoCo has no {', '.join(strange)}")
+        return None
+    transmission, name_of_target = target
+    extra: dict[str, Attribute] = {}
+    if transmission == "site":
+        sites = _sites(stage, prim, targets)
+        if sites is None:
+            _leave_actuator(stage, prim, "a site that it names is not in the model")
+            return None
+        extra |= sites
+        transmission = "cranksite" if "slidersite" in sites else "site"
+    if transmission == "joint" and stage.ledger.read(prim, "mjc:jointInParent", "jointinparent"):
+        transmission = "jointinparent"
+    extra |= {key.lower(): kind for key, kind in kinds.items() if kind is not None}
+    extra |= _parameters(stage, prim)
+    if extra.get("inheritrange") and name_of_target not in targets.ranged:
+        reason = f"{name_of_target} has no limits that the controls could inherit"
+        stage.ledger.leave(prim.GetPath(), "mjc:inheritRange", reason, extra.pop("inheritrange"))
+        stage.ledger.warn(f"{prim.GetPath()}: mjc:inheritRange was left out: {reason}")
+    stage.ledger.mapped(prim.GetPath(), ACTUATOR, f"actuator {name}")
+    return Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
+
+
+def _leave_actuator(stage: Stage, prim: Usd.Prim, reason: str) -> None:
+    stage.ledger.leave(prim.GetPath(), ACTUATOR, reason)
+    stage.ledger.warn(f"{prim.GetPath()}: this actuator was left out: {reason}")
+
+
+def _sites(stage: Stage, prim: Usd.Prim, targets: Targets) -> dict[str, Attribute] | None:
+    """Return the further sites of an actuator, None when one of them is not in the model."""
+    found: dict[str, Attribute] = {}
+    for name, became in (("mjc:refSite", "refsite"), ("mjc:sliderSite", "slidersite")):
+        for path in stage.ledger.targets(prim, name, became)[:1]:
+            if str(path) not in targets.sites:
+                return None
+            found[became] = targets.sites[str(path)]
+    return found
+
+
+def _parameters(stage: Stage, prim: Usd.Prim) -> dict[str, Attribute]:
+    found: dict[str, Attribute] = {}
+    for key in ("gear", "dynPrm", "gainPrm", "biasPrm"):
+        if (values := numbers(stage, prim, f"mjc:{key}", key.lower())) is not None:
+            found[key.lower()] = _without_zeros(values)
+    for key in ("ctrl", "force", "act"):
+        found |= limits(stage, prim, f"mjc:{key}Range", f"mjc:{key}Limited", f"{key}range")
+    ends = [stage.ledger.read(prim, f"mjc:lengthRange:{end}", "lengthrange") for end in ("min", "max")]
+    if any(end is not None for end in ends):
+        found["lengthrange"] = tuple(float(end or 0.0) for end in ends)
+    return found | attributes(stage, prim, ACTUATOR_ATTRIBUTES)
+
+
+def _without_zeros(values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the array without the zeros at its end, which MuJoCo adds again; one number stays."""
+    last = max((i for i, v in enumerate(values) if v != 0.0), default=0)
+    return values[: last + 1]
+
+
+TENDON = "MjcTendon"
+TENDON_ATTRIBUTES = {
+    f"mjc:{name}": name
+    for name in (
+        "springlength",
+        "stiffness",
+        "damping",
+        "frictionloss",
+        "armature",
+        "margin",
+        "solreflimit",
+        "solimplimit",
+        "solreffriction",
+        "solimpfriction",
+        "group",
+    )
+}
+DRAWN = {"mjc:width": "width", "mjc:rgba": "rgba"}  # only spatial tendons are drawn
+OF_SPATIAL = (*DRAWN, "mjc:path:segments", "mjc:path:divisors", "mjc:sideSites:indices")
+
+
+def tendon_prims(stage: Stage) -> list[Usd.Prim]:
+    """Return the tendons of the stage."""
+    return [prim for prim in stage.prims if prim.GetTypeName() == TENDON]
+
+
+def read_tendons(
+    stage: Stage, joints: Mapping[str, str], sites: Mapping[str, str], geoms: Mapping[str, str]
+) -> tuple[Tendon, ...]:
+    """Return the tendons whose whole path is in the model; the arguments map prim paths to names there."""
+    prims = tendon_prims(stage)
+    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    found = (_tendon(stage, prim, names[str(prim.GetPath())], joints, sites, geoms) for prim in prims)
+    return tuple(tendon for tendon in found if tendon is not None)
+
+
+def _tendon(
+    stage: Stage,
+    prim: Usd.Prim,
+    name: str,
+    joints: Mapping[str, str],
+    sites: Mapping[str, str],
+    geoms: Mapping[str, str],
+) -> Tendon | None:
+    fixed = stage.ledger.read(prim, "mjc:type", "fixed or spatial") == "fixed"
+    try:
+        factors = _factors(stage, prim, joints) if fixed else ()
+        points = () if fixed else _points(stage, prim, sites, geoms)
+    except _BrokenPath as error:
+        stage.ledger.leave(prim.GetPath(), TENDON, str(error))
+        stage.ledger.warn(f"{prim.GetPath()}: this tendon was left out: {error}")
+        return None
+    extra = attributes(stage, prim, TENDON_ATTRIBUTES | ({} if fixed else DRAWN))
+    for other in OF_SPATIAL if fixed else ("mjc:path:coef",):
+        leave(stage, prim, other, "only spatial tendons have it" if fixed else "only fixed tendons have it")
+    bounds = limits(stage, prim, "mjc:range", "mjc:limited", "range")
+    extra |= limits(stage, prim, "mjc:actuatorfrcrange", "mjc:actuatorfrclimited", "actuatorfrcrange")
+    extra |= {key: value for key, value in bounds.items() if key != "range"}
+    stage.ledger.mapped(prim.GetPath(), TENDON, f"tendon {name}")
+    return Tendon(name, str(prim.GetPath()), points, factors, _pair(bounds.get("range")), extra)
+
+
+class _BrokenPath(Exception):
+    """A path that cannot be followed, with the reason."""
+
+
+def _pair(value: Attribute | None) -> tuple[float, float] | None:
+    return (value[0], value[1]) if isinstance(value, tuple) else None
+
+
+def _route(stage: Stage, prim: Usd.Prim) -> list[str]:
+    """Return the prim paths of a tendon's stations, in order."""
+    targets = [str(path) for path in stage.ledger.targets(prim, "mjc:path", "the tendon's path")]
+    order = indices(stage, prim, "mjc:path:indices", "the tendon's path") or list(range(len(targets)))
+    if not order or not all(0 <= i < len(targets) for i in order):
+        raise _BrokenPath("its path and the indices into it do not fit")
+    return [targets[i] for i in order]
+
+
+def _factors(stage: Stage, prim: Usd.Prim, joints: Mapping[str, str]) -> tuple[tuple[str, float], ...]:
+    route = _route(stage, prim)
+    factors = numbers(stage, prim, "mjc:path:coef", "the tendon's coefficients") or ()
+    if len(factors) != len(route):
+        raise _BrokenPath(f"it has {len(route)} joints, but {len(factors)} coefficients")
+    missing = [path for path in route if path not in joints]
+    if missing:
+        raise _BrokenPath(f"there is no joint '{missing[0]}' in the model")
+    return tuple((joints[path], factor) for path, factor in zip(route, factors, strict=True))
+
+
+def _points(
+    stage: Stage, prim: Usd.Prim, sites: Mapping[str, str], geoms: Mapping[str, str]
+) -> tuple[TendonPoint, ...]:
+    route = _route(stage, prim)
+    segments = indices(stage, prim, "mjc:path:segments", "the tendon's pulleys") or [0] * len(route)
+    divisors = numbers(stage, prim, "mjc:path:divisors", "the tendon's pulleys") or (1.0,)
+    sides = _sides(stage, prim, len(route), sites)
+    if len(segments) != len(route) or max(segments) >= len(divisors):
+        raise _BrokenPath("its path and its segments do not fit")
+    points: list[TendonPoint] = []
+    current = 0
+    for path, segment, side in zip(route, segments, sides, strict=True):
+        if segment != current or (not points and divisors[0] != 1.0):
+            points.append(TendonPoint("pulley", divisor=divisors[segment]))
+        current = segment
+        points.append(_point(path, side, sites, geoms))
+    return tuple(points)
+
+
+def _point(path: str, side: str | None, sites: Mapping[str, str], geoms: Mapping[str, str]) -> TendonPoint:
+    if path in sites:
+        return TendonPoint("site", sites[path])
+    if path in geoms:
+        return TendonPoint("geom", geoms[path], side)
+    raise _BrokenPath(f"there is no site or geom '{path}' in the model")
+
+
+def _sides(stage: Stage, prim: Usd.Prim, count: int, sites: Mapping[str, str]) -> list[str | None]:
+    """Return each station's side site, or None."""
+    targets = [str(path) for path in stage.ledger.targets(prim, "mjc:sideSites", "the tendon's side sites")]
+    order = indices(stage, prim, "mjc:sideSites:indices", "the tendon's side sites") or [-1] * count
+    if len(order) != count or max(order) >= len(targets):
+        raise _BrokenPath("its path and its side sites do not fit")
+    missing = [path for path in targets if path not in sites]
+    if missing:
+        raise _BrokenPath(f"there is no site '{missing[0]}' in the model")
+    return [sites[targets[i]] if i >= 0 else None for i in order]
+
+
+WRAPPED = {"sphere", "cylinder"}  # what MuJoCo's tendons go around
+
+
+def with_wraps(stage: Stage, links: Links, robot: RobotDescription) -> RobotDescription:
+    """Return the robot with a geom for each shape on a tendon's path that it has no geom of yet."""
+    known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
+    prims = [prim for prim in _wrapped(stage) if str(prim.GetPath()) not in known]
+    geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
+    taken = Numbered(geom.name for geom in geoms)
+    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    added: dict[str | None, list[Geom]] = {}
+    for prim in prims:
+        link = links.owner(prim.GetPath())
+        inside = link.frame.inverse().matrix() @ stage.matrix(prim) if link else stage.matrix(prim)
+        shape = shape_of(prim, inside)
+        if shape is None or shape.kind not in WRAPPED:
+            continue
+        path = str(prim.GetPath())
+        name = taken.take(names[path])
+        stage.ledger.mapped(path, str(prim.GetTypeName()), f"geom {name}, which tendons wrap around")
+        geom = Geom(name, path, shape.kind, shape.size, shape.frame.pose(), collides=False, drawn=False)
+        added.setdefault(link.path if link else None, []).append(geom)
+    if not added:
+        return robot
+    bodies = tuple(replace(b, geoms=(*b.geoms, *added[b.path])) if b.path in added else b for b in robot.bodies)
+    return replace(robot, bodies=bodies, static_geoms=(*robot.static_geoms, *added.get(None, [])))
+
+
+def _wrapped(stage: Stage) -> list[Usd.Prim]:
+    """Return the prims on tendons' paths that are no sites and no joints, each once."""
+    found: dict[str, Usd.Prim] = {}
+    for tendon in tendon_prims(stage):
+        for path in stage.ledger.targets(tendon, "mjc:path"):
+            prim = stage.usd.GetPrimAtPath(path)
+            if prim and not is_site(prim):
+                found[str(path)] = prim
+    return list(found.values())
+
+
+KEYFRAME = "MjcKeyframe"
+KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "ctrl", "mpos", "mquat")}
+
+
+def read_keyframes(stage: Stage, robot: RobotDescription) -> tuple[Keyframe, ...]:
+    """Return the keyframes that fit the robot's number of coordinates, velocities and controls."""
+    prims = [prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME]
+    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    found = (_keyframe(stage, prim, names[str(prim.GetPath())], robot) for prim in prims)
+    return tuple(keyframe for keyframe in found if keyframe is not None)
+
+
+def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: RobotDescription) -> Keyframe | None:
+    extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
+    for key, count in keyframe_sizes(robot).items():
+        value = extra.get(key)
+        if isinstance(value, tuple) and len(value) != count:
+            reason = f"its {key} has {len(value)} numbers, the model {count}"
+            stage.ledger.leave(prim.GetPath(), KEYFRAME, reason)
+            stage.ledger.warn(f"{prim.GetPath()}: this keyframe was left out: {reason}")
+            return None
+    stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
+    return Keyframe(name, str(prim.GetPath()), extra)
+
+
+def keyframe_sizes(robot: RobotDescription) -> dict[str, int]:
+    """Return how many numbers each array of a keyframe has."""
+    free = sum(body.floating for body in robot.bodies)
+    balls = sum(dof.kind == "ball" for dof in robot.dofs)
+    single = len(robot.dofs) - balls
+    mocap = sum(body.mocap for body in robot.bodies)
+    controls = len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs)
+    return {
+        "qpos": 7 * free + 4 * balls + single,
+        "qvel": 6 * free + 3 * balls + single,
+        "ctrl": controls,
+        "act": sum(_states(actuator) for actuator in robot.actuators),
+        "mpos": 3 * mocap,
+        "mquat": 4 * mocap,
+    }
+
+
+def _states(actuator: Actuator) -> int:
+    """Return how many states an actuator's dynamics have."""
+    own = actuator.extra.get("actdim", -1)
+    if isinstance(own, int) and own >= 0:
+        return own
+    return 0 if actuator.extra.get("dyntype", "none") == "none" else 1

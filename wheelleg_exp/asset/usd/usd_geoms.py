@@ -1,0 +1,370 @@
+"""Give each body its geoms, store each mesh once, and find the pairs that never touch.
+
+Joined bodies, filtered pairs, and collision groups become excludes of bodies or bits of shapes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+
+from wheelleg_exp.asset.robot_description import Extra, Geom, Material, Mesh, Numbered, Rgba, file_stem, unique_names
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
+from wheelleg_exp.asset.usd.bodies.roots import Graph
+from wheelleg_exp.asset.usd.colliders import Piece
+from wheelleg_exp.asset.usd.gprims import Shape
+from wheelleg_exp.asset.usd.joints.usd_joints import Joint
+from wheelleg_exp.asset.usd.materials import Looks, friction_of
+from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
+
+SMALLEST_VOLUME = 1e-13  # m³ of a mesh's box; below it MuJoCo's compiler finds no volume for a solid
+
+
+class Geoms:
+    """All shapes of a stage as geoms, by body."""
+
+    def __init__(self, stage: Stage, pieces: list[Piece]) -> None:
+        self.stage, self.looks = stage, Looks(stage)
+        self._pieces: dict[str | None, list[Piece]] = {}
+        for piece in pieces:
+            self._pieces.setdefault(piece.link.path if piece.link else None, []).append(piece)
+        self._meshes: dict[str, Mesh] = {}
+        self._taken, self._files = Numbered(), Numbered()
+        self._surfaces = {piece.key: self._surface(piece) for piece in pieces if piece.drawn}
+        self._materials = self.looks.named()
+        self._names = {key: _names(key, group) for key, group in self._pieces.items()}
+
+    def pieces_of(self, link: Link) -> list[Piece]:
+        """Return the shapes of a body as read."""
+        return self._pieces.get(link.path, [])
+
+    def of(self, link: Link | None) -> tuple[Geom, ...]:
+        """Return the geoms of a body (None: the world)."""
+        key = link.path if link else None
+        owner = link.name if link else "world"
+        return tuple(self._geom(piece, owner, self._names[key]) for piece in self._pieces.get(key, []))
+
+    def materials(self) -> list[Material]:
+        """Return the materials in use, by name."""
+        return list(self._materials.values())
+
+    def meshes(self) -> list[Mesh]:
+        """Return the meshes in use; call it after all geoms were asked for."""
+        return list(self._meshes.values())
+
+    def _surface(self, piece: Piece) -> tuple[str | None, Rgba | None]:
+        """Return how a shape looks; a mesh that looks different face by face as most of its faces do."""
+        own = self.looks.look(piece.prim)
+        if own != (None, None):
+            return own
+        subsets = [UsdGeom.Subset(prim) for prim in piece.prim.GetChildren() if prim.IsA(UsdGeom.Subset)]
+        for subset in sorted(subsets, key=_faces, reverse=True):
+            look = self.looks.look(subset.GetPrim())
+            if look != (None, None):
+                rule = "each part of the mesh has a material of its own: that of most faces"
+                self.stage.ledger.assume(piece.path, rule, subset.GetPrim().GetName())
+                return look
+        return None, None
+
+    def _name(self, owner: str, short: str, collides: bool) -> str:
+        """Return a geom's name: the body's, the shape's, and ``visual``; numbered where that is taken."""
+        name = short if f"{short}_".startswith(f"{owner}_") else f"{owner}_{short}".rstrip("_")
+        name += "" if collides else "_visual"
+        return self._taken.take(name)
+
+    def _geom(self, piece: Piece, owner: str, names: dict[str, str]) -> Geom:
+        shape, path = piece.shape, piece.path
+        material, rgba = self._surfaces.get(piece.key, (None, None))
+        kind = "collider" if piece.collides else "visual"
+        name = self._name(owner, names[piece.key], piece.collides)
+        self.stage.ledger.mapped(path, str(piece.prim.GetTypeName()), f"{kind} geom {name} ({shape.kind})")
+        return Geom(
+            name=name,
+            path=path,
+            kind=shape.kind,
+            size=shape.size,
+            pose=shape.frame.pose(),
+            collides=piece.collides,
+            drawn=piece.drawn,
+            mesh=self._mesh(name, shape, piece.collides) if shape.kind == "mesh" else None,
+            material=self._materials[material].name if material else None,
+            rgba=rgba,
+            friction=friction_of(self.stage, piece.prim) if piece.collides else None,
+        )
+
+    def _mesh(self, name: str, shape: Shape, collides: bool) -> str:
+        """Return the name of a shape's mesh; equal meshes are kept once."""
+        assert shape.vertices is not None
+        solid = collides and float(np.prod(np.ptp(shape.vertices, axis=0))) > SMALLEST_VOLUME
+        vertices = np.round(shape.vertices, 9) + 0.0
+        faces = shape.faces if shape.faces is not None and len(shape.faces) else np.zeros((0, 3), dtype=np.int64)
+        key = hashlib.sha256(vertices.tobytes() + faces.astype(np.int64).tobytes() + bytes([solid])).hexdigest()
+        if key not in self._meshes:
+            self._meshes[key] = Mesh(self._mesh_name(name), vertices, faces, solid)
+        return self._meshes[key].name
+
+    def _mesh_name(self, name: str) -> str:
+        """Return a name for a mesh and its file, told from the others on disks that ignore case, too."""
+        stem = file_stem(name)
+        return stem + self._files.take(stem.lower())[len(stem) :]
+
+
+def _faces(subset: UsdGeom.Subset) -> int:
+    indices = subset.GetIndicesAttr().Get()
+    return len(indices) if hasattr(indices, "__len__") else 0
+
+
+def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
+    """Return the shapes' names within their body: the leaf, with parents where two leaves are equal.
+
+    Drawn and solid shapes do not clash, because visuals get an ending of their own.
+    """
+    base = key or ""
+    out = {}
+    for collides in (True, False):
+        chosen = [piece for piece in pieces if piece.collides is collides]
+        keys = {piece.key.removeprefix(base): piece.key for piece in chosen}
+        shown = shown_names([piece.prim for piece in chosen if piece.instance is None])
+        short = unique_names(keys, {path.removeprefix(base): name for path, name in shown.items()})
+        out.update({full: short[relative] for relative, full in keys.items()})
+    return out
+
+
+WORLD = "world"
+MANY = 300  # excludes of bodies, from which on bits of shapes are shorter
+BITS = 31  # MuJoCo's contype and conaffinity are integers of 32 bits, and the first one is everybody's
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Pairs of bodies that never touch, and attributes of geoms by the path of their shape."""
+
+    pairs: tuple[tuple[str, str], ...]
+    bits: Mapping[str, Extra]
+
+
+@dataclass
+class _Rules:
+    """Which sets of shapes never touch which others; shapes by path, sets by number."""
+
+    sides: list[tuple[set[str], set[str]]] = field(default_factory=list)
+
+    def add(self, first: set[str], second: set[str]) -> None:
+        if first and second:
+            self.sides.append((first, second))
+
+    def classes(self, shapes: Iterable[str]) -> dict[str, int]:
+        """Return a number for each shape; those with the same number are in the same sets. 0 is in none."""
+        known: dict[tuple[int, ...], int] = {(): 0}
+        member: dict[str, list[int]] = {}
+        for index, pair in enumerate(self.sides):
+            for side, paths in enumerate(pair):
+                for path in paths:
+                    member.setdefault(path, []).append(2 * index + side)
+        return {path: known.setdefault(tuple(member.get(path, ())), len(known)) for path in shapes}
+
+    def forbidden(self, classes: Mapping[str, int]) -> set[tuple[int, int]]:
+        """Return the pairs of classes that never touch, both ways round."""
+        out = set()
+        for first, second in self.sides:
+            for a in {classes[path] for path in first}:
+                for b in {classes[path] for path in second}:
+                    out |= {(a, b), (b, a)}
+        return out
+
+
+def read_filters(
+    stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
+) -> Filters:
+    """Return what never touches.
+
+    Args:
+        stage: the open stage.
+        links: its bodies.
+        joints: its joints; bodies that one joins do not touch unless it says so.
+        pieces: the shapes of bodies and of the world.
+        quiet: sets of bodies, by path, that do not touch each other; None: they are one set, and no two of them touch.
+    """
+    solid = {piece.path: piece for piece in pieces if piece.collides}
+    rules = _Rules()
+    bare = list(_filtered(stage, links, solid, rules))
+    _grouped(stage, solid, rules)
+    for part in quiet or ():
+        inside = {path for path, piece in solid.items() if piece.link and piece.link.path in part}
+        rules.add(inside, inside)
+    order = {link.name: index for index, link in enumerate(links)} | {WORLD: -1}
+    pairs = {_ordered(order, a, b): None for a, b in (*_joined(joints), *bare)}
+    classes = rules.classes(solid)
+    forbidden = rules.forbidden(classes)
+    whole, partly = _body_pairs(solid, classes, forbidden)
+    if not partly and len(whole) <= MANY:
+        pairs |= {_ordered(order, a, b): None for a, b in whole}
+        return Filters(tuple(pairs), {})
+    if len({a for a, _ in forbidden}) > BITS - 1:
+        stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
+        pairs |= {_ordered(order, a, b): None for a, b in whole}
+        return Filters(tuple(pairs), {})
+    return Filters(tuple(pairs), _bits(solid, classes, forbidden, quiet is not None))
+
+
+def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
+    return (a, b) if order[a] <= order[b] else (b, a)
+
+
+def _joined(joints: list[Joint]) -> Iterator[tuple[str, str]]:
+    for joint in joints:
+        first, second = joint.links
+        if first and second and not joint.may_collide:
+            yield first.name, second.name
+
+
+def _filtered(stage: Stage, links: Links, solid: Mapping[str, Piece], rules: _Rules) -> Iterator[tuple[str, str]]:
+    """Note FilteredPairsAPI of bodies, colliders and what stands above them; yield pairs of whole bodies."""
+    for prim in stage.prims:
+        for target in stage.ledger.targets(prim, "physics:filteredPairs", "contact exclude"):
+            first, second = _bodies(links, prim.GetPath()), _bodies(links, target)
+            if first and second:
+                yield from ((a.name, b.name) for a in first for b in second if a is not b)
+            else:
+                rules.add(_shapes(links, solid, prim.GetPath()), _shapes(links, solid, target))
+
+
+def _bodies(links: Links, path: Sdf.Path) -> list[Link]:
+    """Return the bodies that a path means: the one there, else all below; none for a collider of a body."""
+    owner = links.owner(path)
+    if owner is None:
+        return links.below(path)
+    return [owner] if owner.path == str(path) else []
+
+
+def _shapes(links: Links, solid: Mapping[str, Piece], path: Sdf.Path) -> set[str]:
+    bodies = {link.path for link in _bodies(links, path)}
+    inside = {key for key, piece in solid.items() if piece.prim.GetPath().HasPrefix(path)}
+    return inside | {key for key, piece in solid.items() if piece.link and piece.link.path in bodies}
+
+
+def _grouped(stage: Stage, solid: Mapping[str, Piece], rules: _Rules) -> None:
+    """Note what collision groups keep apart, by OpenUSD's own table of groups."""
+    groups = [UsdPhysics.CollisionGroup(p) for p in stage.usd.Traverse() if p.IsA(UsdPhysics.CollisionGroup)]
+    if not groups:
+        return
+    members = _members(stage, groups, solid)
+    table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage.usd)
+    for group in groups:
+        _account(stage, group.GetPrim(), len(members[group.GetPath()]))
+    for first, second in combinations_with_replacement([group.GetPath() for group in groups], 2):
+        if not table.IsCollisionEnabled(first, second):
+            rules.add(members[first], members[second])
+
+
+def _members(
+    stage: Stage, groups: list[UsdPhysics.CollisionGroup], solid: Mapping[str, Piece]
+) -> dict[Sdf.Path, set[str]]:
+    """Return the shapes of each group. A shape is in one group, the first that names it, as in PhysX."""
+    taken: dict[str, Sdf.Path] = {}
+    out: dict[Sdf.Path, set[str]] = {}
+    for group in groups:
+        query = group.GetCollidersCollectionAPI().ComputeMembershipQuery()
+        inside = {path for path, piece in solid.items() if _included(query, piece)}
+        double = inside & taken.keys()
+        for path in sorted(double):
+            rule = f"a collider of two collision groups: the first, {taken[path]}"
+            stage.ledger.assume(path, rule, f"not {group.GetPath()}")
+        out[group.GetPath()] = inside - double
+        taken |= dict.fromkeys(inside - double, group.GetPath())
+    return out
+
+
+def _included(query: object, piece: Piece) -> bool:
+    assert piece.carrier is not None
+    included = query.IsPathIncluded  # type: ignore[attr-defined]
+    return bool(included(piece.prim.GetPath()) or included(piece.carrier.GetPath()))
+
+
+GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:invertFilteredGroups")
+
+
+def _account(stage: Stage, prim: Usd.Prim, count: int) -> None:
+    path = prim.GetPath()
+    stage.ledger.mapped(path, "PhysicsCollisionGroup", f"contact excludes of {count} colliders")
+    for prop in prim.GetAuthoredProperties():
+        if prop.GetName() in GROUP_PROPERTIES or prop.GetName().startswith("collection:colliders"):
+            stage.ledger.mapped(path, prop.GetName(), "contact excludes")
+
+
+def _body_pairs(
+    solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]]
+) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Return pairs of bodies none of whose shapes may touch, and pairs only some of whose shapes may not.
+
+    Bodies with the same classes of shapes are looked at together.
+    """
+    if not forbidden:
+        return [], []
+    kinds: dict[str, set[int]] = {}
+    for path, piece in solid.items():
+        kinds.setdefault(piece.link.name if piece.link else WORLD, set()).add(classes[path])
+    alike: dict[frozenset[int], list[str]] = {}
+    for name, found in kinds.items():
+        alike.setdefault(frozenset(found), []).append(name)
+    whole: list[tuple[str, str]] = []
+    partly: list[tuple[str, str]] = []
+    for first, second in combinations_with_replacement(alike, 2):
+        apart = [(a, b) in forbidden for a in first for b in second]
+        if any(apart):
+            (whole if all(apart) else partly).extend(_products(alike[first], alike[second]))
+    return whole, partly
+
+
+def _products(first: list[str], second: list[str]) -> Iterator[tuple[str, str]]:
+    if first is second:
+        yield from ((a, b) for i, a in enumerate(first) for b in first[i + 1 :])
+    else:
+        yield from ((a, b) for a in first for b in second)
+
+
+def _bits(
+    solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]], self_collision: bool
+) -> dict[str, Extra]:
+    """Return contype and conaffinity: a bit for each class that is kept from another one, the first for the rest."""
+    apart = sorted({a for a, _ in forbidden})
+    bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
+    everybody = 1 | sum(bit.values())
+    out: dict[str, Extra] = {}
+    for path, piece in solid.items():
+        kind = classes[path]
+        touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
+        own = bit.get(kind, 1)
+        out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
+    return out
+
+
+SWITCHES = ("physxArticulation:enabledSelfCollisions", "newton:selfCollisionEnabled")
+
+
+def quiet_parts(stage: Stage, graph: Graph) -> list[frozenset[str]]:
+    """Return the bodies, by path, of each articulation whose self-collision is switched off."""
+    parts: dict[frozenset[str], None] = {}
+    for prim in (prim for prim in stage.prims if schemas(prim)):
+        values = [stage.ledger.read(prim, name, "contype and conaffinity of the colliders") for name in SWITCHES]
+        if all(value is None or value for value in values):
+            continue
+        for link in _meant(graph, str(prim.GetPath())):
+            parts[frozenset(other.path for other in graph.component(link))] = None
+    return list(parts)
+
+
+def _meant(graph: Graph, path: str) -> list[Link]:
+    """Return the bodies that a switch on a prim speaks of: those at or below it, or those that a joint joins."""
+    joined = [link for joint in graph.joints if joint.path == path for link in joint.links if link]
+    return joined or graph.links.below(Sdf.Path(path))
+
+
+def all_quiet(parts: list[frozenset[str]], solid: set[str]) -> bool:
+    """Return whether one such articulation holds all bodies that collide."""
+    return len(parts) == 1 and solid <= parts[0]

@@ -1,0 +1,227 @@
+"""Read a USD file into a robot description and a report.
+
+Numbers that the file stores in single precision become their shortest decimals; double precision stays exact. Joint
+frames, limits, drives, and most masses are single by USD's schemas. Transforms may be either: they are treated as
+single if none of them changes in single precision, as in files whose writer widened them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd
+
+from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.asset.report_writer import summarise
+from wheelleg_exp.asset.rigid_geometry import single
+from wheelleg_exp.asset.robot_description import (
+    BaseMode,
+    Body,
+    Dof,
+    Drive,
+    Geom,
+    Inertial,
+    Pose,
+    RobotDescription,
+    Site,
+    Vec3,
+)
+from wheelleg_exp.asset.usd.audit import audit
+from wheelleg_exp.asset.usd.bodies.body_tree import Node, Tree, build_tree, read_closures
+from wheelleg_exp.asset.usd.bodies.mass import inertial_of
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import find_links, velocity_of
+from wheelleg_exp.asset.usd.bodies.roots import Graph
+from wheelleg_exp.asset.usd.colliders import find_pieces, find_sites
+from wheelleg_exp.asset.usd.joints.articulate import dofs_of
+from wheelleg_exp.asset.usd.joints.joint_couplings import Ropes, read_mimics, read_ropes
+from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, read_joints
+from wheelleg_exp.asset.usd.mjc_overlay import with_mujoco
+from wheelleg_exp.asset.usd.usd_geoms import Filters, Geoms, all_quiet, quiet_parts, read_filters
+from wheelleg_exp.asset.usd.usd_stage import Stage, gravity, library, open_stage
+
+HALF_STEP = 2.0**-25  # of a vector's size: a smaller change is lost in single precision
+MOST_DIGITS = 9
+
+
+def shortened(stage: Stage, robot: RobotDescription) -> RobotDescription:
+    """Return a robot whose numbers, where they were single, are the shortest decimals that read back as the same."""
+    coarse = all(_is_single(prim) for prim in stage.prims)
+    bodies = tuple(_short_body(stage, body, coarse) for body in robot.bodies)
+    static = tuple(_short_geom(geom) for geom in robot.static_geoms) if coarse else robot.static_geoms
+    return replace(robot, bodies=bodies, static_geoms=static)
+
+
+def _is_single(prim: Usd.Prim) -> bool:
+    """Return whether a prim's transform loses nothing in single precision."""
+    for name in prim.GetAuthoredPropertyNames():
+        if name.startswith("xformOp:"):
+            value: Any = prim.GetAttribute(name).Get() if prim.GetAttribute(name) else None
+            if hasattr(value, "GetImaginary"):
+                value = (value.GetReal(), *value.GetImaginary())
+            numbers = np.asarray(0.0 if value is None else value, dtype=float)
+            if not np.array_equal(numbers, numbers.astype(np.float32)):
+                return False
+    return True
+
+
+def _short_body(stage: Stage, body: Body, coarse: bool) -> Body:
+    by_joint = body.parent is not None  # its place comes from the frames of a joint
+    return replace(
+        body,
+        pose=_short_pose(body.pose) if by_joint or coarse else body.pose,
+        inertial=_short_inertial(body.inertial),
+        dofs=tuple(_short_dof(stage, dof) for dof in body.dofs),
+        geoms=tuple(_short_geom(geom) for geom in body.geoms) if coarse else body.geoms,
+    )
+
+
+def _short_inertial(inertial: Inertial) -> Inertial:
+    """Return the centre and the axes in short numbers; moments stay, which have to fit each other."""
+    w, x, y, z = _shortest(inertial.axes, 1.0)
+    return replace(inertial, center_of_mass=_short_vector(inertial.center_of_mass), axes=(w, x, y, z))
+
+
+def _short_dof(stage: Stage, dof: Dof) -> Dof:
+    """Return a joint with short numbers; those of MuJoCo's schemas are double."""
+    if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
+        return dof
+    return replace(
+        dof,
+        axis=_short_vector(dof.axis),
+        anchor=_short_vector(dof.anchor),
+        range=None if dof.range is None else (single(dof.range[0]), single(dof.range[1])),
+        position=single(dof.position),
+        velocity=single(dof.velocity),
+        max_velocity=None if dof.max_velocity is None else single(dof.max_velocity),
+        drive=None if dof.drive is None else _short_drive(dof.drive),
+    )
+
+
+def _short_drive(drive: Drive) -> Drive:
+    return replace(
+        drive,
+        stiffness=single(drive.stiffness),
+        damping=single(drive.damping),
+        effort=None if drive.effort is None else single(drive.effort),
+        target_position=single(drive.target_position),
+        target_velocity=single(drive.target_velocity),
+    )
+
+
+def _short_geom(geom: Geom) -> Geom:
+    return replace(geom, size=tuple(single(value) for value in geom.size), pose=_short_pose(geom.pose))
+
+
+def _short_pose(pose: Pose) -> Pose:
+    w, x, y, z = _shortest(pose.rotation, 1.0)
+    return Pose(_short_vector(pose.position), (w, x, y, z))
+
+
+def _short_vector(values: Vec3) -> Vec3:
+    x, y, z = _shortest(values, max(map(abs, values)))
+    return x, y, z
+
+
+def _shortest(values: Iterable[float], size: float) -> list[float]:
+    """Return the shortest decimals that are the same in a vector of single precision and this size."""
+    return [next((s for s in _decimals(value) if abs(s - value) <= size * HALF_STEP), value) for value in values]
+
+
+def _decimals(value: float) -> Iterable[float]:
+    return (float(f"{value:.{digits}g}") + 0.0 for digits in range(1, MOST_DIGITS + 1))
+
+
+def read_usd(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
+    """Read a robot and say what was read, assumed and left out.
+
+    Raises:
+        AssetError: the file cannot be read, or holds no rigid body.
+    """
+    with library(source):
+        stage = open_stage(source, variants)
+        robot = describe(stage, base)
+        return robot, summarise(stage, robot)
+
+
+def describe(stage: Stage, base: BaseMode) -> RobotDescription:
+    """Return the robot of an open stage."""
+    links = find_links(stage)
+    joints = read_joints(stage, links)
+    tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
+    ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
+    quiet = quiet_parts(stage, Graph(links, joints))
+    touching = not all_quiet(quiet, {piece.link.path for piece in pieces if piece.link and piece.collides})
+    filters = read_filters(stage, links, joints, pieces, quiet if touching else None)
+    parts = _Parts(stage, Geoms(stage, pieces), filters, ropes)
+    parts.sites = find_sites(stage, links)
+    dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
+    bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())
+    robot = RobotDescription(
+        name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),
+        bodies=bodies,
+        gravity=gravity(stage),
+        static_geoms=parts.geoms(None),
+        static_sites=tuple(ropes.sites.get(None, ())),
+        exclusions=parts.filters.pairs,
+        closures=(*read_closures(stage, tree.closures), *ropes.closures),
+        couplings=read_mimics(stage, [dof for body in bodies for dof in body.dofs]),
+        tendons=tuple(ropes.tendons),
+        materials=tuple(parts.shapes.materials()),
+        meshes=tuple(parts.shapes.meshes()),
+        self_collision=touching,
+        breadth_first_dofs=_breadth_first(tree, dofs),
+    )
+    robot = shortened(stage, _integrated(stage, with_mujoco(stage, links, robot)))
+    audit(stage)
+    return robot
+
+
+def _integrated(stage: Stage, robot: RobotDescription) -> RobotDescription:
+    """Let stiff drives be integrated as PhysX does, implicitly; MuJoCo's own default blows some of them up."""
+    if "integrator" in robot.option or not any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
+        return robot
+    stage.ledger.assume(stage.source.name, "drives are integrated implicitly, as in PhysX", "implicitfast")
+    return replace(robot, option={**robot.option, "integrator": "implicitfast"})
+
+
+def _breadth_first(tree: Tree, dofs: Mapping[str, tuple[Dof, ...]]) -> tuple[str, ...]:
+    levels = sorted(tree.nodes, key=lambda node: node.depth)
+    return tuple(dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1])
+
+
+class _Parts:
+    """What bodies are made of, by body."""
+
+    def __init__(self, stage: Stage, shapes: Geoms, filters: Filters, ropes: Ropes) -> None:
+        self.stage, self.shapes, self.filters, self.ropes = stage, shapes, filters, ropes
+        self.sites: dict[str, list[Site]] = {}
+
+    def geoms(self, node: Node | None) -> tuple[Geom, ...]:
+        """Return the shapes of a body (None: the world) with their bits."""
+        bits = self.filters.bits
+        found = self.shapes.of(node.link if node else None)
+        return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
+
+    def body(self, node: Node, dofs: tuple[Dof, ...]) -> Body:
+        """Return a body with everything on it."""
+        link = node.link
+        return Body(
+            name=link.name,
+            path=link.path,
+            parent=node.parent.name if node.parent else None,
+            pose=node.pose,
+            inertial=inertial_of(
+                self.stage, link, self.shapes.pieces_of(link), welded=node.joint is not None and not dofs
+            ),
+            floating=node.floating,
+            velocity=velocity_of(self.stage, link) if node.floating else (0.0,) * 6,
+            mocap=link.kinematic and node.parent is None and not dofs,
+            weightless=link.weightless,
+            dofs=dofs,
+            geoms=self.geoms(node),
+            sites=(*self.sites.get(link.path, ()), *self.ropes.sites.get(link.name, ())),
+        )

@@ -1,0 +1,240 @@
+"""Print the result of ``wheelleg convert``, readable for two joints and for three thousand."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.cli.printing.figures_table import shown
+from wheelleg_exp.cli.printing.terminal import hanging, print_table
+from wheelleg_exp.definitions import percent
+from wheelleg_exp.errors import printable
+
+if TYPE_CHECKING:
+    from wheelleg_exp.asset import Conversion, Report
+    from wheelleg_exp.asset.robot_description import Dof, RobotDescription
+
+
+ROWS = 15  # of a table or a list, before the rest is only counted
+JOINTS = 40
+WIDTH = 60  # characters of a cell
+NAMED = 6  # kinds of things that were left out, before the rest is only counted
+VERDICTS = {
+    "good": "converted, and nothing is in doubt",
+    "check": "converted, with care:",
+    "doubtful": "DOUBTFUL:",
+}
+
+
+def show(conversion: Conversion, scene: Path | None) -> None:
+    """Print the verdict, the warnings, the summary, the joints, what was assumed and left out, and what to do next."""
+    report = conversion.report
+    told = f"{VERDICTS[report.verdict.level]} {'; '.join(_reasons(report))}".strip()
+    print(hanging(f"{printable(report.source)}: {told}", 4))
+    _warnings(report.warnings)
+    print()
+    for title, value in _summary(report):
+        print(hanging(printable(value), 20, title))
+    columns = ("joint", "kind", "range", "kp", "kv", "effort", "as authored")
+    rows = _joints(conversion)
+    used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
+    used = [i for i in used if columns[i] != "as authored" or any(row[i] for row in rows)]
+    _section("Joints", [columns[i] for i in used], [[row[i] for i in used] for row in rows], JOINTS)
+    _orders(report)
+    _section("Assumed", ("rule", "value", "where"), _assumed(report))
+    _left_out(report)
+    output = shown(conversion.output.resolve())
+    print(f"\nWrote {output}" + ("" if scene is None else f", and {scene.name} beside it with a floor and a light"))
+    if report.base == "fixed":
+        print("Its base is fixed to the world: --base floating lets it move")
+    seen = output if scene is None else shown(scene.resolve())
+    print(f"Look at it: python -m mujoco.viewer --mjcf={shlex.quote(str(seen))}")
+    print("Train with it: name the source as env.robot.asset; it is converted and cached by itself")
+    print("Every number, and what became of every attribute: the same command with --json")
+
+
+def _reasons(report: Report) -> list[str]:
+    level, count = report.verdict.level, len(report.warnings)
+    warned = ["1 warning" if count == 1 else f"{count} warnings"] if level == "check" and count else []
+    return [*report.verdict.reasons, *warned]
+
+
+def _warnings(warnings: Sequence[str]) -> None:
+    groups = _grouped(warnings)
+    for text in groups[:ROWS]:
+        print(hanging(printable(text), 9, "warning:"))
+    if len(groups) > ROWS:
+        print(f"and {len(groups) - ROWS} more warnings; --json lists them all")
+
+
+def _summary(report: Report) -> list[tuple[str, str]]:
+    totals, stage = report.totals, report.stage
+    assumed = totals["assumed_mass"]
+    share = (
+        "all of it from the file" if not assumed else f"{assumed:.6g} kg ({percent(totals['assumed_share'])}) assumed"
+    )
+    rows = [
+        ("model", report.model),
+        ("bodies", f"{totals['bodies']}, {totals['mass']:.6g} kg in all, {share}"),
+        ("base", report.base),
+        ("degrees of freedom", f"{totals['dofs']}, of which {totals['actuators']} are driven"),
+        ("shapes", f"{totals['colliders']} colliders, {totals['visuals']} visuals"),
+    ]
+    if stage != {"metersPerUnit": 1.0, "kilogramsPerUnit": 1.0, "upAxis": "Z"} and "metersPerUnit" in stage:
+        units = f"{stage['metersPerUnit']:g} m, {stage['kilogramsPerUnit']:g} kg, {stage['upAxis']} up"
+        rows.append(("stage units", units))
+    found = Counter(item.kind.replace("_", " ") for item in report.findings)
+    if found:
+        rows.append(("findings", ", ".join(f"{count} {kind}" for kind, count in found.items())))
+    if report.variants:
+        rows.append(("variants", ", ".join(f"{name}={value}" for name, value in report.variants.items())))
+    layers = [name for name in report.layers if name != report.source]
+    if layers:
+        few = ", ".join(layers[:NAMED]) + (f" and {len(layers) - NAMED} more" if len(layers) > NAMED else "")
+        rows.append(("made of", f"{report.source}, {few}"))
+    return rows
+
+
+# ---------------------------------------------------------------- joints
+def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
+    """Return a row for each degree of freedom, in MuJoCo's order and SI units, with the file's words where others."""
+    from wheelleg_exp.asset.robot_values import effort_of
+
+    report, robot = conversion.report, conversion.description
+    acting = _acting(robot)
+    rows: list[tuple[str, ...]] = []
+    for dof in robot.dofs:
+        drive, unit = dof.drive, "N" if dof.kind == "slide" else "N m"
+        effort = effort_of(dof)
+        force = "motor" if drive else acting.get(dof.name, "")
+        rows.append(
+            (
+                dof.name,
+                dof.kind,
+                _range(dof),
+                f"{drive.stiffness:.4g}" if drive and drive.stiffness else "" if drive and drive.damping else force,
+                f"{drive.damping:.4g}" if drive and drive.damping else "",
+                "none" if effort is None else f"{effort:.4g} {unit}",
+                _authored(dof, report.authored.get(dof.path, {})),
+            )
+        )
+    return rows
+
+
+def _range(dof: Dof) -> str:
+    if dof.range is None:
+        return "unlimited"
+    low, high = dof.range
+    return f"{low:.4g} to {high:.4g} {'m' if dof.kind == 'slide' else 'rad'}"
+
+
+def _acting(robot: RobotDescription) -> dict[str, str]:
+    """Return what MuJoCo's own actuators do to joints, by the joint's name."""
+    return {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
+
+
+def _authored(dof: Dof, authored: Mapping[str, Any]) -> str:
+    """Return a joint's limits and gains in the file's own units; nothing where they are those of the model."""
+    by_end = {re.sub(r"^.*[:.]", "", name): value for name, value in authored.items()}
+    low, high = (next((by_end[k] for k in keys if k in by_end), None) for keys in (LOWER, UPPER))
+    usd = any(":" in name for name in authored)
+    degrees = usd and dof.kind != "slide"
+    parts = []
+    endless = not any(isinstance(end, (int, float)) and math.isfinite(end) for end in (low, high))
+    if low is not None and high is not None and not endless and (usd or dof.range is None):
+        parts.append(f"{_shortly(low)} to {_shortly(high)}{' deg' if degrees else ''}")
+    if degrees and dof.drive is not None:
+        gains = [_shortly(by_end[key]) for key in ("stiffness", "damping") if by_end.get(key)]
+        parts += [", ".join(gains) + " per deg"] if gains else []
+    limit = None if dof.drive is None else dof.drive.effort
+    if limit is not None and not math.isclose(by_end.get("maxForce", limit), limit, rel_tol=1e-3):
+        parts.append(f"max {_shortly(by_end['maxForce'])}")
+    if not usd and dof.force_range is None and "effort" in by_end:
+        parts.append(f"effort {_shortly(by_end['effort'])}")
+    return "; ".join(parts)
+
+
+LOWER, UPPER = ("lowerLimit", "lower", "low"), ("upperLimit", "upper", "high")
+
+
+def _shortly(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
+
+
+def _orders(report: Report) -> None:
+    """Say in which order PhysX has the joints, where it is not MuJoCo's, which the table has."""
+    order = report.dof_order
+    if order.physx and order.physx != order.mujoco:
+        few = ", ".join(order.physx[:JOINTS]) + (", ..." if len(order.physx) > JOINTS else "")
+        print(hanging(f"order in PhysX: {few}", 4))
+
+
+# ---------------------------------------------------------------- what was assumed and left out
+def _assumed(report: Report) -> list[tuple[str, str, str]]:
+    """Return a row for each rule: its value where all are equal, and where it was used."""
+    rules: dict[str, dict[str, str]] = {}
+    for item in report.assumptions:
+        rules.setdefault(item.rule, {})[item.path] = item.value
+    rows = []
+    for rule, values in rules.items():
+        equal = len(set(values.values())) == 1
+        first = next(iter(values.values()))
+        rows.append((rule, _short(first) if equal else f"{_short(first)}, ...", _places(values)))
+    return rows
+
+
+def _left_out(report: Report) -> None:
+    """Name the kinds of things that have no place in the model; why, and where, stands in the JSON."""
+    kinds = dict.fromkeys(item.name for item in sorted(report.left_out, key=lambda item: _is_note(item.reason)))
+    if kinds:
+        few = ", ".join(list(kinds)[:NAMED]) + (f" and {len(kinds) - NAMED} more" if len(kinds) > NAMED else "")
+        print()
+        print(hanging(printable(f"Left out: {few}; --json says why"), 4))
+
+
+def _is_note(reason: str) -> bool:
+    """Return whether what was left out says nothing of how the robot moves; such things come last."""
+    return reason.startswith(("declared without", "a note of", "there is one"))
+
+
+def _places(paths: Iterable[str]) -> str:
+    first, *others = paths
+    return first + (f" and {len(others)} more" if others else "")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= WIDTH else text[: WIDTH - 3] + "..."
+
+
+def _grouped(warnings: Sequence[str]) -> list[str]:
+    """Return the warnings; those that say the same, apart from places, names and numbers, are one."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for text in warnings:
+        path, colon, said = text.partition(": ")
+        place, said = (path, said) if colon and path.startswith("/") else ("", text)
+        alike = re.sub(r"'[^']*'|(?<=without it: ).*|[-+]?\d[\d.e+-]*", "…", said)
+        groups.setdefault(alike, []).append((place, said))
+    out = []
+    for found in groups.values():
+        place, said = found[0]
+        same = all(other == said for _, other in found)
+        if place and same:
+            out.append(f"{_places([where for where, _ in found])}: {said}")
+        else:
+            more = f" (and {len(found) - 1} more like this)" if len(found) > 1 else ""
+            out.append((f"{place}: " if place else "") + said + more)
+    return out
+
+
+def _section(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], most: int = ROWS) -> None:
+    if not rows:
+        return
+    print(f"\n{title}")
+    print_table(columns, rows[:most])
+    if len(rows) > most:
+        print(f"and {len(rows) - most} more; --json lists them all")

@@ -1,0 +1,394 @@
+"""Print the contents and statistics of a recording for ``wheelleg inspect``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.cli.printing.figures_table import shown, tool
+from wheelleg_exp.cli.printing.terminal import hanging, print_table
+from wheelleg_exp.definitions import (
+    ENDED_AS,
+    SHARE,
+    STEPS,
+    percent,
+    recorded_headings,
+    recorded_label,
+    scalar_definition,
+    share,
+)
+from wheelleg_exp.inspection.compare_recordings import NumberDifference, RecordingComparison
+from wheelleg_exp.inspection.condition_query import Hit
+from wheelleg_exp.inspection.recorded_numbers import Frames, Moment, NumberEntry, Statistics
+from wheelleg_exp.inspection.recording_summary import Summary
+from wheelleg_exp.inspection.row_selection import Selection
+from wheelleg_exp.recording.layout import DOCUMENTS, SIM_TIME, unit
+from wheelleg_exp.recording.reading.recording_reader import Recording
+
+if TYPE_CHECKING:
+    from wheelleg_exp.recording.reading.recording_repair import Repaired
+
+
+Row = Sequence[str | None]
+
+
+def print_statistics(found: Mapping[str, Statistics], units: Mapping[str, str]) -> None:
+    """Print the statistics of numbers, one column a number, under their names and units."""
+    several = len({moment.env_id for s in found.values() for moment in (s.first_at, s.last_at) if moment}) > 1
+    rows: list[tuple[str, ...]] = [
+        ("from", *(when(s.first_at, several) for s in found.values())),
+        ("to", *(when(s.last_at, several) for s in found.values())),
+        ("count", *(str(s.count) for s in found.values())),
+        ("NaN", *(str(s.nan) for s in found.values())),
+        *(
+            (("infinite", *(str(s.infinite) for s in found.values())),)
+            if any(s.infinite for s in found.values())
+            else ()
+        ),
+        *((word, *(number(getattr(s, word)) for s in found.values())) for word in ("mean", "std", "rms", "minimum")),
+        ("  at", *(when(s.minimum_at) for s in found.values())),
+    ]
+    shares = sorted({share for s in found.values() for share in s.quantiles})
+    rows += [(f"{share:.0%}", *(number(s.quantiles.get(share)) for s in found.values())) for share in shares]
+    rows += [
+        ("maximum", *(number(s.maximum) for s in found.values())),
+        ("  at", *(when(s.maximum_at) for s in found.values())),
+    ]
+    print_table(("statistic", *(_named(name, units) for name in found)), rows)
+
+
+def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> None:
+    """Print the moments in which a condition holds, and the rows around each under the numbers' names and units."""
+    several = len({hit.first.env_id for hit in hits}) > 1
+    print(f"it holds {len(hits)} times" if len(hits) != 1 else "it holds once")
+    if not limit:
+        return
+    if hits and hits[0].around is None:
+        rows = [(when(hit.first, several), when(hit.last), str(hit.frames)) for hit in hits[:limit]]
+        print_table(("from", "to", "frames"), rows)
+    else:
+        for hit in hits[:limit]:
+            print(f"\n{when(hit.first, several)}" + (f" to {when(hit.last)}" if hit.frames > 1 else ""))
+            _print_rows(hit, units)
+    if len(hits) > limit:
+        print(f"… and {len(hits) - limit} more (--limit)")
+
+
+def print_comparison(found: RecordingComparison, first: Recording, second: Recording, limit: int) -> None:
+    """Print what is equal and what is not, and where the numbers part."""
+    print(f"a: {shown(first.path.absolute())}\nb: {shown(second.path.absolute())}\n")
+    if found.is_equal:
+        print(f"equal to the last bit: {len(found.equal)} entities")
+        return
+    rows = [("equal", str(len(found.equal)), ""), ("different", str(len(found.different)), _some(found.different))]
+    rows += [("only in a", str(len(found.only_first)), _some(found.only_first))] if found.only_first else []
+    rows += [("only in b", str(len(found.only_second)), _some(found.only_second))] if found.only_second else []
+    print_table(("entities", "count", ""), rows)
+    if first.env_ids != second.env_ids:
+        print("they record other environments: " + " and ".join(listed(r.env_ids) for r in (first, second)))
+    if found.numbers:
+        print("\nnumbers that differ, the first to part before the others")
+        columns = ("number", "parts at", "a", "b", "largest difference", "mean a", "mean b", "std a", "std b")
+        print_table(columns, [_difference(number) for number in found.numbers[:limit]])
+        if len(found.numbers) > limit:
+            print(f"… and {len(found.numbers) - limit} more (--limit)")
+
+
+def print_repaired(done: Repaired) -> None:
+    """Print what was mended and what is lost."""
+    if done.output is None:
+        print(f"{shown(done.path.absolute())} is whole; nothing was written")
+        return
+    for line in done.health.lines()[1:]:
+        print(line)
+    print(f"lost: {done.health.lost} of {done.health.size} bytes")
+    if done.incomplete:
+        print(f"rerun could not take over every row of: {_some(done.incomplete)}")
+    if done.complaint:
+        print(f"rerun's own check still says: {done.complaint}")
+    print(f"mended: {shown(done.output.absolute())}\nopen it: {tool('rerun')} {shown(done.output.absolute())}")
+
+
+def print_names(found: Sequence[NumberEntry]) -> None:
+    """Print the names of numbers."""
+    print_table(("number", "rows"), [(entry.name, str(entry.rows)) for entry in found])
+
+
+def _difference(found: NumberDifference) -> Row:
+    at = "number of rows" if found.parting.step is None else when(Moment(found.parting.step, found.parting.time_s))
+    values = (found.parting.first, found.parting.second, found.largest)
+    sides = (found.first.mean, found.second.mean, found.first.std, found.second.std)
+    return (found.name, at, *(number(value) for value in (*values, *sides)))
+
+
+def _print_rows(hit: Hit, units: Mapping[str, str]) -> None:
+    frames = hit.around
+    if frames is None:
+        return
+    columns = frames.table.column_names
+    first, last = hit.first.step, hit.last.step
+    rows = [
+        ("*" if _inside(frames, row, first, last) else "", *(_cell(frames, name, row) for name in columns))
+        for row in range(len(frames))
+    ]
+    print_table(("", *(_named(name, units) for name in columns)), rows)
+
+
+def _named(name: str, units: Mapping[str, str]) -> str:
+    return f"{name} ({units[name]})" if name in units else name
+
+
+def _inside(frames: Frames, row: int, first: int | None, last: int | None) -> bool:
+    step = frames.moment(row).step
+    return step is not None and first is not None and last is not None and first <= step <= last
+
+
+def _cell(frames: Frames, name: str, row: int) -> str:
+    value = frames.table.column(name)[row].as_py()
+    if name == SIM_TIME:
+        return f"{value:.3f}"
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def listed(env_ids: Iterable[int]) -> str:
+    """Return environments as words."""
+    return ", ".join(map(str, env_ids))
+
+
+def when(moment: Moment | None, with_env: bool = False) -> str:
+    """Return a moment as words."""
+    if moment is None:
+        return ""
+    words = [] if moment.time_s is None else [f"{moment.time_s:.3f} s"]
+    words += [] if moment.step is None else [f"step {moment.step}"]
+    words += [] if moment.iteration is None else [f"iteration {moment.iteration}"]
+    words += [f"env {moment.env_id}"] if with_env and moment.env_id is not None else []
+    return ", ".join(words)
+
+
+def _some(names: Iterable[str]) -> str:
+    listed = list(names)
+    return ", ".join(listed[:4]) + (", …" if len(listed) > 4 else "")
+
+
+def number(value: float | None) -> str:
+    """Return a number with four significant digits; a dash for none."""
+    return "-" if value is None else "nan" if math.isnan(value) else f"{value:.4g}"
+
+
+_NOTES = 3  # the last of what happened to the recording
+
+
+def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
+    """Print what a recording holds, and its figures as tables.
+
+    Args:
+        summary: the summary.
+        others: the run's other recordings.
+        selection: which rows its figures are of.
+        status: of the run that it is the training of; None without one.
+    """
+    print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
+    if summary.purpose is None:
+        print("\nThis was not recorded by wheelleg: there is no summary of what it tells.")
+        print_table(
+            ("entities below", "count", "rows"), [(p.name, f"{p.entities}", f"{p.rows}") for p in summary.parts]
+        )
+        return
+    _section(
+        f"training, iteration {_last_iteration(summary)}, with exploration", ("figure", "value", "of"), _last(summary)
+    )
+    _section("samples of whole episodes" + _whose(summary), recorded_headings("samples"), _samples(summary))
+    if summary.frames is not None:
+        print(f"\n{hanging(f'below: {_scope(summary, selection)}', 0)}")
+    _section("episodes", ("figure", "value"), _episodes(summary))
+    _section("base", ("", *recorded_headings("base")), _base(summary))
+    _section("tracking", ("velocity", *recorded_headings("tracking")), _tracking(summary))
+    _section(
+        "contact forces: largest in the sensor's history; mean and contact at the end of steps",
+        ("body", *recorded_headings("contact forces")),
+        _forces(summary),
+    )
+    _section("efforts", ("joint", *recorded_headings("efforts")), _efforts(summary))
+    _section("rewards", ("term", *recorded_headings("rewards")), _rewards(summary))
+    _section(
+        "events",
+        ("event", *recorded_headings("events")),
+        [(name, f"{count}") for name, count in summary.events.items()],
+    )
+    _section("training, by iteration", ("scalar", *recorded_headings("training")), _training(summary))
+    if others:
+        print("\n" + hanging("other recordings of this run: " + ", ".join(shown(path) for path in others), 4))
+
+
+def _section(title: str, columns: Sequence[str], rows: Sequence[Row]) -> None:
+    if rows:
+        print(f"\n{title}")
+        print_table(columns, rows)
+
+
+def _head(summary: Summary, status: str | None) -> list[Row]:
+    own, health = summary.properties.get("wheelleg", {}), summary.health
+    spans = summary.timelines
+    what = " of ".join(str(word) for word in (summary.purpose or "another tool's", own.get("task")) if word)
+    agent = f" ({own['agent']} agent)" if own.get("agent") not in (None, "policy") else ""
+    rows: list[Row] = [
+        ("what it is", what + agent),
+        ("run", status),
+        (
+            "size",
+            f"{health.size / 1e6:.2f} MB, {sum(part.rows for part in summary.parts)} rows of "
+            f"{sum(part.entities for part in summary.parts)} entities",
+        ),
+        ("health", "; ".join(health.lines())),
+        *(("note", event.text) for event in summary.notes[-_NOTES:]),
+        ("environments", listed(summary.env_ids) if summary.purpose else None),
+    ]
+    if "sim_time" in spans:
+        rows.append(("simulated time", f"{spans['sim_time'].first:.3f} s to {spans['sim_time'].last:.3f} s"))
+    rows += [
+        (f"{name}s", f"{spans[name].first:.0f} to {spans[name].last:.0f}")
+        for name in ("step", "iteration")
+        if name in spans
+    ]
+    rows.append(("holds", ", ".join(part.name for part in summary.parts if part.rows or part.name == DOCUMENTS)))
+    return [row for row in rows if row[1]]
+
+
+def _last_iteration(summary: Summary) -> int:
+    return max((trend.last_at for trend in summary.training), default=0)
+
+
+def _last(summary: Summary) -> list[Row]:
+    """Return the scalars that tell what a training ended as, each with what it is of."""
+    envs = summary.properties.get("wheelleg", {}).get("num_envs")
+    found = []
+    for trend in summary.training:
+        told, place = (
+            scalar_definition(trend.name),
+            next((i for i, h in enumerate(ENDED_AS) if trend.name.startswith(h)), None),
+        )
+        if told is None or place is None:
+            continue
+        of = told.of.replace("all environments", f"all {envs} environments") if envs else told.of
+        of += "" if trend.last_at == _last_iteration(summary) else f", in iteration {trend.last_at}"
+        found.append((place, (told.label, _valued(trend.last, told.unit, summary.step_dt), of)))
+    return [row for _, row in sorted(found)]
+
+
+def _valued(value: float, word: str, step_dt: float | None) -> str:
+    if word == SHARE:
+        return percent(value)
+    seconds = f" ({value * step_dt:.2f} s)" if word == STEPS and step_dt else ""
+    return f"{_with_unit(value, word)}{seconds}"
+
+
+def _whose(summary: Summary) -> str:
+    return f", environment{'s' if len(summary.env_ids) > 1 else ''} {listed(summary.env_ids)}"
+
+
+def _scope(summary: Summary, selection: Selection) -> str:
+    """Return which frames the figures are of."""
+    frames = "{} of {} recorded frames".format(*summary.frames or (0, 0))
+    if summary.sample is None:
+        return frames if not selection.is_all else f"all {frames.split()[0]} recorded frames"
+    first, last = summary.sample.iteration, summary.sample.last_iteration
+    which = "the last sample with a whole episode" if summary.sample.episodes else "the last sample"
+    return f"{which}, iterations {first} to {last}: {frames} (--iteration chooses others)"
+
+
+def _episodes(summary: Summary) -> list[Row]:
+    f = summary.figures
+    if not f.count:
+        return []
+    cut = [f"{f.begun_before} begun before"] * bool(f.begun_before) + [f"{f.unfinished} not ended"] * bool(f.unfinished)
+    return [
+        (recorded_label("episodes", "count"), f"{f.whole} whole" + (f"; left out: {', '.join(cut)}" if cut else "")),
+        (recorded_label("episodes", "survival"), share(f.timed_out, f.whole)),
+        *((f"{recorded_label('episodes', 'ended_by')} {name}", f"{count}") for name, count in f.ended_by.items()),
+        (recorded_label("episodes", "mean_duration_s"), _with_unit(f.mean_duration_s, "s")),
+        (recorded_label("episodes", "longest_s"), _with_unit(f.longest_s, "s")),
+        (recorded_label("episodes", "mean_reward"), number(f.mean_reward)),
+    ]
+
+
+def _samples(summary: Summary) -> list[Row]:
+    return [
+        (
+            f"{s.iteration} to {s.last_iteration}",
+            f"{s.episodes}",
+            f"{s.cut}",
+            "-" if s.survival is None else share(round(s.survival * s.episodes), s.episodes),
+            "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f}",
+            number(s.mean_reward),
+        )
+        for s in summary.samples
+    ]
+
+
+def _base(summary: Summary) -> list[Row]:
+    return [
+        (
+            f"{name} ({unit(f'base/{name}')})",
+            *(number(value) for value in (s.mean, s.std, s.rms, s.minimum, s.maximum)),
+            when(s.maximum_at),
+        )
+        for name, s in summary.base.items()
+    ]
+
+
+def _tracking(summary: Summary) -> list[Row]:
+    return [
+        (
+            f"{t.command}.{t.name} ({unit(f'base/{t.name}')})",
+            *(number(value) for value in (t.rmse, t.mean, t.largest, t.mean_command)),
+        )
+        for t in summary.tracking
+    ]
+
+
+def _forces(summary: Summary) -> list[Row]:
+    return [
+        (
+            f"{f.sensor}.{f.body}",
+            number(f.largest_n),
+            when(f.at) if f.largest_n else "",
+            number(f.mean_n),
+            _share(f.contact_share),
+        )
+        for f in summary.forces
+    ]
+
+
+def _efforts(summary: Summary) -> list[Row]:
+    return [
+        (e.joint, number(e.rms), number(e.largest), number(e.limit), _share(e.saturated_share)) for e in summary.efforts
+    ]
+
+
+def _rewards(summary: Summary) -> list[Row]:
+    ordered = sorted(summary.rewards, key=lambda reward: -(reward.share or 0.0))
+    return [(r.term, number(r.weight), number(r.mean), _share(r.share)) for r in ordered]
+
+
+def _training(summary: Summary) -> list[Row]:
+    return [
+        (
+            t.name,
+            number(t.first),
+            number(t.last),
+            f"{number(t.lowest)} at {t.lowest_at}",
+            f"{number(t.highest)} at {t.highest_at}",
+        )
+        for t in summary.training
+    ]
+
+
+def _with_unit(value: float | None, word: str) -> str:
+    return number(value) if value is None or not word else f"{number(value)} {word}"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else percent(value)

@@ -1,0 +1,193 @@
+"""``wheelleg train -m``: several trainings from one command line."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.cli.common import print_json
+from wheelleg_exp.cli.printing.terminal import print_table
+from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, WheellegError
+from wheelleg_exp.packages import with_current
+
+if TYPE_CHECKING:
+    from wheelleg_exp.config.composing.compose_sweep import Sweep, SweepJob
+    from wheelleg_exp.jobs.sweep_job import Request
+    from wheelleg_exp.run.run_index import SweepIndex
+    from wheelleg_exp.stop_request import StopRequest
+
+
+_MOST_SHOWN = 3
+_STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTERRUPTED}
+
+
+def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
+    """Expand, check every job, train them, and say what was made."""
+    from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
+    from wheelleg_exp.config.composing.compose_sweep import compose_sweep
+
+    with ConsoleSweepDisplay() as display:
+
+        def progress(done: int, total: int) -> None:
+            stop.check()
+            display.checking(done, total)
+
+        sweep = compose_sweep(args.overrides, config_dirs=args.config_dirs, progress=progress)
+        display.checked()
+
+        from wheelleg_exp.cli.printing.figures_table import shown
+        from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
+        from wheelleg_exp.run.start_run import refuse_secrets
+
+        refuse_secrets(args.command)
+        at_once, named = _at_once(sweep), _named(args.config_dirs)
+        index = _make_index(sweep, at_once, args.command)
+        display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")
+        crowded = _crowded(sweep, at_once)
+        if crowded:
+            display.say(f"warning: {crowded}")
+        requests = [_request(job, args.config_dirs, _alone(job.overrides, named)) for job in sweep.jobs]
+        try:
+            launcher = make_launcher(sweep.launcher, sweep.settings(index.folder), index.folder)
+        except WheellegError:
+            index.finish("failed")
+            raise
+        status = SweepRunner(index, requests, at_once, display, stop, launcher).run()
+    if args.json:
+        print_json({"sweep": str(index.folder), **_document(index)})
+    else:
+        _print_report(index, named)
+    return _STATUS[status]
+
+
+def _at_once(sweep: Sweep) -> int:
+    from wheelleg_exp.config.composing.compose_sweep import QUEUES
+
+    if sweep.launcher in QUEUES:
+        return sweep.n_jobs
+    return min(len(sweep.jobs), int(_joblib().effective_n_jobs(sweep.n_jobs)))
+
+
+def _joblib() -> ModuleType:
+    """Import joblib, and take out of the environment what that puts in: jobs find what a run alone would find."""
+    before = set(os.environ)
+    import joblib
+
+    for name in set(os.environ) - before:
+        del os.environ[name]
+    return joblib
+
+
+def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepIndex:
+    from omegaconf import OmegaConf
+
+    from wheelleg_exp.run.run_index import SweepIndex
+
+    index = SweepIndex.create(
+        sweep.jobs[0].config["run"]["root"],
+        command=command,
+        launcher={"name": sweep.launcher, "at_once": at_once},
+        jobs=[(job.overrides, job.swept) for job in sweep.jobs],
+    )
+    sweep.multirun.hydra.sweep.dir = str(index.folder)
+    index.write_multirun(OmegaConf.to_yaml(sweep.multirun))
+    return index
+
+
+def _request(job: SweepJob, config_dirs: Sequence[Path], command: list[str]) -> Request:
+    from wheelleg_exp.jobs.sweep_job import Request
+
+    return Request(list(job.overrides), [str(folder) for folder in config_dirs], command, job.digest)
+
+
+def _named(config_dirs: Sequence[Path]) -> list[Path]:
+    """Leave out the folder of the project that one stands in, which is searched without being named."""
+    own: list[Path] = []
+    with suppress(ConfigError):
+        own = with_current([])
+    return [folder for folder in config_dirs if folder not in own]
+
+
+def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
+    """Return the command that trains one job alone."""
+    return ["wheelleg", "train", *overrides, *(word for d in config_dirs for word in ("--config-dir", str(d)))]
+
+
+def _crowded(sweep: Sweep, at_once: int) -> str | None:
+    """Say that the jobs ask for more threads than there are cores, where they run on this machine."""
+    from wheelleg_exp.config.composing.compose_sweep import QUEUES
+
+    if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":  # other machines, or a queue that counts cores
+        return None
+    cores = int(_joblib().cpu_count())
+    configs = [job.config for job in sweep.jobs]
+    threads = max(max(c["agent"]["torch_threads"], c["env"]["sim"]["nthread"] or cores) for c in configs)
+    if at_once == 1 or at_once * threads <= cores:
+        return None
+    each = max(1, cores // at_once)
+    return (
+        f"{at_once} jobs of {threads} threads each share {cores} cores; agent.torch_threads={each} "
+        f"env.sim.nthread={each} is faster and gives the same numbers"
+    )
+
+
+def _document(index: SweepIndex) -> dict[str, Any]:
+    jobs = [{**job, "run": _text(index.run_of(job))} for job in index.jobs]
+    return {**index.data, "jobs": jobs}
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
+    from wheelleg_exp.cli.printing.figures_table import shown
+
+    print_table(("job", "overrides", "status", "return", "run"), [_row(index, job) for job in index.jobs])
+    done = [job for job in index.jobs if job["status"] == "finished"]
+    print(f"\n{len(done)} of {len(index.jobs)} jobs finished: {shown(index.path)}")
+    _print_labelled("next:", _next(index, done))
+    left = [job for job in index.jobs if job["status"] != "finished"]
+    again = [shlex.join([*_program(), *_alone(job["overrides"], config_dirs)[1:]]) for job in left[:_MOST_SHOWN]]
+    more = len(left) - len(again)
+    _print_labelled("again:", [*again, *([f"and {more} more, whose overrides the index holds"] if more else [])])
+
+
+def _print_labelled(label: str, lines: Sequence[str]) -> None:
+    for index, line in enumerate(lines):
+        print(f"{'' if index else label:<6} {line}")
+
+
+def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
+    from wheelleg_exp.cli.printing.figures_table import shown
+
+    run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
+    status = "not started" if job["status"] == "waiting" else job["status"]
+    figure = f"{reward:.3f}" if isinstance(reward, float) else "-"
+    return [job["number"], " ".join(job["swept"]) or "-", status, figure, shown(run) if run else "-"]
+
+
+def _next(index: SweepIndex, done: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the commands that one would want next."""
+    from wheelleg_exp.cli.printing.figures_table import shown, tool
+
+    runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]
+    if not runs:
+        return []
+    above = os.path.commonpath([Path(run).parent for run in runs])
+    lines = [[tool("tensorboard"), "--logdir", above], [*_program(), "play", runs[0]]]
+    if len(runs) > 1:
+        lines.insert(1, [*_program(), "diff", *runs[:2]])
+    return list(map(shlex.join, lines))
+
+
+def _program() -> list[str]:
+    from wheelleg_exp.cli.printing.figures_table import tool
+
+    return [tool("wheelleg")]

@@ -1,0 +1,330 @@
+"""Check the files that defaults lists select: package lines, term names, groups, order, and Hydra's own settings."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.composing.compose import Composed, is_unread, unread_setting
+from wheelleg_exp.config.composing.config_loader import missing_headers, package_header
+from wheelleg_exp.config.composing.hydra_errors import place_of_option, where_of
+from wheelleg_exp.config.config_tree import at, defaults_entries, leaves, line_table, section_at, self_before_others
+from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
+from wheelleg_exp.paths import show_file
+from wheelleg_exp.terms.key_syntax import dotted, split_path
+from wheelleg_exp.terms.term_binding import RESERVED, TARGET, NotSelected, split_node
+
+_OBSERVATION_GROUP = re.compile(r"env\.observations\.[^.]+")
+
+
+@dataclass(frozen=True)
+class MountedFile:
+    """One file at its place in the tree.
+
+    Attributes:
+        config_path: the file as Hydra names it, ``reward/alive``.
+        package: the key that its content stands under; empty is the top.
+        file: the file.
+        content: its keys.
+        parent: the config whose defaults list names it.
+    """
+
+    config_path: str
+    package: str
+    file: Path
+    content: dict[Any, Any]
+    parent: str
+
+    @property
+    def group(self) -> str:
+        """The group, ``reward``."""
+        return self.config_path.rpartition("/")[0]
+
+    @property
+    def name(self) -> str:
+        """The option, ``alive``."""
+        return self.config_path.rpartition("/")[2]
+
+
+def mounted_files(composed: Composed) -> list[MountedFile]:
+    """Return every file of the composition, in the order in which they are merged."""
+    loaded = composed.loader.repository_used.loaded
+    found = []
+    for default in composed.loader.merged:
+        path = str(default.config_path)
+        if path in loaded and not path.startswith("hydra/"):
+            file, content = loaded[path].file, loaded[path].content
+            found.append(MountedFile(path, default.package or "", file, content, default.parent or ""))
+    return found
+
+
+def mount_place(composed: Composed, mounted: MountedFile) -> str:
+    """Return the override, or the file and line, that brought a file to its package."""
+    for override in reversed(composed.parsed):
+        value = override.value()
+        names = value if isinstance(value, list) else [value]
+        fits = override.package in (None, mounted.package)
+        if override.key_or_group == mounted.group and fits and mounted.name in [str(name) for name in names]:
+            return where_of(override)
+    repository = composed.loader.repository_used
+    return place_of_option(repository, mounted.parent, mounted.config_path) or show_file(mounted.file, 1)
+
+
+def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find files whose package line is missing, so that their content stands in the wrong place."""
+    misplaced = {
+        file.config_path for file in files if file.package in (file.group.replace("/", "."), _own_package(file))
+    }
+    found = missing_headers(composed.loader.repository_used, ())
+    return [error for error in found if error.key in misplaced]
+
+
+def _own_package(file: MountedFile) -> str | None:
+    """Return the package that a file's own line names; the mount of a defaults list goes before it."""
+    return package_header(file.file)
+
+
+def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find files of terms that do not carry the term under the file's own name, each told once."""
+    wrong = [file for file in files if _is_term_list(file.package) and file.name not in file.content]
+    return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
+
+
+def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find files of terms whose term has no target, in them or in what is merged with them."""
+    errors = []
+    for file in files:
+        term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
+        if file.name in file.content and isinstance(term, Mapping) and TARGET not in term:
+            key, lines = f"{file.package}.{file.name}", line_table(file.file)
+            try:
+                split_node("rewards", key, term)
+            except NotSelected:
+                message, expected = "this file's term has no _target_", "_target_: package.module.name"
+                where = show_file(file.file, lines.get((file.name,), 1))
+                errors.append(ConfigError(message, key=key, where=where, expected=expected))
+            except ConfigError:
+                continue  # it is misspelled, which is told
+    return errors
+
+
+def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find terms that are mounted in an observation group itself, in place of its terms."""
+    astray = [file for file in files if _OBSERVATION_GROUP.fullmatch(file.package) and _holds_term(file)]
+    return [
+        ConfigError(
+            f"terms are mounted at '{file.package}', which is no list of terms",
+            key=file.package,
+            where=mount_place(composed, file),
+            expected=f"/{file.group}@{file.package}.terms: [...]",
+            nearest=f"{file.group}@{file.package}.terms",
+        )
+        for file in {file.package: file for file in reversed(astray)}.values()
+    ]
+
+
+def _holds_term(file: MountedFile) -> bool:
+    term = file.content.get(file.name)
+    return isinstance(term, Mapping) and TARGET in term
+
+
+def _is_term_list(package: str) -> bool:
+    keys = package.split(".")
+    if keys[0] != "env" or len(keys) < 2 or keys[1] not in RESERVED:
+        return False
+    return len(keys) == 4 and keys[3] == "terms" if keys[1] == "observations" else len(keys) == 2
+
+
+def _term_file_error(file: MountedFile) -> ConfigError:
+    lines = line_table(file.file)
+    names = [str(key) for key in file.content]
+    first = min((lines.get((name,), 1) for name in names), default=1)
+    if not names:
+        message = f"this file is empty, and holds no term '{file.name}'"
+    elif TARGET in file.content:
+        message = f"this file holds no term '{file.name}'; its settings stand at the top"
+    else:
+        message = f"this file holds the term '{names[0]}', not '{file.name}'"
+    expected = f"'{file.name}:' at the top, and the term's settings below it"
+    return ConfigError(
+        message,
+        key=f"{file.package}.{file.name}",
+        where=show_file(file.file, first),
+        expected=expected,
+        nearest=file.name if nearest_name(file.name, names) else None,
+    )
+
+
+def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> dict[str, Any]:
+    """Return the config without what files that lack their term's name have left among the terms."""
+    cleaned = copy.deepcopy(dict(config))
+    for file in files:
+        section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
+        if isinstance(section, dict):
+            for key in file.content:
+                section.pop(key, None)
+    return cleaned
+
+
+def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Let keys that nothing reads, and that exist only because files were mounted there, blame the mount.
+
+    Settings for the terms that the mount has led astray are no mistakes of their own.
+    """
+    astray: set[str] = set()
+    for error in errors:
+        brought = _brought(error, composed, files)
+        if brought:
+            error.where = mount_place(composed, brought[0])
+            error.message = f"nothing reads what '{brought[0].group}' brings here"
+            packages = {file.package for file in files if file.group == brought[0].group} - {brought[0].package}
+            usual = sorted(packages) or [_section_of(brought[0].group)]
+            error.nearest = f"{brought[0].group}@{usual[0]}" if usual[0] else error.nearest
+            astray |= {file.name for file in brought}
+    return [e for e in errors if not (isinstance(e, NotSelected) and str(e.key).rpartition(".")[2] in astray)]
+
+
+def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
+    """Return the files that alone make a key which nothing reads."""
+    if not error.key or not isinstance(error, UnreadKey):
+        return []
+    brought = [file for file in files if _is_at_or_below(file.package, error.key)]
+    own = {file.file for file in brought}
+    return brought if all(source.file in own for source in composed.provenance.below(error.key)) else []
+
+
+def emptied_by(composed: Composed, key: str) -> str | None:
+    """Return the override that left nothing at ``key``: an empty list of options, or a group that is deleted."""
+    for override in composed.parsed:
+        empty = override.value() == [] and override.package == key
+        empty = empty or (override.is_delete() and override.key_or_group == key)
+        group = override.is_delete() and composed.loader.repository_used.group_exists(override.key_or_group)
+        if empty or (group and not composed.provenance.below(key)):
+            return where_of(override)
+    return None
+
+
+def _section_of(group: str) -> str:
+    names = [name for name in RESERVED if name.startswith(group.split("/")[0])]
+    return f"env.{names[0]}" if names else ""
+
+
+def _is_at_or_below(path: str, key: str) -> bool:
+    return path == key or path.startswith(f"{key}.")
+
+
+def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
+    """Find terms that stand in a list, or in a list and its parent's, more than once.
+
+    There is one term of the name all the same, and what a parent's body sets of it is overwritten by its file. A term
+    that was taken out by a null may be listed again.
+    """
+    seen: dict[tuple[str, str], int] = {}
+    errors = []
+    for index, file in enumerate(files):
+        place = (file.package, file.config_path)
+        key = f"{file.package}.{file.name}"
+        if _is_term_list(file.package) and place in seen:
+            between = files[seen[place] : index]
+            if not any(_sets_null(other, key) for other in between):
+                where = _last_choice(composed, file)
+                errors.append(ConfigError("is listed twice", key=key, where=where, expected="each term once"))
+        seen[place] = index
+    return errors
+
+
+def _last_choice(composed: Composed, file: MountedFile) -> str:
+    """Return the override, or the file and line, of the list that names a file last."""
+    mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
+    choices = [choice for mount in mounts for choice in mount.choices]
+    lists = [
+        choice
+        for choice in choices
+        if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value])
+    ]
+    return lists[-1].where if lists else mount_place(composed, file)
+
+
+def _sets_null(file: MountedFile, key: str) -> bool:
+    """Return whether a file takes the term at ``key`` out."""
+    below = key.removeprefix(f"{file.package}.") if file.package else key
+    *above, name = below.split(".")
+    node = section_at(file.content, tuple(above))
+    return name in node and node[name] is None
+
+
+def check_overwritten(composed: Composed) -> list[ConfigError]:
+    """Find values of a file that are lost to the files that it builds on, because ``_self_`` stands before them.
+
+    The primary config is meant to be overwritten, and so are values that stay the same.
+    """
+    loaded = composed.loader.repository_used.loaded
+    early = {item.file for name, item in loaded.items() if name != composed.primary and self_before_others(item.file)}
+    return [
+        ConfigError(
+            f"{hidden.value!r} is lost: {source.where} overwrites it, because _self_ stands before it in the defaults",
+            key=hidden.path,
+            where=hidden.where,
+            expected="_self_ at the end of the defaults list",
+        )
+        for source in composed.provenance.values()
+        for hidden in source.shadowed
+        if source.file is not None and hidden.file in early and hidden.value != source.value
+    ]
+
+
+def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+    """Find term lists whose order is not the order of the composed terms.
+
+    It happens when a setting of a term stands before the term itself is mounted: the key is made there.
+    """
+    by_package: dict[str, list[MountedFile]] = {}
+    for file in files:
+        if _is_term_list(file.package):
+            by_package.setdefault(file.package, []).append(file)
+    errors = []
+    for package, members in by_package.items():
+        wanted = list(dict.fromkeys(file.name for file in members if file.name in file.content))
+        present = [name for name in section_at(composed.config, package) if name in wanted]
+        kept = [name for name in wanted if name in present]
+        if present != kept:
+            errors.append(_order_error(composed, package, members, kept, present))
+    return errors
+
+
+def _order_error(
+    composed: Composed, package: str, members: Sequence[MountedFile], wanted: list[str], present: list[str]
+) -> ConfigError:
+    early = next(name for name, other in zip(present, wanted, strict=True) if name != other)
+    member = next(file for file in members if file.name == early)
+    sources = composed.provenance.below(f"{package}.{early}")
+    first = sources[0].shadowed[0] if sources and sources[0].shadowed else sources[0]
+    setters = [s for source in sources for s in (source, *source.shadowed) if s.file != member.file]
+    by = (setters[0] if setters else first).where
+    return ConfigError(
+        f"the order of the list is not kept: it is {', '.join(present)}, because '{early}' is set before it is listed",
+        key=package,
+        where=by,
+        expected=f"{', '.join(wanted)}, as the lists say: put _self_ last, or set '{early}' after it is listed",
+    )
+
+
+def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
+    """Return the errors of settings and choices in files that nothing reads, not even in a sweep.
+
+    The primary config is left out: there Hydra itself is kept from logging and from making folders.
+    """
+    errors = []
+    for mounted in files:
+        if mounted.config_path == primary:
+            continue
+        lines = line_table(mounted.file)
+        package = split_path(mounted.package) if mounted.package else ()
+        found = [(dotted((*package, *keys)), lines.get(keys)) for keys, _ in leaves(mounted.content)]
+        found += [(entry.key.lstrip("/"), entry.line) for entry in defaults_entries(mounted.file)]
+        errors += [unread_setting(key, show_file(mounted.file, line)) for key, line in found if is_unread(key)]
+    return errors

@@ -1,0 +1,223 @@
+"""Compare two configs: plain trees leaf by leaf, and runs or tasks by meaning (terms, their order, parameters)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from typing import Any, Literal
+
+from wheelleg_exp.config import key_slots as known
+from wheelleg_exp.terms.key_syntax import Keys, dotted
+from wheelleg_exp.terms.term_binding import TARGET, signature_parameters
+
+
+class _Absent:
+    def __str__(self) -> str:
+        return "(absent)"
+
+
+ABSENT = _Absent()
+
+
+@dataclass(frozen=True)
+class Change:
+    """One leaf in which two trees differ; ``a`` or ``b`` is ``ABSENT`` where the key is not there."""
+
+    keys: Keys
+    a: Any
+    b: Any
+
+    @property
+    def key(self) -> str:
+        """The dotted key."""
+        return dotted(self.keys) if len(self.keys) > 1 else "".join(self.keys)
+
+
+def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) -> Iterator[Change]:
+    """Yield the leaves in which two trees differ, in A's order and then B's.
+
+    Args:
+        a: a tree.
+        b: another.
+        alike: whether two leaves count as the same.
+        keys: where both stand.
+    """
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for name in dict.fromkeys([*a, *b]):
+            yield from changes(a.get(name, ABSENT), b.get(name, ABSENT), alike, (*keys, str(name)))
+    elif a is ABSENT or b is ABSENT or not alike(a, b):
+        yield Change(keys, a, b)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Return whether two plain values mean the same: a whole number equals the same one with a fraction of zero."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if _is_list(a) and _is_list(b):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, bool) or isinstance(b, bool):
+        return a is b
+    if isinstance(a, float) and isinstance(b, float) and math.isnan(a) and math.isnan(b):
+        return True
+    return bool(a == b)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+Kind = Literal["added", "removed", "changed", "reordered"]
+
+# Sections whose order has a consequence, and which.
+ORDER: dict[str, str] = {
+    "actions": "the layout of the action vector differs",
+    "observations": "the layout of the observation differs",
+    "events": "they run in this order",
+    "curriculum": "they run in this order",
+    "rewards": "the sum may differ in its last digits",
+}
+_LAID_OUT = ("actions", "observations")
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two that are compared.
+
+    Attributes:
+        label: how to call it.
+        tree: the resolved config, plain.
+        where: returns who set a key, or removed it; None when nobody is known.
+        facts: of a run, by section: code, versions, hardware, threads, variables, asset.
+    """
+
+    label: str
+    tree: Mapping[str, Any]
+    where: Callable[[str], str | None]
+    facts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PlacedChange:
+    """One difference of two configs, and who made it.
+
+    Attributes:
+        kind: seen from A to B.
+        path: the key.
+        is_term: whether it is a whole term, or the order of a section's.
+        a: the value in A; None where A has none.
+        b: the value in B.
+        where_a: who set or removed it in A.
+        where_b: the same of B.
+        note: what it means.
+    """
+
+    kind: Kind
+    path: str
+    is_term: bool
+    a: Any = None
+    b: Any = None
+    where_a: str | None = None
+    where_b: str | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class FactChange:
+    """One fact in which two runs differ."""
+
+    section: str
+    name: str
+    a: Any
+    b: Any
+
+
+@dataclass(frozen=True)
+class Difference:
+    """All differences; nothing in them means equal."""
+
+    terms: tuple[PlacedChange, ...]
+    parameters: tuple[PlacedChange, ...]
+    facts: tuple[FactChange, ...]
+
+    def __bool__(self) -> bool:
+        """Return whether there is any difference."""
+        return bool(self.terms or self.parameters or self.facts)
+
+
+def compare(a: Side, b: Side) -> Difference:
+    """Return how two sides differ, A first; sections of the tree that one of them lacks are left out."""
+    changes = [change for key in a.tree if key in b.tree for change in _walk(a, b, (str(key),))]
+    terms = tuple(change for change in changes if change.is_term)
+    return Difference(terms, tuple(c for c in changes if not c.is_term), tuple(_facts(a.facts, b.facts)))
+
+
+def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
+    one, other = known.at(a.tree, keys), known.at(b.tree, keys)
+    if not (isinstance(one, Mapping) and isinstance(other, Mapping)):
+        if not same(one, other):
+            yield _change("changed", a, b, keys, one, other)
+        return
+    section = _section_of_terms(keys)
+    if section is not None:
+        yield from _order(a, b, keys, section)
+    for name in dict.fromkeys([*map(str, one), *map(str, other)]):
+        inner = (*keys, name)
+        if name in one and name in other:
+            yield from _walk(a, b, inner)
+        elif not _is_default(a, b, inner):
+            yield _one_sided(a, b, inner, section)
+
+
+def _section_of_terms(keys: Keys) -> str | None:
+    return known.section_of((*keys, "any"))
+
+
+def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> PlacedChange:
+    path = dotted(keys)
+    return PlacedChange(kind, path, known.section_of(keys) is not None, one, other, a.where(path), b.where(path), note)
+
+
+def _one_sided(a: Side, b: Side, keys: Keys, section: str | None) -> PlacedChange:
+    one, other = known.at(a.tree, keys), known.at(b.tree, keys)
+    in_b = keys[-1] in known.at(b.tree, keys[:-1])
+    note = ORDER[section] if section in _LAID_OUT else ""
+    return _change("added" if in_b else "removed", a, b, keys, one, other, note)
+
+
+def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[PlacedChange]:
+    one, other = known.at(a.tree, keys), known.at(b.tree, keys)
+    before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
+    if before != after and section in ORDER:
+        path = dotted(keys)
+        yield PlacedChange("reordered", path, True, before, after, a.where(path), b.where(path), ORDER[section])
+
+
+def _is_default(a: Side, b: Side, keys: Keys) -> bool:
+    """Return whether a key that one side leaves out has its default on the other."""
+    parents = [known.at(side.tree, keys[:-1]) for side in (a, b)]
+    if known.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
+        return False
+    side = a if keys[-1] in parents[0] else b
+    slot = known.slot(side.tree, keys)
+    return slot is not None and slot.default is not known.REQUIRED and _makes(known.at(side.tree, keys), slot.default)
+
+
+def _makes(value: Any, default: Any) -> bool:
+    """Return whether a value means a default, which may be an object that a nested target makes."""
+    target = known.target_of(value)
+    if target is None or type(default) is not target:
+        return same(value, default)
+    made = [f.name for f in fields(target) if f.default_factory is not MISSING] if is_dataclass(target) else []
+    parameters = {n: p for n, p in signature_parameters(target).items() if n in value or n not in made}
+    return all(same(value.get(name, p.default), getattr(default, name, None)) for name, p in parameters.items())
+
+
+def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]]) -> Iterator[FactChange]:
+    for section in a:
+        one, other = a[section], b.get(section, {})
+        if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):
+            continue  # the same files, whatever they were committed as
+        for name in one:
+            if name in other and not same(one[name], other[name]):
+                yield FactChange(section, name, one[name], other[name])

@@ -1,0 +1,254 @@
+"""Read the documentation of keys: docstrings, comments in YAML, and a table of the keys that have no docstring."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from wheelleg_exp.config.config_tree import yaml_node
+
+# The managers' own fields of a term, with what stands there when a config says nothing.
+FIELDS: dict[str, tuple[str, Any]] = {
+    "weight": ("factor on the term; a step adds weight times value times the control step to the return", ...),
+    "time_out": (
+        "whether it only cuts the episode off, which then has not failed",
+        False,
+    ),
+    "mode": ("when it runs: prestartup and startup once, reset at each reset, interval after random waits", ...),
+    "interval_range_s": ("shortest and longest wait between two runs of mode interval, s", None),
+    "is_global_time": ("whether one timer serves all environments", False),
+    "min_step_count_between_reset": ("fewest control steps between two runs of mode reset", 0),
+    "modifiers": ("functions of the observation, in order, before noise", None),
+    "noise": ("noise on the observation, where the group has enable_corruption", None),
+    "clip": ("bounds of the observation before scaling", None),
+    "scale": ("factor on the observation, or one for each component", None),
+    "history_length": ("control steps kept, 0: only the present; the group's own setting comes first", 0),
+    "delay": ("shortest and longest delay, physics steps, drawn at each reset; null for none", None),
+    "flatten_history_dim": ("whether the history is one vector, oldest first", True),
+}
+
+# Keys of the fixed part; * stands for one key.
+KEYS: dict[str, str] = {
+    "seed": "seed of every random stream of the run",
+    "init_from": "run (path, id, `latest`) or checkpoint whose networks the training begins with; null draws them",
+    "init_from_what": "what is taken over: networks (policy and critic), policy, or learning (the optimiser as well)",
+    "task": "what is trained",
+    "task.name": "name of the task; its run directories stand below <run.root>/<name>",
+    "check": "findings of the check that are known and accepted",
+    "check.silence": "the reason for each silenced rule of `wheelleg check --physics`, by the rule's name",
+    "env": "the environments: size, pace, scene and terms",
+    "env.num_envs": "environments simulated side by side",
+    "env.episode_length_s": "longest episode, s",
+    "env.decimation": "physics steps of one control step",
+    "env.sim": "the solver",
+    "env.scene": "ground and sensors",
+    "env.robot": "the robot: its file, its start and its drives",
+    "env.commands": "what the robot is asked to do, by term",
+    "env.actions": "what the policy's output means; the order of terms is the layout of the action vector",
+    "env.observations": "what networks see, by group",
+    "env.observations.*": "one observation: its terms, joined in their order",
+    "env.observations.*.terms": "the terms; their order is the layout of the observation",
+    "env.observations.*.concatenate_terms": "whether the terms are joined to one vector",
+    "env.observations.*.enable_corruption": "whether the noise of the terms acts",
+    "env.observations.*.history_length": "control steps kept of each term, in place of the terms' own setting",
+    "env.observations.*.flatten_history_dim": "whether histories are flattened, oldest first",
+    "env.observations.*.concatenate_dim": "dimension along which terms are joined: -1 the last, 0 the first",
+    "env.observations.*.history_order": "how flattened histories stand: term by term, or time step by time step",
+    "env.events": "what happens to the simulation at start, at resets and in between; terms run in their order",
+    "env.rewards": "what is rewarded: each step adds weight times value times the control step of each term",
+    "env.terminations": "what ends an episode",
+    "env.curriculum": "what changes as training goes on; terms run in their order",
+    "env.recorders": "what of each episode is written to the run's dataset; they change nothing",
+    "env.is_finite_horizon": "whether time-outs are ends like any other, after which no value is added",
+    "env.dataset": "which of the episodes that recorders note are written",
+    "pipeline": "tasks one after the other, with gates between",
+    "protocol": "fixed scenarios of `wheelleg evaluate`, and how they are judged",
+    "agent": "the learning algorithm and its networks, in rsl_rl's own terms",
+    "agent.algorithm": "the algorithm: a class of rsl_rl and its parameters",
+    "agent.actor": "the policy's network: a class of rsl_rl and its parameters",
+    "agent.critic": "the value network: a class of rsl_rl and its parameters",
+    "agent.student": "the network that learns: a class of rsl_rl and its parameters",
+    "agent.teacher": "the network that is learned from, as it was trained: a class of rsl_rl and its parameters",
+    "agent.*.class_name": "class, of rsl_rl or of an allowed package (module:Class)",
+    "agent.*.distribution_cfg.class_name": "class of the distribution of actions",
+    "agent.obs_groups": "which observation groups each network sees, in order",
+    "agent.obs_groups.*": "observation groups that this network sees, in order",
+    "agent.num_steps_per_env": "control steps of one rollout in each environment",
+    "agent.max_iterations": "iterations in total",
+    "agent.save_interval": "iterations between checkpoints",
+    "agent.logger": "tensorboard; wandb also sends scalars and config to Weights & Biases; null for no event files",
+    "agent.device": "device of the networks",
+    "agent.torch_threads": "threads of torch; recorded in the run",
+    "agent.matmul": "in what the update multiplies: float32, bfloat16 or tf32; auto: what there are units for",
+    "agent.graph_update": "on a GPU, whether PPO's acting and update are CUDA graphs",
+    "agent.average_iterations": "iterations over which the policy's weights are averaged to what is played; 0 is none",
+    "agent.clip_actions": "bound of the raw actions, null for none",
+    "agent.max_non_finite": "episodes that may end in one iteration because a number was not finite, per environment",
+    "agent.symmetry": "how the robot is mirrored left to right, null where it is not",
+    "agent.torch_compile_mode": "mode of torch.compile, null for none",
+    "recording": "what is recorded",
+    "run": "where the run goes",
+    "play": "how figures are taken",
+    "drive": "how a robot is driven by hand, or by a script",
+    "*._target_": "the function or class that is called",
+}
+
+
+def meaning_of(keys: tuple[str, ...]) -> str:
+    """Return what a key of the fixed part means, or nothing."""
+    path = ".".join(keys)
+    for pattern, text in KEYS.items():
+        if pattern == path or (len(pattern.split(".")) == len(keys) and fnmatchcase(path, pattern)):
+            return text
+    return KEYS["*._target_"] if keys and keys[-1] == "_target_" else ""
+
+
+_PACKAGE = re.compile(r"\s*#+\s*@package\b")
+
+
+def comment_at(file: Path, line: int) -> str:
+    """Return the comment on a line, else the one right above it at the same indentation, else nothing.
+
+    The comment on top of a file describes the whole file: it is a key's own only where the file has no other.
+
+    Args:
+        file: the YAML file.
+        line: the key's line, from 1.
+    """
+    lines = _lines(file, file.stat().st_mtime_ns)
+    if not 1 <= line <= len(lines):
+        return ""
+    own = _split(lines[line - 1])[1]
+    return own or _above(file, lines, line - 1)
+
+
+def file_comment(file: Path) -> str:
+    """Return the comment on top of a file that has a package line and so describes one section, else nothing."""
+    lines = _lines(file, file.stat().st_mtime_ns)
+    if not lines or not _PACKAGE.match(lines[0]):
+        return ""
+    found = []
+    for line in lines[1:]:
+        if not _is_comment(line):
+            break
+        found.append(_split(line)[1])
+    return " ".join(text for text in found if text)
+
+
+@lru_cache(maxsize=256)
+def _lines(file: Path, _stamp: int) -> list[str]:
+    return file.read_text(encoding="utf-8").splitlines()
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Split a line into what YAML reads and its comment."""
+    quote = ""
+    for index, letter in enumerate(text):
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "'\"":
+            quote = letter
+        elif letter == "#" and (index == 0 or text[index - 1].isspace()):
+            return text[:index], text[index + 1 :].strip()
+    return text, ""
+
+
+def _above(file: Path, lines: list[str], index: int) -> str:
+    indent = _indent(lines[index])
+    found: list[str] = []
+    top = index
+    while top > 0 and _is_comment(lines[top - 1]) and _indent(lines[top - 1]) == indent:
+        top -= 1
+        found.insert(0, _split(lines[top])[1])
+    if found and (top == 0) and not _single(file):
+        return ""
+    return " ".join(text for text in found if text and not text.startswith("@"))
+
+
+def _single(file: Path) -> bool:
+    root = yaml_node(file)
+    return root is not None and len(root.value) == 1
+
+
+def _is_comment(text: str) -> bool:
+    return text.lstrip().startswith("#")
+
+
+def _indent(text: str) -> int:
+    return len(text) - len(text.lstrip())
+
+
+_SECTION = re.compile(r"^(Args|Arguments|Attributes|Parameters):$")
+_ENTRY = re.compile(r"^(\s*)(\*{0,2}\w+)(?: \([^)]*\))?:\s*(.*)$")
+
+_ATOM = r"(?:rad|deg|kg|mm|m|ms|s|N|Hz|MB|GiB)"
+_POWER = r"(?:[²³]|\^-?\d)?"
+_PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?:[·*/]{_ATOM}{_POWER})*"
+_WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
+_UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
+_LIST = rf"{_UNIT}(?:, {_UNIT})*"
+# What may follow a unit at the beginning of a line; "N environments" names no newtons.
+_AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
+_FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
+_LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")
+
+
+def unit_in(text: str) -> str | None:
+    """Return the unit that a comment or a docstring line names: at its beginning, or after a comma."""
+    for pattern in (_FIRST, _LATER):
+        match = pattern.search(text)
+        if match:
+            return match.group(1)
+    return None
+
+
+def summary(target: Any) -> str:
+    """Return the first paragraph of a docstring on one line, or nothing."""
+    text = inspect.getdoc(target) or ""
+    return " ".join(text.strip().split("\n\n")[0].split())
+
+
+def headline(target: Any) -> str:
+    """Return the first line of a docstring, or nothing."""
+    text = (inspect.getdoc(target) or "").strip()
+    return text.splitlines()[0] if text else ""
+
+
+def parameter_lines(target: Callable[..., Any]) -> dict[str, str]:
+    """Return what a docstring says of each parameter; of a class, what it and the classes above it say."""
+    if not inspect.isclass(target):
+        return parameters_in(inspect.getdoc(target) or "")
+    found: dict[str, str] = {}
+    for kind in reversed(target.__mro__[:-1]):
+        for text in (kind.__dict__.get("__doc__"), getattr(kind.__dict__.get("__init__"), "__doc__", None)):
+            found |= parameters_in(inspect.cleandoc(text or ""))
+    return found
+
+
+def parameters_in(text: str) -> dict[str, str]:
+    """Return the entries of the parameter sections of a Google-style docstring."""
+    found: dict[str, str] = {}
+    name, inside, indent = "", False, -1
+    for line in text.splitlines():
+        if not line.startswith(" "):
+            inside, name, indent = bool(_SECTION.match(line)) or (inside and not line.strip()), "", -1
+            continue
+        entry = _ENTRY.match(line)
+        depth = len(line) - len(line.lstrip())
+        if inside and entry and (indent < 0 or depth == indent):
+            name, indent = entry.group(2).lstrip("*"), depth
+            found[name] = entry.group(3)
+        elif inside and name:
+            found[name] = f"{found[name]} {line.strip()}".strip()
+    return found
+
+
+def is_own(module: ModuleType, found: Any) -> bool:
+    """Return whether something is defined in a module, or in a module of that package, and not only imported."""
+    return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")

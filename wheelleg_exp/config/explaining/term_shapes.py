@@ -1,0 +1,109 @@
+"""Return the layout of observations and actions, term by term, without a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from wheelleg_exp.config.composing.compose import Composed
+
+if TYPE_CHECKING:
+    from wheelleg_exp.env import ManagerBasedRLEnv
+    from wheelleg_exp.managers.observation_term import ObservationTerm
+
+
+@dataclass(frozen=True)
+class TermShape:
+    """One term of an observation group, or of the actions.
+
+    Attributes:
+        name: the term.
+        target: its target, dotted.
+        width: components of one sample.
+        history: control steps kept; 0 is the present alone.
+        shape: shape of one environment's part.
+        start: first index in the joined vector; None where the term is not in one piece.
+        stop: index after the last.
+        joints: of an action, the joints that it drives, in its order.
+    """
+
+    name: str
+    target: str
+    width: int
+    history: int
+    shape: tuple[int, ...]
+    start: int | None
+    stop: int | None
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class GroupShape:
+    """An observation group, or all actions.
+
+    Attributes:
+        terms: the terms in order.
+        shape: shape of one environment's vector; None where the terms are not joined.
+    """
+
+    terms: tuple[TermShape, ...]
+    shape: tuple[int, ...] | None
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """What goes into a policy and comes out of it.
+
+    Attributes:
+        joints: the robot's joints, in the order of terms without expressions.
+        observations: the groups by name.
+        actions: the action vector.
+    """
+
+    joints: tuple[str, ...]
+    observations: dict[str, GroupShape]
+    actions: GroupShape
+
+
+def shapes(composed: Composed) -> Shapes:
+    """Return the layout of a config's observations and actions.
+
+    Raises:
+        WheellegError: the robot's file or the config is wrong.
+    """
+    from wheelleg_exp.build import build_env
+
+    config = {**composed.config, "env": {**composed.config["env"], "num_envs": 1}}
+    with composed.placing():
+        return shapes_of(build_env(config, composed.asset_roots))
+
+
+def shapes_of(env: ManagerBasedRLEnv) -> Shapes:
+    """Return the layout that an environment has."""
+    groups = {group: _group(env, group) for group in env.observation_manager.active_terms}
+    return Shapes(tuple(env.scene.robot.joint_names), groups, _actions(env))
+
+
+def _group(env: ManagerBasedRLEnv, group: str) -> GroupShape:
+    manager = env.observation_manager
+    dims = manager.group_obs_dim[group]
+    parts = manager.term_parts(group) if isinstance(dims, tuple) else {}
+    terms = tuple(_observation(name, term, parts.get(name, ())) for name, term in manager.terms(group).items())
+    return GroupShape(terms, dims if isinstance(dims, tuple) else None)
+
+
+def _observation(name: str, term: ObservationTerm, places: Sequence[slice]) -> TermShape:
+    start, stop = (places[0].start, places[0].stop) if len(places) == 1 else (None, None)
+    return TermShape(name, term.term.target, term.width, term.history_length, tuple(term.shape), start, stop)
+
+
+def _actions(env: ManagerBasedRLEnv) -> GroupShape:
+    manager = env.action_manager
+    made, start = [], 0
+    for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
+        target = manager.get_term_cfg(name).target
+        joints = tuple(getattr(manager.get_term(name), "joint_names", ()))
+        made.append(TermShape(name, target, width, 0, (width,), start, start + width, joints))
+        start += width
+    return GroupShape(tuple(made), (manager.total_action_dim,))

@@ -1,0 +1,258 @@
+"""Return the slots of the config: the type, default, bounds, and description of each key that the config accepts."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.config_tree import at as at
+from wheelleg_exp.config.explaining import key_documentation as fixed
+from wheelleg_exp.config.explaining.key_documentation import parameter_lines
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rl.options import PARAMETERS, agent_options
+from wheelleg_exp.terms import term_binding
+from wheelleg_exp.terms import term_binding as terms
+from wheelleg_exp.terms.config_sections import ObservationGroup, dataclass_in, keys_of
+from wheelleg_exp.terms.config_values import options_in
+from wheelleg_exp.terms.key_syntax import Keys
+from wheelleg_exp.terms.term_binding import FIELD_TYPES, RESERVED, TARGET, resolve_target, signature_parameters
+from wheelleg_exp.terms.term_errors import type_hints
+
+REQUIRED = inspect.Parameter.empty
+_RSL_CLASS = "class_name"
+# Parameters that rsl_rl passes itself, to its algorithms and to its networks, and what it reads beside parameters.
+_PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
+_PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
+_PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
+# Sections below the algorithm without a class of their own, and the class of rsl_rl.extensions that reads each.
+EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
+_READ_BESIDE: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
+
+# Parameters that name a term of another section, by the section of the term that has them ("" is any).
+_NAMES = {
+    ("", "command_name"): "commands",
+    ("", "action_name"): "actions",
+    ("curriculum", "term_name"): "rewards",
+    ("curriculum", "reward_term_name"): "rewards",
+}
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What may stand at one key.
+
+    Attributes:
+        annotation: the type.
+        default: what holds where the key is not set; ``REQUIRED`` when it must be.
+        meaning: what it is.
+        reader: the dotted name of what reads it.
+    """
+
+    annotation: Any = Any
+    default: Any = field(default_factory=lambda: REQUIRED)  # as a default it would mean none to `inspect`
+    meaning: str = ""
+    reader: str = ""
+
+
+def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
+    """Return what may stand at ``keys``, whether or not it is set; None when nothing reads such a key."""
+    if not keys:
+        return Slot(_root(tree), reader=_name(_root(tree)))
+    named = slots(tree, keys[:-1])
+    if named:
+        return named.get(keys[-1]) or (Slot() if _has_unknown_target(at(tree, keys[:-1])) else None)
+    above = slot(tree, keys[:-1])
+    element = None if above is None else _element(above, keys[-1])
+    if element is None:
+        return None
+    # What is said of a section holds for no single term.
+    inherited = "" if section_of(keys) is not None else element.meaning
+    return dataclasses.replace(element, meaning=fixed.meaning_of(keys) or inherited)
+
+
+def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
+    """Return the keys that may stand below ``keys``, where their names are set down."""
+    node = at(tree, keys)
+    section = section_of(keys)
+    if section is not None and isinstance(node, Mapping) and TARGET in node:
+        return {**_target_slots(node), **_field_slots(section)}
+    if isinstance(node, Mapping) and TARGET in node:
+        return _target_slots(node)
+    if isinstance(node, Mapping) and keys[:1] == ("agent",) and _RSL_CLASS in node:
+        own = {_RSL_CLASS: Slot(str, meaning=fixed.KEYS["agent.*.class_name"])}
+        found = rsl_class(node[_RSL_CLASS])
+        return own if found is None else own | class_slots(found, keys[-1])
+    extension = extension_of(keys)
+    if extension is not None and isinstance(node, Mapping):
+        return class_slots(extension, keys[-1])
+    inside_default = _default_slots(tree, keys) if node is None and keys else {}
+    options = None if inside_default else _options(tree, keys)
+    return inside_default if options is None else _dataclass_slots(options, keys)
+
+
+def section_of(keys: Keys) -> str | None:
+    """Return the section of the term that ``keys`` name, or None when they name no term."""
+    if len(keys) == 3 and keys[0] == "env" and keys[1] in RESERVED and keys[1] != "observations":
+        return keys[1]
+    observation = len(keys) == 5 and keys[:2] == ("env", "observations") and keys[3] == "terms"
+    return "observations" if observation else None
+
+
+def term_keys(keys: Keys) -> Keys | None:
+    """Return the keys of the term at or above ``keys``, or None."""
+    return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
+
+
+def named_section(section: str | None, name: str) -> str | None:
+    """Return the section whose terms a parameter names, of a term of ``section``; None when it names none."""
+    return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
+
+
+def target_of(node: Any) -> Callable[..., Any] | None:
+    """Return a node's target, or None when it has none or it cannot be had."""
+    name = node.get(TARGET) if isinstance(node, Mapping) else None
+    try:
+        return resolve_target(str(name), "") if name is not None else None
+    except ConfigError:
+        return None
+
+
+def _has_unknown_target(node: Any) -> bool:
+    return isinstance(node, Mapping) and TARGET in node and target_of(node) is None
+
+
+def _options(tree: Mapping[str, Any], keys: Keys) -> type | None:
+    path = ".".join(keys)
+    if not keys:
+        return _root(tree)
+    if path in schema.OPTIONS and not (path == "recording" and "play" in tree):
+        return schema.options_of(path)
+    if path == "agent":
+        return agent_options(tree.get("agent"))
+    if len(keys) == 3 and keys[:2] == ("env", "observations"):
+        return ObservationGroup
+    above = slot(tree, keys)
+    return None if above is None else dataclass_in(above.annotation)
+
+
+def _root(tree: Mapping[str, Any]) -> type:
+    if "pipeline" in tree:
+        return schema.PipelineRoot
+    if "protocol" in tree:
+        return schema.EvaluateRoot
+    return schema.PlayRoot if "play" in tree else schema.Root
+
+
+def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:
+    lines = parameter_lines(options)
+    defaults = {f.name: f.default for f in dataclasses.fields(options)}
+    factories = {f.name: f.default_factory for f in dataclasses.fields(options)}
+    made = {}
+    for name, key in keys_of(options).items():
+        factory = factories[name]
+        default = factory() if factory is not dataclasses.MISSING else defaults[name]
+        default = REQUIRED if default is dataclasses.MISSING else default
+        meaning = lines.get(name) or fixed.meaning_of((*keys, name))
+        made[name] = Slot(key.annotation, default, meaning, _name(options))
+    return made
+
+
+def _field_slots(section: str) -> dict[str, Slot]:
+    made = {}
+    for name in RESERVED[section]:
+        meaning, default = fixed.FIELDS.get(name, ("", ...))
+        annotation = FIELD_TYPES.get(name, Any)
+        made[name] = Slot(annotation, REQUIRED if default is ... else default, meaning, f"the manager of {section}")
+    return made
+
+
+def _target_slots(node: Mapping[str, Any]) -> dict[str, Slot]:
+    own = {TARGET: Slot(str, meaning=fixed.KEYS["*._target_"])}
+    target = target_of(node)
+    return own if target is None else {**own, **_signature_slots(target, signature_parameters(target))}
+
+
+def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspect.Parameter]) -> dict[str, Slot]:
+    hints, lines = type_hints(target), parameter_lines(target)
+    return {
+        name: Slot(
+            hints.get(name, Any),
+            parameter.default,
+            lines.get(name, ""),
+            _name(target),
+        )
+        for name, parameter in parameters.items()
+    }
+
+
+def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
+    """Return the keys of an object that stands as the default of a parameter that is not set."""
+    above = slot(tree, keys)
+    if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
+        return {}
+    kind = type(above.default)
+    made = _signature_slots(kind, signature_parameters(kind))
+    return {n: dataclasses.replace(s, default=getattr(above.default, n, s.default)) for n, s in made.items()}
+
+
+def class_slots(found: Any, section: str) -> dict[str, Slot]:
+    """Return the parameters of a class of rsl_rl that a config may set.
+
+    Args:
+        found: the class.
+        section: the key of ``agent`` that it stands at, such as ``algorithm``.
+    """
+    passed: tuple[str, ...] = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
+    passed = _PASSED_TO_EXTENSION if section in EXTENSIONS else passed
+    open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    parameters = inspect.signature(found.__init__).parameters
+    taken = {n: p for n, p in parameters.items() if n not in passed and p.kind not in open_ended}
+    slots = _signature_slots(found, taken)
+    known = {n: dataclasses.replace(s, annotation=PARAMETERS.get(n, s.annotation)) for n, s in slots.items()}
+    return known | {name: Slot(annotation) for name, annotation in _READ_BESIDE.get(section, {}).items()}
+
+
+def extension_of(keys: Keys) -> Any | None:
+    """Return the class of rsl_rl that reads ``agent.algorithm.rnd_cfg`` or ``symmetry_cfg``; None for other keys."""
+    if len(keys) != 3 or keys[:2] != ("agent", "algorithm") or keys[2] not in EXTENSIONS:
+        return None
+    from rsl_rl import extensions
+
+    return getattr(extensions, EXTENSIONS[keys[2]])
+
+
+def class_packages() -> tuple[str, ...]:
+    """Return the packages that the classes of an agent may come from."""
+    return ("rsl_rl", "wheelleg_exp.rl", *term_binding.allowed_packages())
+
+
+def rsl_class(name: Any) -> Any:
+    """Return a class of rsl_rl, or of an allowed package, by the name that an agent's config gives it; else None."""
+    text = str(name).replace(":", ".")
+    if "." in text and not term_binding.is_inside(text, class_packages()):
+        return None
+    try:
+        return terms.resolve_class(name)
+    except ConfigError:
+        return None
+
+
+def _element(above: Slot, key: str) -> Slot | None:
+    """Return the slot of an element of a mapping or a list whose own keys nobody sets down."""
+    element = dataclasses.replace(above, default=REQUIRED)
+    for annotation in options_in(above.annotation):
+        origin, arguments = typing.get_origin(annotation) or annotation, typing.get_args(annotation)
+        if inspect.isclass(origin) and issubclass(origin, Mapping):
+            return dataclasses.replace(element, annotation=arguments[1] if len(arguments) == 2 else Any)
+        if key.isdigit() and origin in (list, tuple, Sequence) and arguments:
+            return dataclasses.replace(element, annotation=arguments[0])
+    return dataclasses.replace(element, annotation=Any) if above.annotation is Any and above.reader else None
+
+
+def _name(thing: Any) -> str:
+    return f"{thing.__module__}.{thing.__qualname__}"

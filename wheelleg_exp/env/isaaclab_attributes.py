@@ -1,0 +1,171 @@
+"""Attributes that Isaac Lab's environments have: the buffers, the config by attributes, and ``sim``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.sim.class_members import declare_unsupported
+from wheelleg_exp.state import Kept
+from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET
+
+if TYPE_CHECKING:
+    from wheelleg_exp.managers import Env
+
+
+_SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
+# Where Isaac Lab's config has what ours has elsewhere.
+_OTHER_PATHS = {"scene.num_envs": "num_envs", "sim.render_interval": "decimation"}
+
+
+class NoSuchKey(ConfigError, AttributeError):
+    """A config has no such key, or was to be changed."""
+
+
+class Cfg(Mapping[str, Any]):
+    """A section of the composed config, read by attribute as well as by key; nothing of it can be changed.
+
+    A term's node has ``func``, its target, and ``params``, what goes to it.
+
+    Args:
+        section: the section.
+        path: its config key.
+        root: the whole ``env`` section.
+    """
+
+    def __init__(self, section: Mapping[str, Any], path: str = "env", root: Mapping[str, Any] | None = None) -> None:
+        vars(self).update(_section=section, _path=path, _root=section if root is None else root)
+
+    def __getitem__(self, key: str) -> Any:
+        return self._section[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._section)
+
+    def __len__(self) -> int:
+        return len(self._section)
+
+    def __getattr__(self, name: str) -> Any:
+        section, path = self._section, self._path
+        if name in section:
+            return self._seen(section[name], f"{path}.{name}")
+        if TARGET in section and name == "params":
+            parameters = {key: value for key, value in section.items() if key != TARGET and key not in FIELD_TYPES}
+            return Cfg(parameters, path, self._root)
+        if TARGET in section and name in ("func", "class_type"):
+            return section[TARGET]
+        elsewhere = _OTHER_PATHS.get(f"{path}.{name}".removeprefix("env."))
+        if elsewhere is not None:
+            return self._root[elsewhere]
+        raise NoSuchKey(
+            "there is no such key",
+            key=f"{path}.{name}",
+            expected="one of " + ", ".join(section),
+            nearest=nearest_name(name, section),
+        )
+
+    def _seen(self, value: Any, path: str) -> Any:
+        return Cfg(value, path, self._root) if isinstance(value, Mapping) else value
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise NoSuchKey(
+            "the config that an environment was made from does not change",
+            key=f"{self._path}.{name}",
+            expected="a change of the term: env.reward_manager.get_term_cfg(name).weight, ... .params",
+        )
+
+    def __repr__(self) -> str:
+        return f"Cfg({self._section!r})"
+
+
+@declare_unsupported(
+    {
+        "physics_sim_view": "there is no PhysX; env.scene.sim is the engine",
+        "render": "pictures are drawn by wheelleg play and recordings",
+        "stage": "there is no USD stage; env.scene.spec is the model's",
+    }
+)
+class Simulation(Kept):
+    """What Isaac Lab's terms ask of ``env.sim``.
+
+    Args:
+        env: the environment.
+    """
+
+    def __init__(self, env: Env) -> None:
+        self._env = env
+
+    @property
+    def cfg(self) -> Cfg:
+        """``env.sim`` of the config."""
+        found: Cfg = self._env.cfg.sim
+        return found
+
+    @property
+    def device(self) -> torch.device:
+        """Where all tensors are."""
+        return self._env.device
+
+    def get_physics_dt(self) -> float:
+        """Return the physics step, s."""
+        return self._env.physics_dt
+
+    def has_gui(self) -> bool:
+        """Return False: there is no window."""
+        return False
+
+    def is_playing(self) -> bool:
+        """Return True: the simulations run."""
+        return True
+
+
+@declare_unsupported(
+    dict.fromkeys(("single_action_space", "single_observation_space", "action_space", "observation_space"), _SPACES)
+    | {"viewport_camera_controller": "there is no window", "render": "wheelleg play and recordings draw pictures"}
+)
+class IsaacLabAttributes(Kept):
+    """Names of Isaac Lab's environment for what managers hold."""
+
+    if TYPE_CHECKING:
+        decimation: int
+        common_step_counter: int
+        observation_manager: Any
+        termination_manager: Any
+
+    @property
+    def unwrapped(self) -> Any:
+        """The environment itself."""
+        return self
+
+    @property
+    def sim(self) -> Simulation:
+        """What terms ask of the simulation; the engine is ``scene.sim``."""
+        return Simulation(self)  # type: ignore[arg-type]
+
+    @property
+    def obs_buf(self) -> Any:
+        """The last observations by group."""
+        return self.observation_manager.obs_buf
+
+    @property
+    def reset_buf(self) -> torch.Tensor:
+        """Which environments ended their episode in this step, (N,) bool."""
+        return self.termination_manager.dones
+
+    @property
+    def reset_terminated(self) -> torch.Tensor:
+        """Which environments failed in this step, (N,) bool."""
+        return self.termination_manager.terminated
+
+    @property
+    def reset_time_outs(self) -> torch.Tensor:
+        """Whose time was up in this step, (N,) bool."""
+        return self.termination_manager.time_outs
+
+    @property
+    def _sim_step_counter(self) -> int:
+        """Physics steps since construction."""
+        return self.common_step_counter * self.decimation

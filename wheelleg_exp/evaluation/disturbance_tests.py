@@ -1,0 +1,257 @@
+"""Tests with disturbances: pushes and changed worlds.
+
+The push test finds by bisection the hardest push that a standing robot survives, and times the recovery from a
+reference push. The robustness test changes one property of the world at a time, the same for every episode.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from wheelleg_exp.evaluation.motion_columns import Columns
+from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout, Tell
+from wheelleg_exp.evaluation.protocol_options import Push, Robust
+from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exit, mean
+
+
+@dataclass
+class Pushes:
+    """Changes the velocity of the whole robot at one moment, or evenly over a pulse, in its own level axes.
+
+    Args:
+        rollout: the rollout whose episodes are pushed.
+        options: when, how long, in which directions.
+    """
+
+    rollout: Rollout
+    options: Push
+
+    def __post_init__(self) -> None:
+        env, options = self.rollout.env, self.options
+        cell = self.rollout.scenarios.cell_of().to(env.device)
+        turn = (cell % options.directions).float() * (2.0 * math.pi / options.directions)
+        self.direction = torch.stack((turn.cos(), turn.sin()), dim=1)
+        steps = [max(1, round(pulse / env.step_dt)) for pulse in options.pulses_s]
+        self.pulse = torch.tensor(steps, device=env.device)[cell // options.directions]
+        self.begin = round(options.at_s / env.step_dt)
+        self._longest = max(steps)
+
+    def of(self, change: torch.Tensor) -> Callable[[int], None]:
+        """Return what pushes with changes of velocity, m/s, (N,), called before each step with its number."""
+        env = self.rollout.env
+        each = self.direction * (change / self.pulse).unsqueeze(1)
+
+        def push(step: int) -> None:
+            done = step - self.begin
+            if not 0 <= done < self._longest:
+                return
+            data = env.scene.robot.data
+            cos, sin = data.heading_w.cos(), data.heading_w.sin()
+            x, y = (each * (done < self.pulse).unsqueeze(1)).unbind(dim=1)
+            velocity = torch.cat((data.root_lin_vel_w, data.root_ang_vel_w), dim=1)
+            velocity[:, 0] += cos * x - sin * y
+            velocity[:, 1] += sin * x + cos * y
+            env.scene.robot.write_root_velocity_to_sim(velocity)
+            env.scene.refresh()
+
+        return push
+
+
+def push_columns(
+    rollout: Rollout, policy: Policy, options: Push, seed: int, target: float | None, tell: Tell | None
+) -> tuple[Columns, Trajectories]:
+    """Return what pushes each episode survives and how it recovers from the reference push; (N,) each.
+
+    ``limit_m_s`` is found by halving [0, highest]: every episode is rolled ``iterations`` times from the same start,
+    with the middle of what is left of its interval; 0 where it survived none. ``limit_normalised`` divides it by
+    √(g h), h the height before the push. ``recovery_s`` is the time after the reference push from which on tilt and
+    height stay in their bands, at least for ``recovered_s``; NaN where they never left them, because there is nothing
+    to recover from. ``recovered`` is 1 where the bands hold from ``within_s`` on at the latest and the episode lived,
+    else 0.
+    """
+    pushes, n = Pushes(rollout, options), rollout.scenarios.size
+    low = torch.zeros(n, device=rollout.env.device)
+    high = torch.full_like(low, float(options.highest))
+    rolls = options.iterations + 1
+    for iteration in range(options.iterations):
+        middle = (low + high) / 2
+        made = rollout.roll(policy, seed, _part(tell, iteration, rolls), pushes.of(middle))
+        low, high = torch.where(made.fell, low, middle), torch.where(made.fell, middle, high)
+    reference = torch.full_like(low, float(options.reference))
+    made = rollout.roll(policy, seed, _part(tell, options.iterations, rolls), pushes.of(reference))
+    limit = torch.where(low > 0, (low + high) / 2, 0.0).double()
+    before = made.counted(0.0, options.at_s)
+    height = mean(made.height, before) if target is None else torch.full_like(limit, target)
+    columns = {"limit_m_s": limit, "limit_normalised": limit / (rollout.parts.gravity * height).sqrt()}
+    return columns | recovery(made, options, height), made
+
+
+def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns:
+    """Return how the episodes came back from a push (see ``push_columns``).
+
+    Args:
+        made: the episodes.
+        options: when the push was, and what counts as recovered.
+        height: that the base should have, m, (N,).
+    """
+    after = made.counted(options.at_s)
+    tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
+    outside = (tilt >= options.recovered_tilt) | ((made.height - height).abs() >= options.recovered_height)
+    time = last_exit(outside, after, made.dt)
+    latest = min(options.within_s, options.after_s - options.recovered_s)
+    return {
+        "recovery_s": torch.where(made.fell | ~(outside & after).any(dim=0), torch.nan, time),
+        "recovered": (~made.fell & (time <= latest)).double(),
+        "push_tilt_rad": largest(tilt, after),
+    }
+
+
+def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
+    """Return what tells a part of several rollouts as one."""
+    if tell is None:
+        return None
+    return lambda done, of: tell(part * of + done, parts * of)
+
+
+_EVENTS = "wheelleg_exp.mdp.events"
+
+
+@dataclass(frozen=True)
+class World:
+    """A change of the world.
+
+    Attributes:
+        sweep: what is changed.
+        value: to what.
+        cfg: the changed ``env`` section.
+        late: control steps by which actions come late.
+    """
+
+    sweep: str
+    value: float
+    cfg: dict[str, Any] = field(repr=False)
+    late: int = 0
+
+
+def worlds(cfg: Mapping[str, Any], options: Robust, base: str, step_dt: float) -> Iterator[World]:
+    """Yield the unchanged world (``nominal``) and each changed one.
+
+    Masses, centres of mass, gains and friction are set by events after the task's own of the same kind, whose draws
+    they replace; noise is added to the terms that ``noise_std`` names, in place of their own.
+
+    Args:
+        cfg: the ``env`` section of the evaluation.
+        options: the values.
+        base: name of the root link.
+        step_dt: the control step, s.
+    """
+    yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
+    for value in options.friction:
+        changed = _with_event(cfg, "friction", _friction(value))
+        changed["scene"]["terrain"] |= {"static_friction": value, "dynamic_friction": value}
+        yield World("friction", value, changed)
+    for value in options.mass:
+        yield World("mass", value, _with_event(cfg, "mass", _mass(value)))
+    for value in options.com:
+        yield World("com", value, _with_event(cfg, "com", _com(value, base)))
+    for value in options.gains:
+        yield World("gains", value, _with_event(cfg, "gains", _gains(value)))
+    for value in options.noise:
+        yield World("noise", value, _noisy(cfg, value, options.noise_std))
+    for value in options.delay_s:
+        yield World("delay", value, copy.deepcopy(dict(cfg)), round(value / step_dt))
+
+
+def _with_event(cfg: Mapping[str, Any], name: str, node: dict[str, Any]) -> dict[str, Any]:
+    changed = copy.deepcopy(dict(cfg))
+    changed["events"] = {**changed["events"], f"evaluation_{name}": {"mode": "startup", **node}}
+    return changed
+
+
+def _on(**which: Any) -> dict[str, Any]:
+    return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", **which}
+
+
+def _friction(value: float) -> dict[str, Any]:
+    return {
+        "_target_": f"{_EVENTS}.randomize_rigid_body_material",
+        "static_friction_range": [value, value],
+        "dynamic_friction_range": [value, value],
+        "restitution_range": [0.0, 0.0],
+        "num_buckets": 1,
+        "asset_cfg": _on(body_names=[".*"]),
+    }
+
+
+def _mass(value: float) -> dict[str, Any]:
+    return {
+        "_target_": f"{_EVENTS}.randomize_rigid_body_mass",
+        "mass_distribution_params": [value, value],
+        "operation": "scale",
+        "asset_cfg": _on(body_names=[".*"]),
+    }
+
+
+def _com(value: float, base: str) -> dict[str, Any]:
+    return {
+        "_target_": f"{_EVENTS}.randomize_rigid_body_com",
+        "com_range": {"x": [value, value], "y": [0.0, 0.0], "z": [0.0, 0.0]},
+        "asset_cfg": _on(body_names=[base]),
+    }
+
+
+def _gains(value: float) -> dict[str, Any]:
+    return {
+        "_target_": f"{_EVENTS}.randomize_actuator_gains",
+        "stiffness_distribution_params": [value, value],
+        "damping_distribution_params": [value, value],
+        "operation": "scale",
+        "asset_cfg": _on(joint_names=[".*"]),
+    }
+
+
+def _noisy(cfg: Mapping[str, Any], factor: float, deviations: Mapping[str, float]) -> dict[str, Any]:
+    changed = copy.deepcopy(dict(cfg))
+    for group in changed["observations"].values():
+        corrupts = bool(group.get("enable_corruption", False))
+        group["enable_corruption"] = True
+        for node in group["terms"].values():
+            name = str(node["_target_"]).rpartition(".")[2]
+            if name in deviations:
+                std = factor * deviations[name]
+                node["noise"] = {"_target_": "wheelleg_exp.mdp.noise.GaussianNoise", "mean": 0.0, "std": std}
+            elif not corrupts:
+                node["noise"] = None
+    return changed
+
+
+class Late:
+    """A policy whose actions come late by whole control steps; zeros come first.
+
+    Args:
+        policy: the policy.
+        steps: by how many.
+    """
+
+    def __init__(self, policy: Policy, steps: int) -> None:
+        self._policy, self._steps = policy, steps
+        self._waiting: list[torch.Tensor] = []
+
+    def reset(self) -> None:
+        """Forget what is under way."""
+        self._waiting = []
+        reset: Callable[[], None] | None = getattr(self._policy, "reset", None)
+        if reset is not None:
+            reset()
+
+    def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
+        """Return the actions that were decided on ``steps`` ago."""
+        actions = self._policy(observations)
+        self._waiting.append(actions)
+        return self._waiting.pop(0) if len(self._waiting) > self._steps else torch.zeros_like(actions)

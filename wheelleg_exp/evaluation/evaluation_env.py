@@ -1,0 +1,216 @@
+"""Environment of a task for an evaluation, and the wheels and mirrored joints of its robot.
+
+The environment keeps the task's robot, starts, and observations, and has no pushes. Wheels and mirrored joints are
+found by geometry, never by name.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Wheel
+from wheelleg_exp.anatomy.compiled_robot import at_default
+from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.evaluation.protocol_options import Ground, Protocol
+from wheelleg_exp.managers import Env
+
+CONTACTS = "evaluation_contacts"
+_SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
+_DISTURBING = ("interval", "step")  # modes of events that act while an episode runs
+_MOST_CONTACTS = 8  # of one wheel: on a height field it has several
+
+
+def evaluation_cfg(
+    env_cfg: Mapping[str, Any], protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
+) -> dict[str, Any]:
+    """Return a task's ``env`` section changed for an evaluation.
+
+    Events that act during an episode, time-outs, rewards, curricula and recorders are gone; commands, terminations that
+    are failures, observations with their noise, and events at startup and reset stay.
+
+    Args:
+        env_cfg: the composed ``env`` section, plain.
+        protocol: the protocol.
+        num_envs: number of episodes.
+        horizon_s: how long each is, s.
+        ground: whether the task's own ground stays.
+
+    Raises:
+        ConfigError: the task has no command of the protocol's name.
+    """
+    cfg = copy.deepcopy(dict(env_cfg))
+    commands = cfg["commands"]
+    if protocol.command not in commands:
+        raise ConfigError(
+            f"the task has no command '{protocol.command}'",
+            key="protocol.command",
+            expected="one of " + (", ".join(commands) or "(there are none)"),
+            nearest=nearest_name(protocol.command, commands),
+        )
+    cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
+    cfg["events"] = {name: node for name, node in cfg["events"].items() if _is_kept(node)}
+    cfg["terminations"] = {name: node for name, node in cfg["terminations"].items() if _is_failure(node)}
+    cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
+    if ground == "flat":
+        cfg["scene"]["terrain"] = flat(cfg["scene"]["terrain"])
+    sensors = cfg["scene"].get("sensors") or {}
+    if contact_sensor(sensors) is None:
+        sensors = {**sensors, CONTACTS: _contacts(protocol)}
+    cfg["scene"]["sensors"] = sensors
+    return cfg
+
+
+def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
+    """Return the name of a contact sensor on every body, or None: a second one would only cost time."""
+    for name, node in sensors.items():
+        if isinstance(node, Mapping) and node.get("_target_") == _SENSOR and node.get("body_names") == [".*"]:
+            return name
+    return None
+
+
+def _is_kept(node: Any) -> bool:
+    return isinstance(node, Mapping) and node.get("mode") not in _DISTURBING
+
+
+def _is_failure(node: Any) -> bool:
+    """Return whether a termination is none that cuts off: the horizon alone does that here."""
+    return isinstance(node, Mapping) and not node.get("time_out")
+
+
+def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a plane with the friction of another ground."""
+    friction = {name: terrain[name] for name in ("static_friction", "dynamic_friction", "restitution")}
+    return {"_target_": "wheelleg_exp.sim.terrain.Plane", **friction}
+
+
+def _contacts(protocol: Protocol) -> dict[str, Any]:
+    return {
+        "_target_": _SENSOR,
+        "body_names": [".*"],
+        "history_length": 1,
+        "track_air_time": False,
+        "force_threshold": protocol.contact_force,
+        "max_contacts": _MOST_CONTACTS,
+    }
+
+
+def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
+    """Build the environment; who has ended is left as it is, and stops counting.
+
+    Raises:
+        ConfigError: something in ``cfg`` is wrong, or the robot does not move freely.
+    """
+    env = ManagerBasedRLEnv(cfg, mjcf, seed)
+    env.autoreset = "disabled"
+    if not env.scene.robot.floating:
+        raise ConfigError(
+            "only robots whose base moves freely are evaluated", key="env.robot.base", expected="floating"
+        )
+    return env
+
+
+def base_link(mjcf: Path) -> str:
+    """Return the name of the robot's root link."""
+    roots = mujoco.MjSpec.from_file(str(mjcf)).worldbody.bodies
+    return str(next(body.name for body in roots if body.joints or body.bodies))
+
+
+def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | None:
+    """Return the base height that is asked for, m: the protocol's, else what the task's rewards name, else None."""
+    height = rewarded_height(env_cfg) if protocol.target_height is None else protocol.target_height
+    return None if height is None else float(height)
+
+
+def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
+    """Return the ``target_height`` of the first reward that has one, or None."""
+    nodes = (node for node in env_cfg["rewards"].values() if isinstance(node, Mapping))
+    return next((node["target_height"] for node in nodes if node.get("target_height") is not None), None)
+
+
+@dataclass(frozen=True)
+class RobotParts:
+    """What metrics ask of a robot; indices are into its joints.
+
+    Attributes:
+        joint_names: of all joints, (J,).
+        wheels: joints of driven wheels that carry the robot, (W,).
+        contacts: name of the contact sensor that senses every body.
+        wheel_bodies: the wheels' bodies, as columns of that sensor, (W,).
+        wheel_offsets: how far to the left of the base each wheel stands, m, (W,); None where no way is forwards.
+        left: driven joints of the legs on the left, (P,).
+        right: their mirror images, (P,).
+        sign: the image of ``left`` at q is ``right`` at sign · q, (P,).
+        groups: joints of each actuator group by name.
+        effort_limit: of each joint in each environment, N·m, (N, J); infinite where there is none.
+        mass: of the robot, kg.
+        gravity: m/s².
+    """
+
+    joint_names: tuple[str, ...]
+    wheels: torch.Tensor
+    contacts: str
+    wheel_bodies: torch.Tensor
+    wheel_offsets: torch.Tensor | None
+    left: torch.Tensor
+    right: torch.Tensor
+    sign: torch.Tensor
+    groups: dict[str, torch.Tensor]
+    effort_limit: torch.Tensor
+    mass: float
+    gravity: float
+
+
+def parts_of(env: Env) -> RobotParts:
+    """Look at the robot of an environment at its default pose."""
+    robot, model, device = env.scene.robot, env.scene.model, env.device
+    names = robot.joint_names
+    driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]
+    anatomy = anatomy_of(model, at_default(model, robot).qpos, driven)
+    wheels = [wheel for wheel in anatomy.standing if wheel.driven and wheel.joint in names]
+    rolling = {wheel.joint for wheel in anatomy.wheels}
+    pairs = [
+        pair
+        for pair in anatomy.mirrored
+        if pair.left != pair.right and pair.left in driven and pair.right in driven and pair.left not in rolling
+    ]
+    contacts = contact_sensor(env.cfg["scene"]["sensors"])
+    assert contacts is not None  # the evaluation's config has one
+    bodies = env.scene[contacts].body_names
+
+    def indices(found: list[int]) -> torch.Tensor:
+        return torch.tensor(found, dtype=torch.long, device=device)
+
+    return RobotParts(
+        joint_names=tuple(names),
+        wheels=indices([names.index(wheel.joint) for wheel in wheels]),
+        contacts=contacts,
+        wheel_bodies=indices([bodies.index(wheel.body) for wheel in wheels]),
+        wheel_offsets=_offsets(anatomy, wheels, device),
+        left=indices([names.index(pair.left) for pair in pairs]),
+        right=indices([names.index(pair.right) for pair in pairs]),
+        sign=torch.tensor([float(pair.sign) for pair in pairs], device=device),
+        groups={
+            name: indices([names.index(joint) for joint in actuator.joint_names])
+            for name, actuator in robot.actuators.items()
+        },
+        effort_limit=robot.data.joint_effort_limits.clone(),
+        mass=float(model.body_mass[robot.body_ids.tolist()].sum()),
+        gravity=float(sum(g * g for g in model.opt.gravity) ** 0.5),
+    )
+
+
+def _offsets(anatomy: Anatomy, wheels: Sequence[Wheel], device: torch.device) -> torch.Tensor | None:
+    if anatomy.forward is None:
+        return None
+    left = np.cross(anatomy.up, anatomy.forward)
+    return torch.tensor([float(left @ np.array(wheel.contact)) for wheel in wheels], device=device)

@@ -1,0 +1,298 @@
+"""A linear-quadratic balancer that acts through the task's own actions: the reference for learned policies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy import linalg
+
+from wheelleg_exp.anatomy.anatomy_parts import Anatomy
+from wheelleg_exp.anatomy.compiled_robot import at_default
+from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import Env
+from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositionAction, JointVelocityAction
+
+Array = np.ndarray[Any, Any]
+
+# Weights of position, pitch, speed and pitch rate (m, rad, m/s, rad/s), and of the wheels' acceleration, rad/s².
+_STATES = (200.0, 400.0, 20.0, 4.0)
+_INPUT = 1e-3
+_HEADING = 4.0  # 1/s, of the turning speed on the error of the heading
+_MOST_ERROR = 0.05  # rad, of the lean's error that is integrated: a push or a fall must not wind it up
+
+
+@dataclass(frozen=True)
+class Pendulum:
+    """A body on one axle of wheels, whose legs hold still; all at the default pose.
+
+    Attributes:
+        mass: of all but the wheels, kg.
+        height: of its centre of mass over the axle, m.
+        lean: pitch at which that centre stands over the axle, rad; forward down is positive.
+        inertia: of all but the wheels about the axle, kg·m².
+        rolling: kg by which the wheels resist being rolled: their mass and their inertia over the radius squared.
+        radius: of the wheels, m.
+        track: between the outermost contacts, m.
+        gravity: m/s².
+    """
+
+    mass: float
+    height: float
+    lean: float
+    inertia: float
+    rolling: float
+    radius: float
+    track: float
+    gravity: float
+
+    @property
+    def pole(self) -> float:
+        """How fast it falls while the wheels hold their speed relative to the body, 1/s."""
+        return math.sqrt(self.mass * self.gravity * self.height / self._inertia)
+
+    @property
+    def _coupling(self) -> float:
+        """Resistance to rolling of body and wheels together, kg·m."""
+        return self.mass * self.height + (self.mass + self.rolling) * self.radius
+
+    @property
+    def _inertia(self) -> float:
+        """Inertia against pitching on wheels that turn with the body, kg·m²."""
+        return self.inertia + self.mass * self.height * self.radius + self._coupling * self.radius
+
+    def linear(self) -> tuple[Array, Array]:
+        """Return A (4, 4) and B (4, 1) of the state [position, pitch, speed, pitch rate] about the lean.
+
+        The input u is the acceleration of the wheels relative to the body, so the armature drops out. With the
+        pitch θ and the axle's speed v = r (w + θ'):
+        ``I θ'' + m h v' = m g h θ - τ`` and ``(m + m_w) v' + m h θ'' = τ / r``, where m_w is ``rolling``.
+        """
+        falls = self.mass * self.gravity * self.height / self._inertia
+        tilts = -self._coupling * self.radius / self._inertia
+        r = self.radius
+        a = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, r * falls, 0, 0], [0, falls, 0, 0]], dtype=np.float64)
+        b = np.array([[0], [0], [r * (1 + tilts)], [tilts]], dtype=np.float64)
+        return a, b
+
+    def gains(self, step_dt: float) -> Array:
+        """Return K (4,) of u = -K [position, pitch, speed, pitch rate], the discrete optimum at a control rate.
+
+        Args:
+            step_dt: the control step, s.
+        """
+        a, b = self.linear()
+        whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
+        a, b = whole[:4, :4], whole[:4, 4:]
+        cost = linalg.solve_discrete_are(a, b, np.diag(_STATES), np.array([[_INPUT]]))
+        found: Array = np.linalg.solve(_INPUT + b.T @ cost @ b, b.T @ cost @ a)[0]
+        return found
+
+
+def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
+    """Return the pendulum that a robot is at its default pose, and its parts; it stands on ``standing`` wheels.
+
+    Args:
+        env: the environment; its compiled model, not what was randomised.
+
+    Raises:
+        ConfigError: the robot does not stand on driven wheels of one axle that roll one way.
+    """
+    robot, model = env.scene.robot, env.scene.model
+    data = at_default(model, robot)
+    driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]
+    anatomy = anatomy_of(model, data.qpos, driven)
+    wheels = [wheel for wheel in anatomy.standing if wheel.driven and wheel.sign]
+    if not wheels or len(wheels) < len(anatomy.standing) or not anatomy.one_axle or anatomy.forward is None:
+        raise ConfigError(
+            "the reference controller balances robots on one axle of driven wheels, and this is none",
+            key="env.robot",
+            expected="a policy alone: leave the reference out",
+        )
+    base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
+    forward, up = (base @ np.array(axis) for axis in (anatomy.forward, anatomy.up))
+    left = np.cross(up, forward)
+    turned = {model.body(name).id for wheel in wheels for name in wheel.bodies}
+    bodies = [int(body) for body in robot.body_ids if int(body) not in turned]
+    axle = np.mean([data.xanchor[model.joint(wheel.joint).id] for wheel in wheels], axis=0)
+    mass = model.body_mass[bodies]
+    arm = mass @ data.xipos[bodies] / mass.sum() - axle
+    radius = float(np.mean([wheel.radius for wheel in wheels]))
+    rolling = sum(_inertia(model, data, {model.body(name).id for name in w.bodies}, left, None) for w in wheels)
+    pendulum = Pendulum(
+        mass=float(mass.sum()),
+        height=float(np.hypot(arm @ forward, arm @ up)),
+        lean=float(-math.atan2(arm @ forward, arm @ up)),
+        inertia=_inertia(model, data, set(bodies), left, axle),
+        rolling=float(model.body_mass[sorted(turned)].sum()) + rolling / radius**2,
+        radius=radius,
+        track=anatomy.support_width,
+        gravity=float(np.linalg.norm(model.opt.gravity)),
+    )
+    return pendulum, anatomy
+
+
+def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array | None) -> float:
+    """Return the inertia of bodies about an axis through a point, or each through its own centre, kg·m²."""
+    total = 0.0
+    for body in bodies:
+        frame = data.ximat[body].reshape(3, 3)
+        along = frame.T @ axis
+        total += float(along @ (model.body_inertia[body] * along))
+        if point is not None:
+            arm = data.xipos[body] - point
+            total += float(model.body_mass[body] * (arm @ arm - (arm @ axis) ** 2))
+    return total
+
+
+class Reference:
+    """The balancer: a policy that reads the state without noise, and sets what the task's actions let it set.
+
+    Wheel targets are ``w + u / b`` with the wheels' speed w, the optimal acceleration u and the bandwidth b of the
+    wheels' drive; the difference of left and right turns towards the commanded heading. All other joints are told
+    to hold their defaults. The commanded speed is followed by a point that moves at it, so errors do not add up.
+
+    A fifth state is the integrator: the lean at which this robot balances, which its own centre of mass, a wrench and
+    the slope of the ground displace. It integrates the pitch acceleration that the linear model does not explain, with
+    the time constant of the pole. In balance that error is 0, so the position has no offset. Commands do not wind
+    the integrator up, because the model explains what they do.
+
+    Args:
+        env: the environment.
+        command: name of the velocity command.
+
+    Attributes:
+        pendulum: the model that it is made for.
+        gains: K, on position, pitch, speed and pitch rate.
+        bandwidth: b, 1/s.
+
+    Raises:
+        ConfigError: the robot is no balancer, or its actions set no wheel speeds.
+    """
+
+    name = "reference"
+
+    def __init__(self, env: Env, command: str = "base_velocity") -> None:
+        self.pendulum, anatomy = pendulum_of(env)
+        wheels = anatomy.standing
+        self._env, device, robot = env, env.device, env.scene.robot
+        self._command = env.command_manager.get_term(command)
+        self.gains = self.pendulum.gains(env.step_dt)
+        self._k = torch.tensor(self.gains, dtype=torch.float32, device=device)
+        names = [wheel.joint for wheel in wheels]
+        self._wheels = torch.tensor([robot.joint_names.index(name) for name in names], device=device)
+        self._signs = torch.tensor([float(wheel.sign) for wheel in wheels], device=device)
+        sides = {"left": -1.0, "right": 1.0, "middle": 0.0}  # of the speed that turns to the left
+        self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
+        self.bandwidth = _bandwidth(env, names)
+        self._forward = torch.tensor(anatomy.forward, dtype=torch.float32, device=device)
+        self._up = torch.tensor(anatomy.up, dtype=torch.float32, device=device)
+        self._left = torch.linalg.cross(self._up, self._forward)
+        self._terms = _terms(env, names)
+        self._place, self._heading, self._lean = torch.zeros(3, env.num_envs, device=device).unbind()
+        self._before = torch.zeros(3, env.num_envs, device=device)  # pitch, pitch rate and wheel speed
+
+    def describe(self) -> dict[str, Any]:
+        """Return what it was made from, plain."""
+        return {
+            "pendulum": asdict(self.pendulum),
+            "pole_per_s": self.pendulum.pole,
+            "gains": self.gains.tolist(),
+            "integrator_per_s": self.pendulum.pole,
+            "bandwidth_per_s": self.bandwidth,
+        }
+
+    def __call__(self, observations: Mapping[str, Any] | None = None) -> torch.Tensor:
+        """Return raw actions (N, A); observations are not read."""
+        del observations
+        env, data = self._env, self._env.scene.robot.data
+        pitch, rate = self._pitch(data), data.root_ang_vel_b @ self._left
+        turned = (data.joint_pos[:, self._wheels] * self._signs).mean(dim=1)
+        speed = (data.joint_vel[:, self._wheels] * self._signs).mean(dim=1)
+        place, velocity = (turned + pitch) * self.pendulum.radius, (speed + rate) * self.pendulum.radius
+        yaw = data.heading_w
+        fresh = env.episode_length_buf == 0
+        self._place = torch.where(fresh, place, self._place)
+        self._heading = torch.where(fresh, yaw, self._heading)
+        lean = self._balance(fresh, torch.stack((pitch, rate, speed)))
+        forward, turn = self._command.command[:, 0], self._command.command[:, 2]
+        error = torch.stack((place - self._place, pitch - lean, velocity - forward, rate), dim=1)
+        wheel = speed - (error @ self._k) / self.bandwidth
+        off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
+        spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
+        targets = (wheel.unsqueeze(1) + spin.unsqueeze(1) * self._sides) * self._signs
+        self._place = self._place + forward * env.step_dt
+        self._heading = self._heading + turn * env.step_dt
+        return self._actions(targets)
+
+    def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        """Integrate one control step and return the lean at which each robot balances, rad, (N,).
+
+        Args:
+            fresh: whose episode starts, (N,) bool.
+            state: pitch, pitch rate and wheel speed, (3, N).
+        """
+        a, b = (matrix.tolist() for matrix in self.pendulum.linear())
+        dt = self._env.step_dt
+        _, pitching, rolling = (state - self._before) / dt
+        pitch = (state[0] + self._before[0]) / 2  # halfway, where the differences are
+        apparent = pitch - (pitching - b[3][0] * rolling) / a[3][1] - self.pendulum.lean
+        error = (apparent - self._lean).clamp(-_MOST_ERROR, _MOST_ERROR)
+        self._lean = torch.where(fresh, 0.0, self._lean + self.pendulum.pole * dt * error)
+        self._before = state
+        return self.pendulum.lean + self._lean
+
+    def _pitch(self, data: Any) -> torch.Tensor:
+        gravity = data.projected_gravity_b
+        return torch.atan2(gravity @ self._forward, -(gravity @ self._up))
+
+    def _actions(self, wheel_targets: torch.Tensor) -> torch.Tensor:
+        """Return the raw actions that make these wheel speeds and hold everything else at its default."""
+        data = self._env.scene.robot.data
+        limits = data.soft_joint_vel_limits[:, self._wheels]
+        speeds = data.default_joint_vel.clone()
+        speeds[:, self._wheels] = wheel_targets.clamp(-limits, limits)
+        wanted = {"velocity": speeds, "position": data.default_joint_pos, "effort": torch.zeros_like(speeds)}
+        return torch.cat([term.raw_for(wanted[term.drives][:, ids]) for term, ids in self._terms], dim=1)
+
+
+def _bandwidth(env: Env, wheels: list[str]) -> float:
+    """Return how fast the wheels' drive follows its target, 1/s: damping over armature, at most once a control step."""
+    robot = env.scene.robot
+    ids = [robot.joint_names.index(name) for name in wheels]
+    damping = robot.data.default_joint_damping[0, ids].mean()
+    armature = robot.data.default_joint_armature[0, ids].mean()
+    most = 1.0 / env.step_dt
+    return most if armature <= 0.0 else min(float(damping / armature), most)
+
+
+def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]]:
+    """Return the task's action terms in order, each with the joints that it sets.
+
+    Raises:
+        ConfigError: a term cannot be asked for a target, or none sets the wheels' speeds.
+    """
+    found: list[tuple[JointAction, torch.Tensor]] = []
+    manager, names = env.action_manager, env.scene.robot.joint_names
+    for name in manager.active_terms:
+        term = manager.get_term(name)
+        if not isinstance(term, (JointPositionAction, JointVelocityAction, JointEffortAction)):
+            raise ConfigError(
+                "the reference controller cannot tell this action which target it wants",
+                key=f"env.actions.{name}",
+                expected="actions that scale and offset: positions, velocities, efforts",
+            )
+        found.append((term, torch.tensor([names.index(joint) for joint in term.joint_names], device=env.device)))
+    driven = {joint for term, _ in found if isinstance(term, JointVelocityAction) for joint in term.joint_names}
+    if not set(wheels) <= driven:
+        raise ConfigError(
+            "the reference controller sets wheel speeds, and no action does",
+            key="env.actions",
+            expected="a velocity action of " + ", ".join(wheels),
+        )
+    return found

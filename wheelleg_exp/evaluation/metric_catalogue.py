@@ -1,0 +1,426 @@
+"""Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval.
+
+``metrics_of`` declares the metrics of every test.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from wheelleg_exp.evaluation.result import Figure
+from wheelleg_exp.evaluation.significance import percentiles
+from wheelleg_exp.managers.streams import stream_seed
+
+Array = np.ndarray[Any, Any]
+Reduce = Callable[[Sequence[Array]], Array]  # columns (..., E) -> (...)
+Rows = Callable[[Mapping[str, Array]], Array]
+
+
+def mean(columns: Sequence[Array]) -> Array:
+    """Return the mean over episodes."""
+    found: Array = columns[0].mean(axis=-1)
+    return found
+
+
+def quadratic(columns: Sequence[Array]) -> Array:
+    """Return the root of the mean square over episodes: of RMS values, that of all their steps, episodes alike."""
+    found: Array = np.sqrt(np.square(columns[0]).mean(axis=-1))
+    return found
+
+
+def worst(columns: Sequence[Array]) -> Array:
+    """Return the largest."""
+    found: Array = columns[0].max(axis=-1)
+    return found
+
+
+def median(columns: Sequence[Array]) -> Array:
+    """Return the median."""
+    found: Array = np.median(columns[0], axis=-1)
+    return found
+
+
+def gain(columns: Sequence[Array]) -> Array:
+    """Return the least-squares slope of the second column (velocity) on the first (command)."""
+    command, velocity = columns
+    centred = command - command.mean(axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: Array = (centred * velocity).sum(axis=-1) / np.square(centred).sum(axis=-1)
+    return found
+
+
+def skill(columns: Sequence[Array]) -> Array:
+    """Return (score - still) / (1 - still): 0 stands still, 1 tracks perfectly, below 0 is worse than standing."""
+    score, still = (column.mean(axis=-1) for column in columns)
+    found: Array = (score - still) / (1.0 - still)
+    return found
+
+
+def area(columns: Sequence[Array], band: float) -> Array:
+    """Return the share of cells in which nobody fell and the mean errors are within the band.
+
+    Args:
+        columns: cell; errors of both axes as shares of the command, infinite where an episode fell.
+        band: the largest share.
+    """
+    cell, *errors = columns
+    passed = []
+    with np.errstate(invalid="ignore"):
+        for value in np.unique(cell):
+            mine = cell == value
+            count = mine.sum(axis=-1)
+            sums = [np.where(mine, error, 0.0).sum(axis=-1) for error in errors]
+            good = np.all([total <= band * count for total in sums], axis=0)
+            passed.append(np.where(count > 0, good, np.nan))  # a resample may leave a cell out
+        found: Array = np.nanmean(passed, axis=0)
+    return found
+
+
+def everything(rows: Mapping[str, Array]) -> Array:
+    """Return every episode of the test."""
+    return np.ones(len(rows["test"]), dtype=bool)
+
+
+def moving(rows: Mapping[str, Array]) -> Array:
+    """Return the episodes that are told to move."""
+    return (rows["command_vx"] != 0.0) | (rows["command_wz"] != 0.0)
+
+
+def still(rows: Mapping[str, Array]) -> Array:
+    """Return the episodes that are told to stand."""
+    return ~moving(rows)
+
+
+def surviving(rows: Mapping[str, Array]) -> Array:
+    """Return the episodes that are told to move and lived to the end."""
+    return moving(rows) & (rows["survived"] == 1.0)
+
+
+def commanded(rows: Mapping[str, Array], axis: str) -> Array:
+    """Return the episodes that are told to move along one axis."""
+    return rows[f"command_{axis}"] != 0.0
+
+
+def cell_is(rows: Mapping[str, Array], name: str) -> Array:
+    """Return the episodes of the cell of a name, or of those whose names begin with one that ends in ``/``."""
+    cells = rows["cell_name"].astype(str)
+    found: Array = np.char.startswith(cells, name) if name.endswith("/") else cells == name
+    return found
+
+
+def cell_ends(rows: Mapping[str, Array], ending: str) -> Array:
+    """Return the episodes of the cells whose name ends so."""
+    found: Array = np.char.endswith(rows["cell_name"].astype(str), ending)
+    return found
+
+
+def worst_median(columns: Sequence[Array]) -> Array:
+    """Return the least of the cells' medians; columns are cell and value."""
+    return _least(columns, np.nanmedian)
+
+
+def worst_mean(columns: Sequence[Array]) -> Array:
+    """Return the least of the cells' means; columns are cell and value."""
+    return _least(columns, np.nanmean)
+
+
+def _least(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
+    cell, value = columns
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a resample may leave a cell without episodes
+        each = [of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)]
+        found: Array = np.nanmin(each, axis=0)
+    return found
+
+
+def highest(columns: Sequence[Array], share: float) -> Array:
+    """Return how many levels, from the first on, have at least a share of successes; columns are level and success."""
+    level, success = columns
+    passed = np.ones(level.shape[:-1], dtype=bool)
+    count = np.zeros(level.shape[:-1])
+    for one in np.unique(level):
+        mine = level == one
+        tries = mine.sum(axis=-1)
+        passed = passed & (tries > 0) & (np.where(mine, success, 0.0).sum(axis=-1) >= share * tries)
+        count = count + passed
+    return count
+
+
+def level_is(rows: Mapping[str, Array], level: float) -> Array:
+    """Return the episodes of a level."""
+    found: Array = rows["level"] == level
+    return found
+
+
+def world_is(rows: Mapping[str, Array], sweep: str, value: float) -> Array:
+    """Return the episodes of one changed world."""
+    found: Array = (rows["sweep"] == sweep) & (rows["value"] == value)
+    return found
+
+
+def changed(rows: Mapping[str, Array]) -> Array:
+    """Return the episodes of all changed worlds."""
+    found: Array = rows["sweep"] != "nominal"
+    return found
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What one metric is.
+
+    Attributes:
+        name: ``group/metric``.
+        test: of the episodes that it is of.
+        columns: of the episodes, numbers; rows in which one is NaN are left out.
+        reduce: makes one number of the columns.
+        unit: of the number.
+        better: ``higher``, ``lower``, or empty.
+        rows: which of the test's episodes.
+    """
+
+    name: str
+    test: str
+    columns: tuple[str, ...]
+    reduce: Reduce
+    unit: str = ""
+    better: str = "lower"
+    rows: Rows = everything
+
+    def kept(self, episodes: Mapping[str, Array]) -> Array:
+        """Return which of all the episodes the metric is of, (E,) bool."""
+        mine = np.asarray(episodes["test"] == self.test)
+        rows = {name: column[mine] for name, column in episodes.items()}
+        kept = self.rows(rows)
+        for name in self.columns:
+            kept = kept & ~np.isnan(rows[name])
+        mine[mine] = kept
+        return mine
+
+    def values(self, episodes: Mapping[str, Array]) -> list[Array]:
+        """Return the columns over the episodes that the metric is of, (E,) each."""
+        kept = self.kept(episodes)
+        return [episodes[name][kept] for name in self.columns]
+
+
+def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Array:
+    """Return a metric of its episodes drawn with replacement again and again, (B,); of equal seeds the same draws.
+
+    Args:
+        metric: the metric.
+        episodes: the columns.
+        seed: of the resampling, whose stream has the metric's name.
+        resamples: how often is drawn, B.
+    """
+    columns = metric.values(episodes)
+    count = len(columns[0])
+    if not count:
+        return np.full(resamples, np.nan)
+    generator = np.random.default_rng(stream_seed(seed, f"bootstrap.{metric.name}"))
+    drawn = generator.integers(count, size=(resamples, count))
+    return metric.reduce([column[drawn] for column in columns])
+
+
+def figure(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Figure:
+    """Return a metric of the episodes, with its 95 % percentile bootstrap interval over episodes.
+
+    Args:
+        metric: the metric.
+        episodes: the columns.
+        seed: of the resampling.
+        resamples: how often is drawn.
+    """
+    columns = metric.values(episodes)
+    if not len(columns[0]):
+        return Figure(float("nan"), float("nan"), float("nan"), 0, metric.unit, metric.better)
+    found = resampled(metric, episodes, seed, resamples)
+    found = found[np.isfinite(found)]
+    low, high = percentiles(found) if len(found) else (float("nan"), float("nan"))
+    return Figure(float(metric.reduce(columns)), low, high, len(columns[0]), metric.unit, metric.better)
+
+
+def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
+    """Return the metrics of a test.
+
+    Args:
+        test: the test.
+        columns: of its episodes: metrics whose columns are not there are left out.
+        protocol: the composed protocol, plain: what its tests count as a band and as passed.
+    """
+    if test == "walk":
+        found = _of_walking(columns, float((protocol.get("walk") or {}).get("band", 0.1)))
+    elif test == "terrain":
+        found = _of_terrain(columns, float((protocol.get("terrain") or {}).get("pass_share", 0.9)))
+    else:
+        found = _SIMPLY[test](columns)
+    return [metric for metric in found if set(metric.columns) <= set(columns)]
+
+
+def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
+    for name in columns:
+        if name.startswith("survived"):
+            yield Metric(f"{test}/{name.replace('survived', 'survival')}", test, (name,), mean, better="higher")
+    yield Metric(f"{test}/time_to_failure", test, ("time_to_failure_s",), mean, "s", "higher")
+
+
+# Column, unit, how it is reduced: of every test, over the episodes that it is asked for.
+_ALIKE: tuple[tuple[str, str, Reduce, str], ...] = (
+    ("height_rmse_m", "m", quadratic, "lower"),
+    ("height_mean_m", "m", mean, ""),
+    ("pitch_rms_rad", "rad", quadratic, "lower"),
+    ("pitch_std_rad", "rad", quadratic, "lower"),
+    ("roll_rms_rad", "rad", quadratic, "lower"),
+    ("pitch_rate_rms_rad_s", "rad/s", quadratic, "lower"),
+    ("lean_rad", "rad", mean, ""),
+    ("wheels_down_share", "", mean, "higher"),
+    ("leg_symmetry_rms_rad", "rad", quadratic, "lower"),
+    ("wheel_sign_changes_per_s", "1/s", mean, "lower"),
+    ("wheel_speed_rms_rad_s", "rad/s", quadratic, ""),
+    ("power_gross_w", "W", mean, "lower"),
+    ("power_net_w", "W", mean, "lower"),
+    ("positive_work_j", "J", mean, "lower"),
+    ("peak_power_w", "W", mean, "lower"),
+    ("cost_of_transport_gross", "", median, "lower"),
+    ("cost_of_transport_net", "", median, "lower"),
+    ("action_rate_per_s", "1/s", mean, "lower"),
+    ("action_acceleration_per_s2", "1/s²", mean, "lower"),
+    ("torque_difference_rms_nm", "N·m", quadratic, "lower"),
+    ("fast_power_share", "", mean, "lower"),
+)
+_ENDINGS = ("_rad_s", "_per_s2", "_per_s", "_rad", "_m_s", "_nm", "_m", "_w", "_j")
+
+
+def _alike(test: str, columns: Mapping[str, Array], rows: Rows) -> Iterator[Metric]:
+    for name in columns:
+        if name.startswith(("torque_rms_", "torque_share_")):
+            unit = "N·m" if name.startswith("torque_rms_") else ""
+            yield Metric(f"{test}/{_short(name)}", test, (name,), quadratic, unit, rows=rows)
+        elif name.startswith("saturation_"):
+            yield Metric(f"{test}/{name}", test, (name,), mean, rows=rows)
+    for name, unit, reduce, better in _ALIKE:
+        yield Metric(f"{test}/{_short(name)}", test, (name,), reduce, unit, better, rows)
+
+
+def _drift(name: str, test: str, rows: Rows) -> Iterator[Metric]:
+    yield Metric(f"{name}drift", test, ("drift_max_m",), mean, "m", rows=rows)
+    yield Metric(f"{name}drift_worst", test, ("drift_max_m",), worst, "m", rows=rows)
+    yield Metric(f"{name}drift_speed", test, ("drift_speed_m_s",), mean, "m/s", rows=rows)
+    yield Metric(f"{name}yaw_drift", test, ("yaw_drift_rad",), mean, "rad", rows=rows)
+    yield Metric(f"{name}yaw_drift_speed", test, ("yaw_drift_rad_s",), mean, "rad/s", rows=rows)
+
+
+def _short(name: str) -> str:
+    return next((name.removesuffix(ending) for ending in _ENDINGS if name.endswith(ending)), name)
+
+
+def _of_standing(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    yield from _survival("stand", columns)
+    yield from _drift("stand/", "stand", everything)
+    yield from _alike("stand", columns, everything)
+
+
+def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
+    test = "walk"
+    yield from _survival(test, columns)
+    for axis, unit in (("vx", "m/s"), ("wz", "rad/s")):
+        rows = partial(commanded, axis=axis)
+        yield Metric(f"walk/error_{axis}", test, (f"error_{axis}",), quadratic, unit, rows=surviving)
+        yield Metric(f"walk/error_{axis}_with_falls", test, (f"error_{axis}_with_falls",), quadratic, unit, rows=moving)
+        yield Metric(f"walk/gain_{axis}", test, (f"command_{axis}", f"velocity_{axis}"), gain, better="")
+        yield Metric(f"walk/sign_{axis}", test, (f"sign_{axis}",), mean, better="higher", rows=rows)
+        yield Metric(f"walk/skill_{axis}", test, (f"score_{axis}", f"still_{axis}"), skill, better="higher", rows=rows)
+    yield Metric("walk/error_wheels", test, ("error_wheels_m_s",), quadratic, "m/s", "", surviving)
+    errors = ("cell", "off_vx", "off_wz")
+    yield Metric("walk/commandable_area", test, errors, partial(area, band=band), better="higher")
+    yield Metric("walk/in_band", test, ("in_band",), mean, better="higher")
+    yield from _drift("walk/zero_", test, still)
+    yield from _alike(test, columns, moving)
+
+
+def _of_steps(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test = "steps"
+    yield from _survival(test, columns)
+    for axis, unit in (("vx", "m"), ("wz", "rad")):
+        for name in ("settle", "reversal", "stop"):
+            yield Metric(f"steps/{name}_{axis}", test, (f"{name}_s_{axis}",), mean, "s")
+            yield Metric(f"steps/{name}_share_{axis}", test, (f"{name}_did_{axis}",), mean, better="higher")
+        yield Metric(f"steps/overshoot_{axis}", test, (f"overshoot_{axis}",), mean)
+        yield Metric(f"steps/stop_distance_{axis}", test, (f"stop_distance_{axis}",), mean, unit)
+
+
+def _of_pushing(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test, better = "push", "higher"
+    cells = dict.fromkeys(columns["cell_name"].tolist())
+    for kind in dict.fromkeys(cell.rpartition(" over ")[2] for cell in cells):
+        mine, pulse = partial(cell_ends, ending=f" over {kind}"), kind.replace(" ", "")
+        yield Metric(f"push/limit_{pulse}", test, ("limit_m_s",), median, "m/s", better, mine)
+        yield Metric(f"push/limit_worst_{pulse}", test, ("cell", "limit_m_s"), worst_median, "m/s", better, mine)
+        yield Metric(f"push/limit_normalised_{pulse}", test, ("limit_normalised",), median, "", better, mine)
+    for cell in cells:
+        name = f"push/limit_{cell.replace(' over ', '_').replace(' ', '')}"
+        yield Metric(name, test, ("limit_m_s",), median, "m/s", better, partial(cell_is, name=cell))
+    yield Metric("push/recovered", test, ("recovered",), mean, better=better)
+    yield Metric("push/recovery", test, ("recovery_s",), mean, "s")
+    yield Metric("push/tilt", test, ("push_tilt_rad",), mean, "rad")
+
+
+def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Metric]:
+    test, better = "terrain", "higher"
+    yield from _survival(test, columns)
+    yield Metric("terrain/success", test, ("success",), mean, better=better)
+    hardest = int(columns["level"].max())
+    for name, level in (("middle", hardest // 2), ("hardest", hardest)):
+        rows = partial(level_is, level=float(level))
+        yield Metric(f"terrain/worst_success_{name}", test, ("cell", "success"), worst_mean, better=better, rows=rows)
+    cells = dict.fromkeys(columns["cell_name"].tolist())
+    for kind in dict.fromkeys(cell.rpartition("/")[0] for cell in cells):
+        rows, passed = partial(cell_is, name=f"{kind}/"), partial(highest, share=pass_share)
+        yield Metric(f"terrain/levels_passed/{kind}", test, ("level", "success"), passed, "", better, rows)
+    for cell in cells:
+        rows = partial(cell_is, name=cell)
+        yield Metric(f"terrain/success/{cell}", test, ("success",), mean, better=better, rows=rows)
+        yield Metric(f"terrain/distance_ratio/{cell}", test, ("distance_ratio",), mean, better=better, rows=rows)
+    yield Metric("terrain/error_vx", test, ("error_vx",), quadratic, "m/s", rows=surviving)
+    yield from _alike(test, columns, everything)
+
+
+def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test, better = "strip", "higher"
+    yield from _survival(test, columns)
+    yield Metric("strip/success", test, ("success",), mean, better=better)
+    yield Metric("strip/recovered", test, ("recovered",), mean, better=better)
+    for cell in dict.fromkeys(columns["cell_name"].tolist()):
+        rows = partial(cell_is, name=cell)
+        for name in ("success", "distance_ratio", "recovered"):
+            yield Metric(f"strip/{name}/{cell}", test, (name,), mean, better=better, rows=rows)
+        yield Metric(f"strip/recovery/{cell}", test, ("recovery_s",), mean, "s", rows=rows)
+        for name, column, unit in (("error_vx", "error_vx", "m/s"), ("swing", "swing_rad", "rad")):
+            for where in ("before", "on", "behind"):
+                yield Metric(f"strip/{name}_{where}/{cell}", test, (f"{column}_{where}",), quadratic, unit, rows=rows)
+
+
+def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test = "robust"
+    sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
+    yield Metric("robust/survival", test, ("survived",), mean, "", "higher", changed)
+    for sweep, value in sweeps:
+        name = f"robust/{sweep}/{value:g}" if sweep != "nominal" else "robust/nominal"
+        rows = partial(world_is, sweep=sweep, value=value)
+        yield Metric(f"{name}/survival", test, ("survived",), mean, "", "higher", rows)
+        yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
+        yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)
+    yield Metric("robust/worst_survival", test, ("world", "survived"), worst_mean, "", "higher", changed)
+
+
+_SIMPLY: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {  # those that ask the protocol for nothing
+    "stand": _of_standing,
+    "steps": _of_steps,
+    "push": _of_pushing,
+    "strip": _of_strips,
+    "robust": _of_worlds,
+}

@@ -1,0 +1,175 @@
+"""Roll a policy through N episodes at once, without a reset.
+
+An episode that has ended is still simulated, but no longer counts. ``HeldCommand`` sets the task's velocity command
+from outside; the command term stays, with its other state.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.env import ManagerBasedRLEnv, Observations
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.evaluation.evaluation_env import parts_of
+from wheelleg_exp.evaluation.scenarios import Scenarios
+from wheelleg_exp.evaluation.trajectories import EffortMeter, Trajectories
+from wheelleg_exp.managers import Env
+from wheelleg_exp.mdp.commands import UniformVelocityCommand
+
+
+class HeldCommand:
+    """Gives a velocity command term what it is to ask for, in the place of its draws.
+
+    Args:
+        env: the environment.
+        name: the term.
+
+    Raises:
+        ConfigError: the term is no velocity command.
+    """
+
+    def __init__(self, env: Env, name: str) -> None:
+        term = env.command_manager.get_term(name)
+        if not isinstance(term, UniformVelocityCommand):
+            raise ConfigError(
+                f"'{name}' is no velocity command",
+                key=f"env.commands.{name}",
+                expected="a command of wheelleg_exp.mdp.commands.UniformVelocityCommand, or of a class of it",
+            )
+        self._term = term
+        self._held = torch.zeros(env.num_envs, 3, device=env.device)
+        setattr(term, "draw", self._draw)  # noqa: B010  # this one object alone draws no more
+
+    @property
+    def command(self) -> torch.Tensor:
+        """What is asked for now, v_x, v_y in m/s and w_z in rad/s, (N, 3), however slowly the term gets there."""
+        return self._term.asked
+
+    def hold(self, command: torch.Tensor) -> None:
+        """Ask for velocities (N, 3) from now on, through resets too."""
+        self._held.copy_(command)
+        self._draw(torch.arange(len(command), device=command.device))
+
+    def _draw(self, env_ids: torch.Tensor) -> None:
+        self._term.asked[env_ids] = self._held[env_ids]
+        self._term.is_standing_env[env_ids] = (self._held[env_ids] == 0.0).all(dim=1)
+
+
+Policy = Callable[[Mapping[str, Any]], torch.Tensor]
+Tell = Callable[[int, int], None]
+Disturb = Callable[[int], None]
+
+FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite"  # endings beside the terminations
+
+
+class Rollout:
+    """Rolls policies through scenarios in one environment, as often as asked, from the same starts.
+
+    Args:
+        env: an environment of ``task.build``, one row for each scenario.
+        scenarios: the table.
+        command: name of the velocity command.
+        fall_tilt: tilt from which on a robot has fallen, rad.
+        contact_force: force from which on a wheel is on the ground, N.
+        saturation: share of the effort limit from which on an actuator is at it.
+        deadband: share of the effort limit up to which a torque has no sign.
+        settle_s: time at the start of each episode whose torques do not count, s.
+
+    Attributes:
+        parts: the robot's parts.
+        endings: names of what may end an episode; the last columns are the rollout's own.
+        starts: sha256 of the state that the last episodes started from, and of what was randomised.
+    """
+
+    def __init__(
+        self,
+        env: ManagerBasedRLEnv,
+        scenarios: Scenarios,
+        *,
+        command: str,
+        fall_tilt: float,
+        contact_force: float,
+        saturation: float,
+        deadband: float,
+        settle_s: float,
+    ) -> None:
+        self.env, self.scenarios, self.parts = env, scenarios, parts_of(env)
+        self.starts = ""
+        self._held = HeldCommand(env, command)
+        self._fall_tilt, self._force = fall_tilt, contact_force
+        self._meter = EffortMeter(env, saturation, deadband, env.physics_dt)
+        self._settle_steps = round(settle_s / env.step_dt)
+        self._commands = scenarios.commands().to(env.device)
+        self._begins = [round(moment / env.step_dt) for moment in scenarios.times]
+        self.steps = max(1, round(scenarios.horizon_s / env.step_dt))
+        self.endings = (*env.termination_manager.active_terms, FALLEN, NOT_FINITE, NOT_FINITE_ACTION)
+
+    def start(self, seed: int) -> Observations:
+        """Reset every environment, with the streams of ``seed`` begun anew, and return the first observations."""
+        self._held.hold(self._commands[:, 0])
+        observations, _ = self.env.reset(seed)
+        self._meter.start()
+        self.starts = self._starts_digest()
+        return observations
+
+    def _starts_digest(self) -> str:
+        """Return the sha256 of the state that the episodes start from, and of what was randomised."""
+        sim = self.env.scene.sim
+        digest = hashlib.sha256(sim.motion.cpu().numpy().tobytes())
+        wrench = self.env.scene.robot.permanent_wrench
+        for name, value in (*sorted(sim.expanded.items()), ("wrench", wrench)):
+            digest.update(name.encode() + b"\0" + value.cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()
+
+    @torch.inference_mode()
+    def roll(self, policy: Policy, seed: int, tell: Tell | None = None, disturb: Disturb | None = None) -> Trajectories:
+        """Roll a policy from the starts of ``seed`` to the horizon, or until every episode has ended.
+
+        Args:
+            policy: from observations by group to raw actions (N, A).
+            seed: of the streams that starts are drawn from.
+            tell: told how many steps of how many are done.
+            disturb: called before each control step with its number.
+        """
+        env = self.env
+        observations = self.start(seed)
+        if hasattr(policy, "reset"):
+            policy.reset()
+        made = Trajectories.empty(self.steps, env.num_envs, self.parts, env.action_manager.total_action_dim, env)
+        alive = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
+        segment = 0
+        for step in range(self.steps):
+            actions = policy(observations)
+            numbers = torch.isfinite(actions).all(dim=1)
+            actions = torch.where((alive & numbers).unsqueeze(1), actions, 0.0)
+            if disturb is not None:
+                disturb(step)
+            command = self._held.command.clone()
+            if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
+                segment += 1
+                self._held.hold(self._commands[:, segment])  # the observation that this step returns shows it
+            self._meter.begin(step > self._settle_steps)
+            observations, *_ = env.step(actions)
+            failed, why = self._failed(numbers)
+            alive = alive & ~failed
+            made.take(step, env, self.parts, self._meter, command, actions, alive, self._force)
+            made.end(step, failed, why)
+            if tell is not None:
+                tell(step + 1, self.steps)
+            if not bool(alive.any()):
+                break
+        return made
+
+    def _failed(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return who has failed in this step, and what of ``endings`` did it."""
+        env, manager = self.env, self.env.termination_manager
+        tilted = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0)) > self._fall_tilt
+        not_finite = manager.terminated & ~manager.fired.any(dim=0)
+        not_finite = not_finite | env.scene.unstable()
+        failed = manager.terminated | tilted | not_finite | ~numbers
+        fired = torch.cat((manager.fired, torch.stack((tilted, not_finite, ~numbers))))
+        return failed, fired.long().argmax(dim=0)

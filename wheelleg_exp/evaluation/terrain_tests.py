@@ -1,0 +1,193 @@
+"""Tests on rough ground, with their columns: one number per episode.
+
+``terrain`` drives straight over tiles; each episode has one tile of a kind and level. ``strip`` drives from level
+ground over a strip of rough ground and back to level ground; it measures before, on, and behind the strip.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from wheelleg_exp.evaluation.motion_columns import Columns
+from wheelleg_exp.evaluation.policy_rollout import Rollout
+from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
+from wheelleg_exp.evaluation.trajectories import Trajectories, last_exit, mean, rms
+from wheelleg_exp.sim.terrain.generator import ORIGIN_WINDOW
+
+_BORDER = 2.0  # m of level ground around all tiles, so that no edge is near
+
+
+def tiles(options: Terrain, seed: int) -> dict[str, Any]:
+    """Return the node of the ground: a column for each kind of tile, a row for each level.
+
+    Args:
+        options: which kinds, how many levels, how large.
+        seed: of all chance in the ground.
+    """
+    terrain = copy.deepcopy(options.scene["terrain"])
+    kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
+    for node in kinds.values():
+        node["proportion"] = 1.0
+    # The window in which robots begin stays as wide in m: the floor of a pit does not grow with its tile.
+    wider = min(now / own for now, own in zip(options.size, terrain["size"], strict=True))
+    return {
+        **terrain,
+        "size": list(options.size),
+        "origin_window": min(1.0, terrain.get("origin_window", ORIGIN_WINDOW) / wider),
+        "num_rows": options.levels,
+        "num_cols": len(kinds),
+        "curriculum": True,
+        "difficulty_range": [0.0, 1.0],
+        "max_init_terrain_level": None,
+        "border_width": max(_BORDER, float(terrain.get("border_width", 0.0))),
+        "seed": seed,
+        "sub_terrains": kinds,
+    }
+
+
+def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
+    """Let every episode begin on the tile of its cell."""
+    env = rollout.env
+    ground, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
+    assert ground.terrain_origins is not None  # the evaluation's ground has tiles
+    ground.terrain_types.copy_(cell // options.levels)
+    ground.terrain_levels.copy_(cell % options.levels)
+    ground.env_origins.copy_(ground.terrain_origins[ground.terrain_levels, ground.terrain_types])
+
+
+def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
+    """Return how far each robot came, and whether that is a success; (N,) each.
+
+    ``distance_ratio`` is the way from the start along the first heading, at the last step that the episode lived, as a
+    share of the commanded speed times the horizon. ``success`` is 1 where the episode lived and the ratio is at least
+    ``distance_share``, else 0. ``kind`` and ``level`` say which tile.
+    """
+    cell = rollout.scenarios.cell_of().to(made.alive.device)
+    ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
+    return {
+        "kind": (cell // options.levels).double(),
+        "level": (cell % options.levels).double(),
+        "distance_ratio": ratio,
+        "success": (~made.fell & (ratio >= options.distance_share)).double(),
+    }
+
+
+def along_heading(made: Trajectories) -> torch.Tensor:
+    """Return how far each robot came along its first heading, m, (N,), at the last step that the episode lived."""
+    last = (made.alive.sum(dim=0) - 1).clamp(min=0)
+    there = made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2]
+    way = (there - made.pos[0, :, :2]).double()
+    heading = made.yaw[0].double()
+    return way[:, 0] * heading.cos() + way[:, 1] * heading.sin()
+
+
+_STRIP_ROOM = 1.0  # m of level ground beyond what the commanded way needs, before and behind
+
+
+def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Return the node of the ground: a column for each strip, one row, and level ground around.
+
+    Args:
+        options: how rough the strips are, how long and wide.
+        terrain: the node whose friction the ground has.
+        seed: of the heights.
+    """
+    rim = options.horizontal_scale  # the tile's outer points are at height 0, so that the strip begins without a step
+    noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}
+    way = options.lin_vel_x * options.horizon_s
+    return {
+        "_target_": "wheelleg_exp.sim.terrain.TerrainGenerator",
+        **{name: terrain[name] for name in ("static_friction", "dynamic_friction", "restitution")},
+        "size": [options.length + 2 * rim, options.width],
+        "num_rows": 1,
+        "num_cols": len(options.amplitudes),
+        "border_width": _STRIP_ROOM + max(options.before, way - options.before - options.length),
+        "horizontal_scale": options.horizontal_scale,
+        "vertical_scale": options.vertical_scale,
+        "curriculum": True,
+        "difficulty_range": [1.0, 1.0],
+        "seed": seed,
+        "sub_terrains": {str(i): {**noise, "amplitude_range": [a, a]} for i, a in enumerate(options.amplitudes)},
+    }
+
+
+def place_before_strip(rollout: Rollout, options: Strip) -> None:
+    """Let every episode begin on the level ground before the strip of its cell."""
+    env = rollout.env
+    terrain, cell = env.scene.terrain, rollout.scenarios.cell_of().to(env.device)
+    assert terrain.terrain_origins is not None  # the evaluation's ground has tiles
+    terrain.terrain_types.copy_(cell)
+    terrain.terrain_levels.zero_()
+    begin = terrain.terrain_origins[0, cell].clone()
+    begin[:, 0] -= options.before + options.length / 2
+    begin[:, 2] = 0.0
+    terrain.env_origins.copy_(begin)
+
+
+@dataclass(frozen=True)
+class Phases:
+    """Which steps of an episode are where; a robot that comes back over an edge changes nothing.
+
+    Attributes:
+        before: the last ``quiet_s`` seconds before the strip, of who comes to it, (T, N) bool.
+        on: from then on, until it has left the strip, (T, N) bool.
+        behind: from then on, (T, N) bool.
+    """
+
+    before: torch.Tensor
+    on: torch.Tensor
+    behind: torch.Tensor
+
+
+def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
+    """Return which steps are before, on and behind the strip, by where the root link is along x."""
+    x, alive = made.pos[..., 0], made.alive
+    come = (alive & (x >= options.before)).cummax(dim=0).values
+    gone = (alive & (x > options.before + options.length)).cummax(dim=0).values
+    steps = torch.arange(made.steps, device=x.device).unsqueeze(1)
+    entry = torch.where(come.any(dim=0), come.int().argmax(dim=0), 0)
+    last = steps >= entry - round(options.quiet_s / made.dt)
+    return Phases(made.counted(settle_s) & ~come & last & come.any(dim=0), alive & come & ~gone, alive & gone)
+
+
+def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
+    """Return how each robot comes over the strip; (N,) each, NaN where it never was there.
+
+    ``distance_ratio`` and ``success`` are as of ``on_terrain.ways``; ``error_vx_<where>`` and ``swing_rad_<where>`` are
+    RMS values before, on and behind the strip, of v_x - c and of the pitch about its own mean before: the task's wrench
+    makes each robot lean otherwise. ``recovery_s`` is the time after the strip from which on the pitch is as quiet as
+    before: its swing over the coming ``recovered_s`` seconds is at most ``quiet_factor`` times that before, or
+    ``quiet_floor``. ``recovered`` is 1 where it is at most ``within_s``
+    and the episode lived, else 0.
+    """
+    found = phases(made, options, settle_s)
+    ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
+    columns: Columns = {
+        "distance_ratio": ratio,
+        "success": (~made.fell & (ratio >= options.distance_share)).double(),
+    }
+    pitch = made.pitch.double()
+    swing = pitch - mean(pitch, found.before)
+    error = made.vel[..., 0] - made.command[..., 0]
+    for name, counted in (("before", found.before), ("on", found.on), ("behind", found.behind)):
+        columns[f"error_vx_{name}"] = rms(error, counted)
+        columns[f"swing_rad_{name}"] = rms(swing, counted)
+    return columns | _recovery(made, swing, found, options)
+
+
+def _recovery(made: Trajectories, swing: torch.Tensor, found: Phases, options: Strip) -> Columns:
+    limit = (options.quiet_factor * rms(swing, found.before)).clamp(min=options.quiet_floor)
+    window = max(1, round(options.recovered_s / made.dt))
+    sums = torch.cat((torch.zeros_like(swing[:1]), swing.square().cumsum(dim=0)))
+    coming = torch.full_like(swing, torch.nan)
+    coming[: made.steps - window + 1] = ((sums[window:] - sums[:-window]) / window).clamp(min=0.0).sqrt()
+    known = found.behind & ~coming.isnan()
+    time = last_exit(coming > limit, known, made.dt)
+    long_enough = found.behind.sum(dim=0) >= round((options.within_s + options.recovered_s) / made.dt)
+    time = torch.where(made.fell | limit.isnan() | ~long_enough, torch.nan, time)
+    return {"recovery_s": time, "recovered": (time <= options.within_s).double()}

@@ -1,0 +1,142 @@
+"""A task's name becomes an environment, its Gymnasium spaces, and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Integral
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.checking.find_mistakes import compose_valid
+from wheelleg_exp.config.composing.compose import override_texts
+from wheelleg_exp.env import ManagerBasedRLEnv, Observations
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.packages import with_current
+from wheelleg_exp.rendering.live_pictures import LivePictures
+from wheelleg_exp.state.tensor_trees import host_copy
+
+Arrays = dict[str, np.ndarray]
+
+
+def task_env(
+    task: str, num_envs: int, overrides: Sequence[str], config_dirs: str | Path | Sequence[str | Path]
+) -> ManagerBasedRLEnv:
+    """Compose, check and build a task.
+
+    Raises:
+        WheellegError: the task, an override or the robot is wrong.
+    """
+    given = override_texts(overrides)
+    for word in given:
+        if word.lstrip("+").startswith("env.num_envs="):
+            raise ConfigError("is given by Gymnasium", key="env.num_envs", expected="make_vec(..., num_envs=N)")
+    words = [f"task={task}", *given, f"env.num_envs={num_envs}"]
+    folders = [config_dirs] if isinstance(config_dirs, (str, Path)) else config_dirs
+    composed = compose_valid(words, config_dirs=with_current([Path(folder) for folder in folders]))
+    with composed.placing():
+        env = build_env(composed.config, composed.asset_roots)
+        _require_concatenated(env)
+    return env
+
+
+def _require_concatenated(env: ManagerBasedRLEnv) -> None:
+    for group, concatenated in env.observation_manager.group_obs_concatenate.items():
+        if not concatenated:
+            raise ConfigError(
+                "Gymnasium observations are one array a group",
+                key=f"env.observations.{group}.concatenate_terms",
+                expected="true",
+            )
+
+
+def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
+    """Return the space of one environment's observations: unbounded float32 vectors by group."""
+    shapes: dict[str, Any] = env.observation_manager.group_obs_dim
+    return gymnasium.spaces.Dict(
+        {group: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for group, shape in shapes.items()}
+    )
+
+
+def action_space(env: ManagerBasedRLEnv, bound: float | Sequence[float] | None) -> gymnasium.spaces.Box:
+    """Return the space of one environment's raw actions.
+
+    Args:
+        env: the environment.
+        bound: the largest size of an action, of all or of each; None is unbounded.
+
+    Raises:
+        ConfigError: the bound is no bound.
+    """
+    width = env.action_manager.total_action_dim
+    if bound is None:
+        return gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
+    try:
+        given = np.asarray(bound)
+        high = np.broadcast_to(given.astype(np.float32), (width,)).copy() if given.dtype.kind in "iuf" else None
+    except (ValueError, TypeError):
+        high = None
+    if high is None or not (np.isfinite(high).all() and (high > 0).all()):
+        raise ConfigError(
+            f"{bound!r} bounds no action", key="action_bound", expected=f"a number above 0, {width} such, or None"
+        )
+    return gymnasium.spaces.Box(-high, high, dtype=np.float32)
+
+
+def as_arrays(observations: Observations) -> Arrays:
+    """Return observations as arrays of their own."""
+    return {group: host_copy(value) for group, value in observations.items() if isinstance(value, torch.Tensor)}
+
+
+def log_of(extras: dict[str, Any]) -> dict[str, float]:
+    """Return what the managers say of the episodes that were reset last, by name."""
+    return {key: float(value) for key, value in extras["log"].items()}
+
+
+RENDER_MODES = ["rgb_array"]
+_SIZE_PX = (16, 4096)
+
+
+class Pictures:
+    """Draws environments one by one; nothing of them changes.
+
+    Args:
+        env: the environment.
+        mode: ``rgb_array``, or None for no pictures.
+        width: px.
+        height: px.
+
+    Raises:
+        ConfigError: the mode or the size is none.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, mode: str | None, width: int, height: int) -> None:
+        if mode is not None and mode not in RENDER_MODES:
+            expected, nearest = " or ".join([*RENDER_MODES, "None"]), nearest_name(str(mode), RENDER_MODES)
+            raise ConfigError(f"there is no mode '{mode}'", key="render_mode", expected=expected, nearest=nearest)
+        for key, size in (("width", width), ("height", height)):
+            whole = isinstance(size, Integral) and not isinstance(size, bool)
+            if not (whole and _SIZE_PX[0] <= size <= _SIZE_PX[1]):
+                expected = "a whole number of px, {} to {}".format(*_SIZE_PX)
+                raise ConfigError(f"{size!r} is no size", key=key, expected=expected)
+        self._env, self._mode = env, mode
+        self._pictures = LivePictures(env.scene.model, env.scene.robot.body_names[0], width, height)
+
+    def draw(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture (height, width, 3) of every environment, or None where there is no mode.
+
+        Raises:
+            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+        """
+        if self._mode is None:
+            return None
+        return tuple(self._pictures.draw(row) for row in host_copy(self._env.scene.sim.view("qpos")).astype(float))
+
+    def close(self) -> None:
+        """End the process that draws."""
+        self._pictures.close()

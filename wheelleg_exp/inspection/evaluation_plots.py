@@ -1,0 +1,244 @@
+"""Panels of an evaluation: maps over commands and tiles, limits of pushes, and changed worlds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.ticker import PercentFormatter
+
+from wheelleg_exp.evaluation.result import Evaluation
+from wheelleg_exp.files import write_new
+from wheelleg_exp.inspection.plot_style import FAINT, INK, MUTED, PROGRESS, Panel, colour, figure_bytes, tile
+
+Array = np.ndarray[Any, Any]
+Episodes = Mapping[str, Array]
+
+# Of shares: what fails is dark red, what succeeds pale; of errors as of progress, pale is little.
+_SHARES = LinearSegmentedColormap.from_list("shares", ("#9A2A0A", "#E08A4E", "#F6DFC5", "#CFE4F2"))
+_DARK = 0.4  # of a colour map: beyond it letters are white
+_DEGREES = 180.0 / math.pi
+
+
+def panels(episodes: Episodes) -> dict[str, list[Panel]]:
+    """Return the panels of an evaluation by test, of those tests that can be drawn.
+
+    Args:
+        episodes: the columns, as ``Evaluation.episodes`` has them.
+    """
+    found = {}
+    for test, draw in _TESTS.items():
+        mine = np.asarray(episodes["test"] == test)
+        if mine.any():
+            found[test] = draw({name: column[mine] for name, column in episodes.items()})
+    return {test: shown for test, shown in found.items() if shown}
+
+
+def draw(evaluation: Evaluation, folder: Path) -> list[Path]:
+    """Write the panels of an evaluation into a folder, ``walk.png``, ``push.png``, ...; return the files."""
+    files = []
+    for test, shown in panels(evaluation.episodes).items():
+        files.append(folder / f"{test}.png")
+        write_new(files[-1], figure_bytes(tile(shown), "png"))
+    return files
+
+
+def _of_standing(rows: Episodes) -> list[Panel]:
+    end = np.where(rows["survived"] == 1.0, np.inf, rows["time_to_failure_s"])
+
+    def alive(axes: Axes) -> None:
+        times = np.sort(end)
+        longest = float(rows["time_to_failure_s"].max())
+        fell = times[np.isfinite(times)]
+        x = np.concatenate(([0.0], np.repeat(fell, 2), [longest]))
+        share = 1.0 - np.arange(len(fell) + 1) / len(end)
+        axes.plot(x, np.repeat(share, 2), color=colour(0))
+        axes.set_ylim(-0.02, 1.02)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.set_xlabel("time (s)")
+
+    shown = [("drift_max_m", 1e3, "Largest drift (mm)"), ("pitch_rms_rad", _DEGREES, "Pitch, RMS (°)")]
+    return [
+        Panel("Episodes that still stand", alive),
+        *(_spread(title, rows[name] * factor) for name, factor, title in shown if _some(rows, name)),
+    ]
+
+
+def _spread(title: str, values: Array) -> Panel:
+    """Return a panel of the values of all episodes, smallest first."""
+
+    def draw(axes: Axes) -> None:
+        ordered = np.sort(values[np.isfinite(values)])
+        axes.plot(ordered, (np.arange(len(ordered)) + 1) / len(ordered), color=colour(0), drawstyle="steps-post")
+        axes.set_ylim(0, 1.02)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.set_ylabel("of the episodes at most")
+
+    return Panel(title, draw)
+
+
+def _of_walking(rows: Episodes) -> list[Panel]:
+    def over(name: str, factor: float = 1.0, of: Callable[..., Any] = np.nanmean) -> Panel | None:
+        if not _some(rows, name):
+            return None
+        # An error is of those that lived, as in the tables: one that falls has driven for a moment only.
+        counts = np.where(rows["survived"] == 1.0, factor, np.nan) if name.startswith("error") else factor
+        if not np.isfinite(rows[name] * counts).any():
+            return None
+        return _map(
+            titles[name],
+            *_grid(rows["command_wz"], rows["command_vx"], rows[name] * counts, of),
+            across="yaw rate (rad/s)",
+            up="forward speed (m/s)",
+            is_share=name in ("survived", "in_band"),
+        )
+
+    titles = {
+        "survived": "Survived",
+        "error_vx": "Error of the speed of survivors, RMS (mm/s)",
+        "error_wz": "Error of the yaw rate of survivors, RMS (rad/s)",
+        "in_band": "Within the band",
+    }
+    found = [over("survived"), over("in_band"), over("error_vx", 1e3, _rms), over("error_wz", 1.0, _rms)]
+    return [panel for panel in found if panel is not None]
+
+
+def _of_pushing(rows: Episodes) -> list[Panel]:
+    """Return the median limit in each direction, for each length of push."""
+    names = list(dict.fromkeys(rows["cell_name"].tolist()))
+    kinds = list(dict.fromkeys(name.partition(" over ")[2] for name in names))
+
+    def draw(axes: Axes) -> None:
+        largest = 0.0
+        for i, kind in enumerate(kinds):
+            mine = [name for name in names if name.endswith(f" over {kind}")]
+            angles = np.radians([float(name.partition("°")[0]) for name in mine])
+            limits = np.array([np.nanmedian(rows["limit_m_s"][rows["cell_name"] == name]) for name in mine])
+            angles, limits = np.append(angles, angles[0]), np.append(limits, limits[0])
+            # Forwards is up, left is left.
+            axes.plot(-limits * np.sin(angles), limits * np.cos(angles), color=colour(i), marker="o", ms=3, label=kind)
+            largest = max(largest, float(np.nanmax(limits)))
+        _rings(axes, largest or 1.0)
+        axes.legend(loc="lower left", title="kick (0 s) or pulse")
+
+    return [Panel("Push that half survive, change of speed (m/s): forwards is up", draw, height=4.2, wide=True)]
+
+
+def _rings(axes: Axes, largest: float) -> None:
+    step = 10.0 ** math.floor(math.log10(largest))
+    step = step if largest / step > 2 else step / 2
+    turn = np.linspace(0.0, 2 * math.pi, 121)
+    for radius in np.arange(step, largest + step, step):
+        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8, zorder=0)
+        axes.annotate(f"{radius:.2g}", (0.0, radius), color=MUTED, fontsize=8, ha="center", va="bottom")
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+    axes.set_axis_off()
+
+
+def _of_terrain(rows: Episodes) -> list[Panel]:
+    kinds, level = zip(*(name.rpartition("/")[::2] for name in rows["cell_name"].tolist()), strict=True)
+    order = list(dict.fromkeys(kinds))
+    place = np.array([order.index(kind) for kind in kinds], dtype=float)
+    levels = np.array(level, dtype=float)
+
+    def shown(title: str, name: str) -> Panel:
+        values, across, up = _grid(levels, place, rows[name], np.nanmean)
+        words = [order[int(index)].replace("_", " ") for index in up]
+        return _map(title, values, across, words, across="level", up="", is_share=True, height=0.5 + 0.36 * len(order))
+
+    names = [("success", "Success"), ("distance_ratio", "Share of the commanded way")]
+    return [shown(title, name) for name, title in names if _some(rows, name)]
+
+
+def _of_worlds(rows: Episodes) -> list[Panel]:
+    """Return survival over the values of each sweep, the unchanged world as a line across."""
+    plain = rows["sweep"] == "nominal"
+
+    def over(sweep: str) -> Panel:
+        mine = rows["sweep"] == sweep
+        values = np.unique(rows["value"][mine])
+        shares = [float(np.mean(rows["survived"][mine & (rows["value"] == value)])) for value in values]
+
+        def draw(axes: Axes) -> None:
+            if plain.any():
+                axes.axhline(float(np.mean(rows["survived"][plain])), color=MUTED, linewidth=1.0, linestyle=":")
+            axes.plot(values, shares, color=colour(0), marker="o", ms=3.5)
+            axes.set_ylim(-0.04, 1.04)
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+
+        return Panel(f"Survived, by {sweep.replace('_', ' ')}", draw, height=1.9)
+
+    return [over(sweep) for sweep in dict.fromkeys(rows["sweep"].tolist()) if sweep != "nominal"]
+
+
+_TESTS: Mapping[str, Callable[[Episodes], list[Panel]]] = {
+    "stand": _of_standing,
+    "walk": _of_walking,
+    "push": _of_pushing,
+    "terrain": _of_terrain,
+    "robust": _of_worlds,
+}
+
+
+def _two_digits(value: float) -> str:
+    """Return a number with two digits that count, and without an exponent when it is large."""
+    return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
+
+
+def _some(rows: Episodes, name: str) -> bool:
+    return name in rows and bool(np.isfinite(rows[name]).any())
+
+
+def _rms(values: Array) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(np.square(finite)))) if len(finite) else math.nan
+
+
+def _grid(across: Array, up: Array, values: Array, of: Callable[..., Any]) -> tuple[Array, list[float], list[float]]:
+    """Return a statistic of the values of each pair, (up, across), with the two scales; NaN where there is none."""
+    columns, lines = np.unique(across), np.unique(up)
+    found = np.full((len(lines), len(columns)), np.nan)
+    for i, line in enumerate(lines):
+        for j, column in enumerate(columns):
+            mine = values[(across == column) & (up == line)]
+            if np.isfinite(mine).any():
+                found[i, j] = of(mine)
+    return found, columns.tolist(), lines.tolist()
+
+
+def _map(
+    title: str,
+    values: Array,
+    columns: Sequence[float],
+    lines: Sequence[float | str],
+    *,
+    across: str,
+    up: str,
+    is_share: bool,
+    height: float = 2.6,
+) -> Panel:
+    """Return a map whose cells hold their number."""
+
+    def draw(axes: Axes) -> None:
+        top = 1.0 if is_share else max(float(np.nanmax(values)) if np.isfinite(values).any() else 1.0, 1e-9)
+        norm, shades = Normalize(0.0, top), _SHARES if is_share else PROGRESS
+        axes.imshow(values, origin="lower", aspect="auto", cmap=shades, norm=norm)
+        for i, j in np.ndindex(values.shape):
+            if np.isfinite(values[i, j]):
+                share = norm(values[i, j])
+                dark = share < _DARK if is_share else share > _DARK
+                text = f"{100 * values[i, j]:.0f}" if is_share else _two_digits(float(values[i, j]))
+                axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else INK)
+        axes.set_xticks(range(len(columns)), [f"{column:g}" for column in columns])
+        axes.set_yticks(range(len(lines)), [line if isinstance(line, str) else f"{line:g}" for line in lines])
+        axes.grid(visible=False)
+        axes.set_xlabel(across)
+        axes.set_ylabel(up)
+
+    return Panel(f"{title} (%)" if is_share else title, draw, height=height)

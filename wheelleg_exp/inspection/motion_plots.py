@@ -1,0 +1,302 @@
+"""Panels of motion: what the recorded robot did over time, against its commands."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from wheelleg_exp.inspection.plot_data import Sample, Series, Source, broken, mean_of
+from wheelleg_exp.inspection.plot_style import BLUE, FAILED, GREEN, MUTED, ORANGE, VERMILLION, Panel, shades
+from wheelleg_exp.inspection.training_curves import shares
+from wheelleg_exp.recording.layout import unit
+
+_VELOCITIES = (
+    ("v_x", "Forward velocity", "m/s"),
+    ("v_y", "Sideways velocity", "m/s"),
+    ("w_z", "Yaw rate", "rad/s"),
+)
+TITLES = {
+    "base/height": "Height of the base (m)",
+    "base/pitch": "Pitch of the base (rad)",
+    "base/v_x": "Forward velocity (m/s)",
+    "base/w_z": "Yaw rate (rad/s)",
+    "rewards/total": "Reward (1/s)",
+}
+_SHORT = 1.75
+
+
+def tracking(source: Source) -> list[Panel]:
+    """Return velocities against commands, height against its target, roll and pitch."""
+    command = _velocity_command(source)
+    panels = [_velocity(source, name, title, unit, command) for name, title, unit in _VELOCITIES]
+    height = _over_time(source, ("base", "height"), "Height of the base", "m", target=source.target_height())
+    angles = [
+        _over_time(source, ("base", name), title, "rad", target=0.0)
+        for name, title in (("pitch", "Pitch of the base"), ("roll", "Roll of the base"))
+    ]
+    return [panel for panel in (height, *panels, *angles) if panel is not None]
+
+
+def joints(source: Source) -> list[Panel]:
+    """Return each joint against its target, and its effort within its limits; of a training, the last sample."""
+    panels: list[Panel] = []
+    for joint in source.below("joints"):
+        kind, unit = ("velocity", "rad/s") if is_driven(source, joint) else ("position", "rad")
+        found = [source.maybe("joints", joint, part) for part in (kind, f"{kind}_target", "effort")]
+        if all(series is not None for series in found):
+            entities = [source.path("joints", joint, part) for part in (kind, f"{kind}_target", "effort")]
+            panels.append(Panel(f"{joint}: {kind} and target ({unit})", _pair(source, *entities[:2]), height=_SHORT))
+            limit = source.drive(joint, "effort_limit")
+            panels.append(Panel(f"{joint}: effort (N·m)", _effort(source, entities[2], limit), height=_SHORT))
+    return panels
+
+
+def contact_forces(source: Source) -> list[Panel]:
+    """Return the contact force of every body that was touched, at the end of each step and in the sensor's history.
+
+    Of a training, in the last sample.
+    """
+    panels = []
+    for sensor in source.below("contacts"):
+        series = source.maybe("contacts", sensor)
+        if series is None:
+            continue
+        shown, peak = _last(source, series), _peak(source, sensor, series)
+        most = shown.values if peak is None else np.fmax(shown.values, peak.values)
+        touched = [i for i in range(len(series.names)) if np.nanmax(most[:, i], initial=0.0) > 0]
+        top = float(np.nanmax(most, initial=0.0))
+        for i in touched:
+            draw = _force(source, shown, peak, i, top)
+            panels.append(Panel(f"{series.names[i]}: contact force (N)", draw, height=_SHORT))
+        if len(touched) < len(series.names):
+            never = [name for i, name in enumerate(series.names) if i not in touched]
+            panels.append(_words(f"Never touched ({sensor})", never))
+    return panels
+
+
+def terminations(source: Source) -> list[Panel]:
+    """Return when each termination fired in the recorded environment."""
+    fired = source.fired()
+    if not fired:
+        return []
+
+    def draw(axes: Axes) -> None:
+        labels = []
+        for row, (name, series) in enumerate(fired.items()):
+            hits = series.first > 0
+            x = series.iteration if source.is_training and series.iteration is not None else series.time
+            axes.plot(x[hits], np.full(int(hits.sum()), row), "|", color=FAILED, markersize=14, markeredgewidth=1.6)
+            labels.append(f"{name}  {int(hits.sum())}×")
+            axes.set_xlim(*_padded(float(x[0]), float(x[-1])))
+        axes.set_yticks(range(len(labels)), labels)
+        axes.set_ylim(len(labels) - 0.4, -0.6)
+        axes.grid(axis="x", visible=False)
+        axes.set_xlabel("iteration" if source.is_training else "simulated time (s)")
+
+    title = "When terminations fired, and how often" + (f", {source.whose}" if source.whose else "")
+    return [Panel(title, draw, height=0.8 + 0.26 * len(fired), wide=True)]
+
+
+def rewards(source: Source) -> list[Panel]:
+    """Return the mean weighted reward of each term over the recording, and the terms over time, stacked."""
+    terms = source.weighted()
+    if not terms:
+        return []
+    means = {name: mean_of(series.first) for name, series in terms.items()}
+    courses = [
+        Panel(f"{name} (1/s)", _line(source, series), height=_SHORT)
+        for name, series in terms.items()
+        if np.any(np.nan_to_num(series.first) != 0)
+    ]
+    steps = len(next(iter(terms.values())).step)
+    return [shares(means, f"Mean reward by term over {steps} recorded steps", "1/s"), *courses]
+
+
+def series_panel(source: Source, entity: str, title: str) -> list[Panel]:
+    """Return a panel for each number of an entity, over time or over iterations."""
+    series = source.series(entity)
+    many = series.values.shape[1] > 1
+
+    def panel(i: int, name: str) -> Panel:
+        def draw(axes: Axes) -> None:
+            axes.plot(*broken(series, source.ends(), i), color=BLUE)
+            over_time(axes)
+
+        shown = with_unit(f"{title}: {name}" if many else title, entity)
+        return Panel(shown, draw, height=_SHORT if many else 3.0, wide=not many)
+
+    return [panel(i, name) for i, name in enumerate(series.names)]
+
+
+def with_unit(title: str, entity: str) -> str:
+    """Return a title with the unit of an entity, where that has one."""
+    found = unit(entity)
+    return f"{title} ({found})" if found else title
+
+
+def over_time(axes: Axes, label: str = "", *, relative: bool = False) -> None:
+    """Label the axes of a panel over time."""
+    axes.set_xlabel("time in the sample (s)" if relative else "simulated time (s)")
+    axes.set_ylabel(label)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+
+
+def is_driven(source: Source, joint: str) -> bool:
+    """Return whether a joint is driven at a velocity instead of held at a position."""
+    stiffness = source.drive(joint, "stiffness")
+    if stiffness is not None:
+        return stiffness == 0.0
+    held, driven = (source.maybe("joints", joint, f"{k}_target") for k in ("position", "velocity"))
+    return held is not None and driven is not None and bool(np.ptp(held.first) == 0.0 < np.ptp(driven.first))
+
+
+def _velocity_command(source: Source) -> str | None:
+    for name in source.below("commands"):
+        if source.maybe("commands", name, "v_x") is not None:
+            return name
+    return None
+
+
+def _velocity(source: Source, name: str, title: str, unit: str, command: str | None) -> Panel | None:
+    wanted = source.maybe("commands", command, name) if command else None
+    return _over_time(source, ("base", name), title, unit, wanted=wanted)
+
+
+def _over_time(
+    source: Source,
+    parts: tuple[str, ...],
+    title: str,
+    unit: str,
+    *,
+    target: float | None = None,
+    wanted: Series | None = None,
+) -> Panel | None:
+    """Return a panel of one number; of a training, one line a sample, from pale (early) to dark (late)."""
+    series = source.maybe(*parts)
+    if series is None:
+        return None
+
+    def draw(axes: Axes) -> None:
+        if source.is_training:
+            _draw_samples(axes, source, series, wanted)
+        else:
+            _mark_ends(axes, source)
+            axes.plot(*broken(series, source.ends()), color=BLUE, label="actual")
+            if wanted is not None:
+                axes.plot(wanted.time, wanted.first, color=VERMILLION, linestyle=(0, (4, 2)), label="command")
+        if target is not None:
+            label = None if target == 0.0 else f"target {target:g}"
+            axes.axhline(target, color=GREEN, linewidth=1.2, linestyle=(0, (4, 2)), label=label)
+        over_time(axes, unit, relative=source.is_training)
+        if wanted is not None or target or source.is_training:
+            axes.legend(loc="best")
+
+    return Panel(f"{title} ({unit})", draw)
+
+
+def _draw_samples(axes: Axes, source: Source, series: Series, wanted: Series | None) -> None:
+    samples = source.shown_samples()
+    for sample, shade in zip(samples, shades(len(samples)), strict=True):
+        part = sample.of(series)
+        if not len(part.step):
+            continue
+        time, values = broken(part, source.ends())
+        axes.plot(time - part.time[0], values, color=shade, label=_label(sample))
+        if wanted is not None:
+            told = sample.of(wanted)
+            axes.plot(told.time - part.time[0], told.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
+
+
+def _label(sample: Sample) -> str:
+    return f"step {sample.first}" if sample.iteration is None else f"iteration {sample.iteration}"
+
+
+def _mark_ends(axes: Axes, source: Source) -> None:
+    clock, ends = source.clock(), source.ends()
+    if clock is not None:
+        for moment in clock.time[np.isin(clock.step, ends)]:
+            axes.axvline(moment, color=FAILED, linewidth=0.8, alpha=0.5, gid="end")
+
+
+def _last(source: Source, series: Series) -> Series:
+    """Return a training's last sample, and anything else whole."""
+    samples = source.samples() if source.is_training else []
+    return samples[-1].of(series) if samples else series
+
+
+def _pair(source: Source, actual: str, target: str) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        for entity, shade, width, label in ((target, ORANGE, 0.9, "target"), (actual, BLUE, 1.4, "actual")):
+            series = _last(source, source.series(entity))
+            axes.plot(*broken(series, source.ends()), color=shade, linewidth=width, label=label)
+        over_time(axes)
+        axes.legend(loc="upper right", ncols=2)
+
+    return draw
+
+
+def _effort(source: Source, entity: str, limit: float | None) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        series = _last(source, source.series(entity))
+        axes.plot(*broken(series, source.ends()), color=BLUE, linewidth=1.0)
+        over_time(axes)
+        if limit is not None and np.isfinite(limit):
+            axes.set_ylim(*_padded(-limit, limit, 0.12))
+            for bound in (-limit, limit):
+                axes.axhline(bound, color=FAILED, linewidth=1.0, linestyle=(0, (4, 2)))
+            axes.annotate(
+                f"limit ±{limit:g}", (1, limit), xycoords=("axes fraction", "data"), ha="right", va="top",
+                fontsize=8, color=FAILED, xytext=(0, -2), textcoords="offset points",
+            )  # fmt: skip
+
+    return draw
+
+
+def _peak(source: Source, sensor: str, series: Series) -> Series | None:
+    """Return the largest forces within each step, row by row beside those at its end; None when not recorded so."""
+    peak = source.maybe("contacts", sensor, "peak")
+    if peak is None or peak.values.shape != series.values.shape or not np.array_equal(peak.step, series.step):
+        return None
+    return _last(source, peak)
+
+
+def _force(source: Source, series: Series, peak: Series | None, column: int, top: float) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        time, values = broken(series, source.ends(), column)
+        axes.fill_between(time, values, color=BLUE, alpha=0.18, linewidth=0)
+        axes.plot(time, values, color=BLUE, linewidth=1.1, label="end of the step")
+        if peak is not None:
+            axes.plot(*broken(peak, source.ends(), column), color=ORANGE, linewidth=0.8, label="largest in the history")
+            axes.legend(loc="upper right", ncols=2)
+        over_time(axes)
+        axes.set_ylim(0, (1.08 if peak is None else 1.3) * top)
+
+    return draw
+
+
+def _line(source: Source, series: Series) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        shown = _last(source, series)
+        axes.plot(*broken(shown, source.ends()), color=BLUE, linewidth=1.2)
+        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        over_time(axes)
+
+    return draw
+
+
+def _words(title: str, names: Sequence[str]) -> Panel:
+    def draw(axes: Axes) -> None:
+        axes.axis("off")
+        text = textwrap.fill(", ".join(names), 110)
+        axes.text(0, 0.95, text, va="top", transform=axes.transAxes, color=MUTED, fontsize=9)
+
+    return Panel(title, draw, height=0.45 + 0.15 * (sum(map(len, names)) // 110), wide=True)
+
+
+def _padded(low: float, high: float, part: float = 0.01) -> tuple[float, float]:
+    room = part * (high - low) or 0.5
+    return low - room, high + room

@@ -1,0 +1,312 @@
+"""Data for plots: the numbers of a recording by entity, cut into samples and episodes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.inspection.row_selection import Selection
+from wheelleg_exp.plain_data import Unreadable, yaml_value
+from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP, TRAINING, join
+from wheelleg_exp.recording.reading.arrow_values import as_number
+from wheelleg_exp.recording.reading.number_groups import is_numeric
+from wheelleg_exp.recording.reading.recording_reader import Recording
+
+Numbers = NDArray[np.float64]
+Scalars = Mapping[str, tuple[Any, Any]]
+_LARGEST = 1e100
+_LONGEST_CONFIG = 1 << 20  # letters
+
+
+@dataclass(frozen=True)
+class Series:
+    """Numbers over time.
+
+    Attributes:
+        step: control steps, (n,).
+        time: simulated time, s, (n,).
+        iteration: training iterations, (n,), or None.
+        values: the numbers, (n, width).
+        names: one a number.
+    """
+
+    step: NDArray[np.int64]
+    time: Numbers
+    iteration: NDArray[np.int64] | None
+    values: Numbers
+    names: tuple[str, ...]
+
+    def rows(self, which: Any) -> Series:
+        """Return some of the rows."""
+        iteration = None if self.iteration is None else self.iteration[which]
+        return Series(self.step[which], self.time[which], iteration, self.values[which], self.names)
+
+    @property
+    def first(self) -> Numbers:
+        """The first number, (n,)."""
+        return self.values[:, 0]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A stretch of steps recorded without a gap.
+
+    Attributes:
+        first: its first step.
+        last: its last step.
+        iteration: the training iteration at its beginning, or None.
+    """
+
+    first: int
+    last: int
+    iteration: int | None
+
+    def of(self, series: Series) -> Series:
+        """Return the rows of a series within the sample."""
+        return series.rows((series.step >= self.first) & (series.step <= self.last))
+
+
+class Source:
+    """A recording as plots see it.
+
+    Args:
+        recording: the recording.
+        env: which recorded environment; by default the selection's, else the first.
+        selection: which rows.
+
+    Attributes:
+        env_id: the environment.
+
+    Raises:
+        RunDirectoryError: that environment was not recorded.
+    """
+
+    def __init__(self, recording: Recording, env: int | None = None, selection: Selection | None = None) -> None:
+        self.recording = recording
+        self.selection = Selection() if selection is None else selection
+        env = self.selection.env_id if env is None else env
+        self.env_id = recording.env_ids[0] if env is None else env
+        self._entities = recording.entities()
+        self.branch = recording.branch(env)
+        self.config = _config(recording)
+
+    @property
+    def whose(self) -> str:
+        """Which of several recorded environments it is, in words; empty when one alone was recorded."""
+        return f"environment {self.env_id}" if len(self.recording.env_ids) > 1 else ""
+
+    def path(self, *parts: str) -> str:
+        """Return the path of something of the environment."""
+        return join(self.branch, *parts)
+
+    def has(self, entity: str) -> bool:
+        """Return whether something was recorded over time at an entity."""
+        return self.recording.has_rows(entity)
+
+    def below(self, *parts: str) -> list[str]:
+        """Return the names of what stands directly below a path: in the environment's order, where it was recorded."""
+        root = self.path(*parts)
+        found, statics = self.children(root), self.recording.static(root)
+        order = [str(name) for name in statics.get("terms", statics.get("names", []))]
+        return sorted(found, key=lambda name: order.index(name) if name in order else len(order))
+
+    def children(self, root: str) -> list[str]:
+        """Return the names of what stands directly below an entity."""
+        head = f"{root}/"
+        tails = (e.removeprefix(head) for e in self._entities if e.startswith(head))
+        return list(dict.fromkeys(_plain(tail.split("/")[0]) for tail in tails))
+
+    def find(self, term: str) -> str | None:
+        """Return the entity that a dotted name means, None when there is none.
+
+        ``rewards.base_height`` is ``rewards/base_height`` of the environment; a training scalar may be written with
+        or without ``training.``, and with slashes.
+        """
+        parts = parts_of(term) if "/" in term else term.split(".")
+        for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
+            if self.has(entity):
+                return entity
+        return None
+
+    def series(self, entity: str) -> Series:
+        """Return the numbers of an entity.
+
+        Raises:
+            RunDirectoryError: there are none, or none is chosen.
+        """
+        found = self._series(entity)
+        if not found.values.size:
+            raise RunDirectoryError(f"no row of '{entity}' of '{self.recording.path}' is chosen")
+        return found
+
+    def _series(self, entity: str) -> Series:
+        values = drawable(self.recording.values(entity))
+        table = self.recording.table(entity)
+        names = self.recording.names(entity) or [entity.rsplit("/", 1)[-1]]
+        names += [f"{names[0]}[{i}]" for i in range(len(names), values.shape[1])]
+        iteration = _integers(table, ITERATION) if ITERATION in table.column_names else None
+        steps = _integers(table, STEP) if STEP in table.column_names else np.arange(len(table))
+        found = Series(steps, seconds(table), iteration, values, tuple(names[: values.shape[1]]))
+        return found.rows(chosen_rows(self.selection, found.step, found.time, found.iteration))
+
+    def maybe(self, *parts: str) -> Series | None:
+        """Return the numbers of something of the environment; None when there are none, or none is chosen."""
+        entity = self.path(*parts)
+        found = self._series(entity) if is_numeric(self.recording, entity) else None
+        return found if found is not None and found.values.size else None
+
+    def training(self) -> dict[str, tuple[Any, Any]]:
+        """Return iterations and values of every training scalar by its key, such as ``Loss/value``."""
+        found: dict[str, tuple[Any, Any]] = {}
+        for entity in self._entities:
+            if entity.startswith(f"{TRAINING}/") and is_numeric(self.recording, entity):
+                series = self._series(entity)
+                if not series.values.size:
+                    continue
+                x = series.iteration if series.iteration is not None else series.step
+                found[_plain(entity.removeprefix(f"{TRAINING}/"))] = (x, series.first)
+        return found
+
+    @property
+    def is_training(self) -> bool:
+        """Whether it records a training."""
+        return any(entity.startswith(f"{TRAINING}/") for entity in self._entities)
+
+    def samples(self) -> list[Sample]:
+        """Return the stretches that were recorded without a gap, in order of time."""
+        clock = self.clock()
+        if clock is None or not len(clock.step):
+            return []
+        cuts = [0, *(np.flatnonzero(np.diff(clock.step) > 1) + 1).tolist(), len(clock.step)]
+        return [_sample(clock, a, b) for a, b in pairwise(cuts)]
+
+    def shown_samples(self, count: int = 4) -> list[Sample]:
+        """Return the first sample, the last, and some between, evenly."""
+        samples = self.samples()
+        if len(samples) <= count:
+            return samples
+        picked = np.linspace(0, len(samples) - 1, count).round().astype(int)
+        return [samples[i] for i in dict.fromkeys(picked.tolist())]
+
+    def clock(self) -> Series | None:
+        """Return a series that has a row at every recorded step of the environment."""
+        for parts in (("state", "qpos"), ("base", "height"), ("rewards", "total")):
+            if (series := self.maybe(*parts)) is not None:
+                return series
+        return None
+
+    def fired(self) -> dict[str, Series]:
+        """Return each termination's flags by its name."""
+        found = {name: self.maybe("terminations", name) for name in self.below("terminations")}
+        return {name: series for name, series in found.items() if series is not None}
+
+    def ends(self) -> NDArray[np.int64]:
+        """Return the steps at which episodes ended."""
+        steps = [series.step[series.first > 0] for series in self.fired().values()]
+        return np.unique(np.concatenate(steps)) if steps else np.empty(0, dtype=np.int64)
+
+    def weighted(self) -> dict[str, Series]:
+        """Return each reward term's weighted values, 1/s, by its name; the sum is left out."""
+        names = [name for name in self.below("rewards") if name != "total"]
+        found = {name: self.maybe("rewards", name) for name in names}
+        return {name: series for name, series in found.items() if series is not None}
+
+    def target_height(self) -> float | None:
+        """Return the base height that a reward term asks for, m, when the kept config has one."""
+        for term in _mapping(_mapping(self.config.get("env")).get("rewards")).values():
+            height = as_number(_mapping(term).get("target_height"))
+            if height is not None:
+                return height
+        return None
+
+    def drive(self, joint: str, name: str) -> float | None:
+        """Return a number of a joint's drive, such as ``effort_limit``; None where it was not recorded."""
+        kept = self.recording.static(self.path("joints", joint)).get(name)
+        return as_number(kept[0]) if kept else None
+
+
+def broken(series: Series, ends: NDArray[np.int64], column: int = 0) -> tuple[Numbers, Numbers]:
+    """Return times and values with a gap after each step in ``ends``, so that no line is drawn across a reset."""
+    cuts = np.flatnonzero(np.isin(series.step, ends)) + 1
+    cuts = np.union1d(cuts, np.flatnonzero(np.diff(series.step) > 1) + 1)
+    cuts = cuts[cuts < len(series.step)]
+    time = np.insert(series.time, cuts, series.time[cuts] if len(cuts) else [])
+    return time, np.insert(series.values[:, column], cuts, np.nan)
+
+
+def chosen_rows(
+    selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
+) -> NDArray[np.intp]:
+    """Return the places of the rows that a selection chooses, by their moments."""
+    if selection.begin is None and selection.end is None and selection.iterations is None:
+        return np.arange(len(step))
+    columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}
+    if iteration is not None:
+        columns[ITERATION] = iteration
+    return np.asarray(selection.apply(pa.table(columns)).column("row"), dtype=np.intp)
+
+
+def drawable(values: Any) -> Numbers:
+    """Return numbers as they can be drawn: what is not finite, or too large for an axis, is a gap."""
+    found = np.asarray(values, dtype=np.float64)
+    return np.where(np.abs(found) < _LARGEST, found, np.nan)
+
+
+def mean_of(values: Any) -> float:
+    """Return the mean of the numbers that can be drawn; 0 without any."""
+    known = drawable(values)
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if len(known) else 0.0
+
+
+def seconds(table: pa.Table) -> Numbers:
+    """Return the simulated times of a table, s; zeros where it has none."""
+    if SIM_TIME not in table.column_names:
+        return np.zeros(len(table))
+    column = table.column(SIM_TIME).combine_chunks()
+    if pa.types.is_floating(column.type):
+        return np.asarray(column, dtype=np.float64)
+    return np.asarray(column.cast(pa.duration("ns")).cast(pa.int64()), dtype=np.float64) / 1e9
+
+
+def parts_of(entity: str) -> list[str]:
+    """Return the plain names along an entity path."""
+    return [_plain(part) for part in re.split(r"(?<!\\)/", entity.strip("/"))]
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"\\(.)", r"\1", name)
+
+
+def _integers(table: pa.Table, name: str) -> NDArray[np.int64]:
+    return np.asarray(table.column(name).combine_chunks().cast(pa.int64()).fill_null(-1), dtype=np.int64)
+
+
+def _sample(clock: Series, a: int, b: int) -> Sample:
+    iteration = None if clock.iteration is None else int(clock.iteration[a])
+    return Sample(int(clock.step[a]), int(clock.step[b - 1]), iteration)
+
+
+def _config(recording: Recording) -> dict[str, Any]:
+    """Return the composed config that is kept as a text, empty when there is none."""
+    text = recording.document("config")
+    if text is None or len(text) > _LONGEST_CONFIG:
+        return {}
+    body = re.sub(r"\A```\w*\n|```\s*\Z", "", text.strip())
+    try:
+        content = yaml_value(body)
+    except Unreadable:
+        return {}
+    return _mapping(content)
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

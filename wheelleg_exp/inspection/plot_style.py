@@ -1,0 +1,237 @@
+"""Style of plots: fonts, colours for colour-blind readers, panels in a grid, and reproducible files."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.text import Text
+
+from wheelleg_exp.errors import printable
+
+BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#A65698"
+ORANGE, SKY, BROWN, GREY = "#E69F00", "#56B4E9", "#7A5C3E", "#6B7280"
+PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BROWN, GREY)
+INK, MUTED, FAINT = "#1F2933", "#52606D", "#E4E7EB"
+FAILED = "#C2410C"
+
+# From light to dark, readable on white and in grey print: what was early is pale, what is late is dark.
+PROGRESS = LinearSegmentedColormap.from_list("progress", ("#9CC9E8", "#3D8FC4", "#0B4F7D", "#062B45"))
+
+PAGE_WIDTH, PANEL_HEIGHT = 9.6, 2.35
+_DPI = 150
+_COLUMNS = 2  # panels in a row, unless one is wide
+_MOST_PANELS = 200
+_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+_WEB_FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
+
+STYLE: Mapping[str, Any] = {
+    "font.family": ["sans-serif"],
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.0,
+    "text.color": INK,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 6.0,
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": MUTED,
+    "axes.edgecolor": "#9AA5B1",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.01,
+    "axes.formatter.use_mathtext": True,
+    "axes.formatter.limits": (-3, 4),
+    "grid.color": FAINT,
+    "grid.linewidth": 0.8,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 0.0,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
+    "legend.fontsize": 8.0,
+    "legend.frameon": True,
+    "legend.framealpha": 0.8,
+    "legend.edgecolor": "none",
+    "legend.borderpad": 0.2,
+    "legend.handlelength": 1.6,
+    "legend.labelspacing": 0.25,
+    "figure.facecolor": "white",
+    "figure.dpi": 100.0,
+    "figure.constrained_layout.use": True,
+    "figure.constrained_layout.h_pad": 0.06,
+    "figure.constrained_layout.w_pad": 0.06,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "wheelleg",
+    "pdf.fonttype": 42,
+    "path.simplify": True,
+    "text.parse_math": False,  # a name may hold any sign
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One small picture of one subject.
+
+    Attributes:
+        title: what it shows, with the unit.
+        draw: draws it into axes that are styled and titled.
+        height: in, where its figure leaves the choice.
+        wide: whether it takes a whole row.
+    """
+
+    title: str
+    draw: Callable[[Axes], None]
+    height: float = PANEL_HEIGHT
+    wide: bool = False
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Apply the style and, afterwards, whatever the process had before."""
+    with mpl.rc_context(rc={**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **STYLE}):
+        yield
+
+
+@contextmanager
+def _saved(figure: Figure) -> Iterator[None]:
+    """Let the body draw a figure: names with signs that no XML may hold, or that the font lacks, are no matter."""
+    for text in figure.findobj(Text):
+        text.set_text(printable(text.get_text()))
+    with styled(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of signs, and of titles that are too long
+        yield
+
+
+def colour(index: int) -> str:
+    """Return the ``index``-th colour for things without an order."""
+    return PALETTE[index % len(PALETTE)]
+
+
+def shades(count: int) -> list[Any]:
+    """Return ``count`` colours from pale to dark, for things in an order of time."""
+    if count == 1:
+        return [BLUE]
+    return [PROGRESS(i / (count - 1)) for i in range(count)]
+
+
+def tile(
+    panels: Sequence[Panel],
+    *,
+    title: str | None = None,
+    size: tuple[float, float] | None = None,
+) -> Figure:
+    """Return a figure of panels, side by side.
+
+    Args:
+        panels: what it shows, at least one.
+        title: a line above them.
+        size: width and height, in; by default as wide as a page, as high as the panels ask for.
+    """
+    with styled():
+        return _tiled([(title, panels)], size)
+
+
+def page(sections: Sequence[tuple[str, Sequence[Panel]]]) -> Figure:
+    """Return one figure of several titled groups of panels, from top to bottom."""
+    with styled():
+        return _tiled(sections)
+
+
+def figure_svg(figure: Figure) -> str:
+    """Return a figure as an SVG document: the same text for the same figure, without a date.
+
+    Letters stay text, in the reader's own font; the root has a ``viewBox``, so that a page may scale it.
+    """
+    with _saved(figure):
+        buffer = io.StringIO()
+        nothing: Mapping[str, Any] = {"Date": None, "Creator": None, "Format": None, "Type": None}
+        FigureCanvasSVG(figure).print_svg(buffer, metadata=dict(nothing))
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]  # an XML declaration has no place inside HTML
+    text = re.sub(r"font: ((?:[a-z0-9]+ )*[\d.]+px) [^;\"]+", rf"font: \1 {_WEB_FONTS}", text)
+    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
+    return re.sub(r' d="[^"]+"', lambda path: _NUMBER.sub(_short, path[0]), text)
+
+
+def _short(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
+
+
+def figure_bytes(figure: Figure, kind: str) -> bytes:
+    """Return a figure as the bytes of a file of ``kind``: png, svg or pdf, without a date."""
+    if kind == "svg":
+        head = '<?xml version="1.0" encoding="utf-8" standalone="no"?>\n'
+        return (head + figure_svg(figure)).encode()
+    buffer = io.BytesIO()
+    metadata: dict[str, Any] = {"CreationDate": None} if kind == "pdf" else {"Software": None}
+    with _saved(figure):
+        FigureCanvasAgg(figure)
+        figure.savefig(buffer, format=kind, dpi=_DPI, metadata=metadata)
+    return buffer.getvalue()
+
+
+def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[float, float] | None = None) -> Figure:
+    sections = [(title, _shown(panels)) for title, panels in sections]
+    rows = [_rows(panels) for _, panels in sections]
+    heights = [sum(max(p.height for p in row) for row in section) for section in rows]
+    heights = [height + (0.35 if title else 0.0) for height, (title, _) in zip(heights, sections, strict=True)]
+    width = PAGE_WIDTH if max(map(len, (p for s in rows for p in s))) > 1 else PAGE_WIDTH / 1.6
+    figure = Figure(figsize=size or (width, sum(heights)))
+    parts: list[Any] = [figure]
+    if len(sections) > 1:
+        grid: Any = figure.subfigures(len(sections), 1, height_ratios=heights)
+        parts = list(grid)
+    for part, (title, _), section in zip(parts, sections, rows, strict=True):
+        if title:
+            part.suptitle(title, x=0.012, ha="left", fontsize=12, fontweight="bold", color=INK)
+        _fill(part, section)
+    return figure
+
+
+def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
+    """Return as many panels as a figure can hold, the last of which says how many there are beyond."""
+    if len(panels) <= _MOST_PANELS:
+        return panels
+    beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
+    return [*panels[:_MOST_PANELS], Panel(beyond, lambda axes: axes.set_axis_off(), height=0.4, wide=True)]
+
+
+def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
+    rows: list[list[Panel]] = []
+    for panel in panels:
+        fits = rows and len(rows[-1]) < _COLUMNS and not panel.wide and not rows[-1][-1].wide
+        if fits:
+            rows[-1].append(panel)
+        else:
+            rows.append([panel])
+    return rows
+
+
+def _fill(part: Figure | SubFigure, rows: Sequence[Sequence[Panel]]) -> None:
+    lcm = math.lcm(*(1 if row[0].wide else max(len(r) for r in rows) for row in rows))
+    grid = part.add_gridspec(len(rows), lcm, height_ratios=[max(p.height for p in row) for row in rows])
+    for i, row in enumerate(rows):
+        span = lcm if row[0].wide else lcm // max(len(r) for r in rows)
+        for j, panel in enumerate(row):
+            axes = part.add_subplot(grid[i, j * span : (j + 1) * span])
+            axes.set_title(panel.title)
+            panel.draw(axes)

@@ -1,0 +1,455 @@
+"""Scene of a recording as plain arrays: shapes, poses, arrows, camera, and captions, from the recording alone."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, reduce
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.inspection.plot_data import Numbers, Sample, Source, seconds
+from wheelleg_exp.recording.layout import GROUND, ITERATION, OVERLAY, STEP, WORLD, join
+from wheelleg_exp.recording.reading.arrow_values import as_number
+from wheelleg_exp.rendering import render_scene
+from wheelleg_exp.rendering.render_scene import FAR, Array, Ground, Scene, Shape, moved, points, rotated
+
+_GREY = (0.6, 0.62, 0.65, 1.0)
+_IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+def shapes_in(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> Iterator[Shape]:
+    """Yield the shapes of one entity, which may hold several of a kind; what has no size or place is left out."""
+    found = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
+    return filter(_is_drawable, found)
+
+
+def _is_drawable(shape: Shape) -> bool:
+    numbers = np.asarray([*shape.size, *shape.pos], dtype=np.float64)
+    if shape.vertices is None or shape.faces is None:
+        return bool((np.abs(numbers) < FAR).all())
+    corners, faces = np.append(shape.vertices.ravel(), numbers), shape.faces
+    return bool(faces.size and (np.abs(corners) < FAR).all() and faces.max() < len(shape.vertices))
+
+
+def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> Iterator[Shape]:
+    sizes = statics.get("half_sizes") or list(zip(*(statics.get(n) or [] for n in ("radii", "lengths")), strict=False))
+    for i in range(len(sizes)):
+        pos = tuple(_at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0)))
+        quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
+        rgba = rgba_of(_at(statics, ("colors",), i, None))
+        if "half_sizes" in statics:  # boxes and ellipsoids differ by name alone
+            kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
+            yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
+        else:
+            yield _round(statics, i, pos, quat, rgba)
+
+
+def _round(
+    statics: Mapping[str, list[Any]], i: int, pos: tuple[float, ...], quat: tuple[float, ...], rgba: tuple[float, ...]
+) -> Shape:
+    radius, half = float(statics["radii"][i]), float(statics["lengths"][i]) / 2
+    if "centers" in statics:
+        return Shape("cylinder", (radius, half), pos, quat, rgba)
+    # A recorded capsule begins at the centre of one cap; here it is centred.
+    centre = np.asarray(pos) + rotated(quat, np.array([0.0, 0.0, half]))
+    return Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
+
+
+def _meshes(statics: Mapping[str, list[Any]]) -> Iterator[Shape]:
+    vertices = np.asarray(statics["vertex_positions"], dtype=np.float64)
+    own = np.arange(len(vertices) - len(vertices) % 3)
+    faces = np.asarray(statics.get("triangle_indices") or own, dtype=np.int64).reshape(-1, 3)
+    normals = statics.get("vertex_normals")
+    normals = normals if normals is not None and len(normals) == len(vertices) else None
+    shade = rgba_of((statics.get("albedo_factor") or [None])[0])
+    for i in range(max(1, len(statics.get("translations") or []))):
+        yield Shape(
+            "mesh",
+            (),
+            tuple(_at(statics, ("translations",), i, (0.0, 0.0, 0.0))),
+            _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0))),
+            shade,
+            vertices,
+            faces,
+            None if normals is None else np.asarray(normals, dtype=np.float64),
+        )
+
+
+def _at(statics: Mapping[str, list[Any]], names: Sequence[str], i: int, otherwise: Any) -> Any:
+    for name in names:
+        if values := statics.get(name):
+            return values[min(i, len(values) - 1)]
+    return otherwise
+
+
+def rgba_of(packed: Any) -> tuple[float, ...]:
+    """Return a colour, 0 to 1, of a number 0xRRGGBBAA; grey for None."""
+    if packed is None:
+        return _GREY
+    return tuple(((int(packed) >> shift) & 255) / 255 for shift in (24, 16, 8, 0))
+
+
+def _wxyz(xyzw: Any) -> tuple[float, ...]:
+    x, y, z, w = (float(v) for v in xyzw)
+    return (w, x, y, z) if np.isfinite((x, y, z, w)).all() and (x, y, z, w) != (0, 0, 0, 0) else _IDENTITY
+
+
+_ARROWS = {"actual": "velocity", "command": "commanded velocity"}
+
+
+@dataclass(frozen=True)
+class Arrows:
+    """Arrows of one kind: a colour, a radius, m, and for each frame their origins and vectors, (k, 3), m."""
+
+    name: str
+    rgba: tuple[float, ...]
+    radius: float
+    origins: Sequence[Numbers]
+    vectors: Sequence[Numbers]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the scene moves, frame by frame.
+
+    Attributes:
+        step: control steps, (n,).
+        time: simulated time, s, (n,).
+        iteration: training iterations, (n,), or None.
+        pos: positions of the bodies, m, (n, B, 3).
+        quat: their orientations, wxyz, (n, B, 4).
+        arrows: what is drawn over the scene.
+        commands: velocity command, by the name of each number, (n,).
+    """
+
+    step: NDArray[np.int64]
+    time: Numbers
+    iteration: NDArray[np.int64] | None
+    pos: Numbers
+    quat: Numbers
+    arrows: Sequence[Arrows] = field(default=())
+    commands: Mapping[str, Numbers] = field(default_factory=dict)
+
+    def iteration_at(self, row: int) -> int | None:
+        """Return the training iteration of a frame, None where there is none."""
+        known = self.iteration is not None and self.iteration[row] >= 0
+        return int(self.iteration[row]) if known and self.iteration is not None else None
+
+
+def scene_of(source: Source) -> Scene:
+    """Return the shapes of a recording.
+
+    Raises:
+        RunDirectoryError: the recording holds no robot.
+    """
+    bodies = {name: list(_shapes_below(source, source_body(source, name))) for name in _bodies(source)}
+    if not any(bodies.values()):
+        said = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
+        raise RunDirectoryError(
+            f"'{source.recording.path}' holds no robot that moves{said}",
+            expected="a recording of at least one whole step",
+        )
+    fixed = list(_shapes_below(source, f"{GROUND}/terrain"))
+    offset = source.recording.static(f"{GROUND}/terrain").get("translation") or [[0.0, 0.0, 0.0]]
+    terrain = [moved(shape, offset[0]) for shape in fixed]
+    return Scene(bodies, terrain, _ground(source), _root(source, list(bodies)), _size(source, bodies))
+
+
+def motion_of(source: Source, scene: Scene) -> Motion:
+    """Return the recorded motion of a scene; a pose that is not finite is the last one that was.
+
+    Raises:
+        RunDirectoryError: the bodies have no step in common.
+    """
+    tables = _at_common_steps([source.recording.table(source_body(source, name)) for name in scene.bodies])
+    first = tables[0]
+    if not len(first):
+        raise RunDirectoryError(
+            f"the bodies of '{source.recording.path}' were never recorded at one step", expected="a whole recording"
+        )
+    step = np.asarray(first.column(STEP).combine_chunks())
+    pos = np.stack([_last_finite(_vectors(t, "translation", 3)) for t in tables], axis=1)
+    quat = np.stack([_last_finite(_vectors(t, "quaternion", 4)) for t in tables], axis=1)[..., [3, 0, 1, 2]]
+    iteration = None
+    if ITERATION in first.column_names:
+        iteration = np.asarray(first.column(ITERATION).combine_chunks().cast(pa.int64()).fill_null(-1))
+    arrows = list(_arrows(source, step))
+    return Motion(step, seconds(first), iteration, pos, quat, arrows, _commands(source, step))
+
+
+def source_body(source: Source, name: str) -> str:
+    """Return the entity of a body."""
+    return join(WORLD, source.branch, name)
+
+
+def frames_of(motion: Motion, sample: Sample) -> NDArray[np.intp]:
+    """Return the rows of a motion that belong to a sample."""
+    return np.flatnonzero((motion.step >= sample.first) & (motion.step <= sample.last))
+
+
+def _at_common_steps(tables: Sequence[pa.Table]) -> list[pa.Table]:
+    """Return the rows of the steps that all have: a file that was cut off may end with the rows of some bodies."""
+    steps = [np.asarray(table.column(STEP)) for table in tables]
+    if all(np.array_equal(own, steps[0]) for own in steps):
+        return list(tables)
+    common = reduce(np.intersect1d, steps)
+    return [table.take(np.searchsorted(own, common)) for table, own in zip(tables, steps, strict=True)]
+
+
+def _bodies(source: Source) -> list[str]:
+    root = join(WORLD, source.branch) if source.branch else WORLD
+    return [name for name in source.children(root) if _has_poses(source, source_body(source, name))]
+
+
+def _has_poses(source: Source, entity: str) -> bool:
+    return source.has(entity) and {STEP, "translation", "quaternion"} <= source.recording.columns(entity)
+
+
+def _root(source: Source, names: list[str]) -> int:
+    """Return the base: by the recording's properties, else the body whose height is the recorded one's."""
+    known = _property(source, "root")
+    if known and str(known[0]) in names:
+        return names.index(str(known[0]))
+    height = source.maybe("base", "height")
+    if height is None or not len(height.step):
+        return 0
+    lifts = [_vectors(source.recording.table(source_body(source, name)), "translation", 3)[:, 2] for name in names]
+    distance = [float(np.abs(lift[: len(height.first)] - height.first[: len(lift)]).max()) for lift in lifts]
+    return int(np.argmin(distance))
+
+
+def _property(source: Source, name: str) -> list[Any]:
+    properties = getattr(source.recording, "properties", {})
+    robot = properties.get("robot", {}) if isinstance(properties, Mapping) else {}
+    value = robot.get(name) if isinstance(robot, Mapping) else None
+    return [] if value is None else (value if isinstance(value, list) else [value])
+
+
+def _size(source: Source, bodies: Mapping[str, Sequence[Shape]]) -> float:
+    height = as_number(next(iter(_property(source, "height")), None))
+    if height is not None and 0.0 < height < FAR:
+        return height
+    tables = [source.recording.table(source_body(source, name)) for name in bodies]
+    pos = np.stack([_vectors(t, "translation", 3)[0] for t in tables])
+    quat = np.stack([_vectors(t, "quaternion", 4)[0] for t in tables])[:, [3, 0, 1, 2]]
+    height = np.ptp(points(Scene(bodies, (), None, 0, 1.0), pos, quat)[:, 2])
+    return max(float(height), 0.01)
+
+
+def _shapes_below(source: Source, root: str) -> Iterator[Shape]:
+    head = f"{root}/"
+    for entity in source.recording.entities():
+        tail = entity.removeprefix(head)
+        if entity.startswith(head) and "/" not in tail.replace("\\/", ""):
+            yield from shapes_in(source.recording.static(entity), source.recording.archetypes(entity))
+
+
+def _ground(source: Source) -> Ground | None:
+    statics = source.recording.static(GROUND)
+    vertices = np.asarray(statics.get("vertex_positions") or [], dtype=np.float64)
+    if len(vertices) < 2 or not source.has(GROUND) or "translation" not in source.recording.columns(GROUND):
+        return None
+    height = float(_vectors(source.recording.table(GROUND), "translation", 3)[-1, 2])
+    tile = float(np.linalg.norm(vertices[1] - vertices[0]))
+    return Ground(height, tile) if abs(height) < FAR and 0.0 < tile < FAR else None
+
+
+def _arrows(source: Source, step: NDArray[np.int64]) -> Iterator[Arrows]:
+    root = join(OVERLAY, source.branch) if source.branch else OVERLAY
+    for group in ("contacts", "velocity"):
+        for name in source.children(f"{root}/{group}"):
+            entity = f"{root}/{group}/{join(name)}"
+            if source.has(entity) and {STEP, "origins", "vectors"} <= source.recording.columns(entity):
+                yield _arrows_at(source, entity, _ARROWS.get(name, "contact force"), step)
+
+
+def _arrows_at(source: Source, entity: str, name: str, step: NDArray[np.int64]) -> Arrows:
+    table, statics = source.recording.table(entity), source.recording.static(entity)
+    rows = {int(s): i for i, s in enumerate(np.asarray(table.column(STEP)))}
+    pairs = [_pairs(*ends) for ends in zip(*(_ragged(table, name) for name in ("origins", "vectors")), strict=True)]
+    origins, vectors = ([pair[i] for pair in pairs] for i in (0, 1))
+    empty = np.empty((0, 3))
+
+    def of(values: list[Numbers]) -> list[Numbers]:
+        return [values[rows[int(s)]] if int(s) in rows else empty for s in step]
+
+    radius = float((statics.get("radii") or [0.002])[0])
+    return Arrows(name, rgba_of((statics.get("colors") or [None])[0]), radius, of(origins), of(vectors))
+
+
+def _pairs(origins: Numbers, vectors: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the arrows that have both ends."""
+    count = min(len(origins), len(vectors))
+    both = np.concatenate((origins[:count], vectors[:count]), axis=1)
+    both = both[(np.abs(both) < FAR).all(axis=1)]
+    return both[:, :3], both[:, 3:]
+
+
+def _commands(source: Source, step: NDArray[np.int64]) -> dict[str, Numbers]:
+    for command in source.below("commands"):
+        found = {name: source.maybe("commands", command, name) for name in ("v_x", "v_y", "w_z")}
+        known = {name: series for name, series in found.items() if series is not None}
+        if known:
+            return {n: np.interp(step, s.step, s.first) if len(s.step) else s.first for n, s in known.items()}
+    return {}
+
+
+def _vectors(table: pa.Table, name: str, width: int) -> Numbers:
+    """Return the first vector of each row of a component, (n, width); NaN where a row has none."""
+    rows = [row[:1] if len(row) else np.full((1, width), np.nan) for row in _ragged(table, name, width)]
+    return np.concatenate(rows) if rows else np.empty((0, width))
+
+
+def _ragged(table: pa.Table, name: str, width: int = 3) -> list[Numbers]:
+    """Return a component that holds any number of vectors a row, (k, width) each."""
+    column = table.column(name).combine_chunks()
+    lengths = np.asarray(pc.fill_null(pc.list_value_length(column), 0), dtype=np.int64)
+    flat = np.asarray(column.flatten().flatten(), dtype=np.float64)
+    return np.split(flat.reshape(-1, width), np.cumsum(lengths)[:-1]) if len(lengths) else []
+
+
+def _last_finite(rows: Numbers) -> Numbers:
+    fine = (np.abs(rows) < FAR).all(axis=1)
+    if fine.all() or not fine.any():
+        return np.where(np.abs(rows) < FAR, rows, 0.0)
+    last = np.maximum.accumulate(np.where(fine, np.arange(len(rows)), np.argmax(fine)))
+    return rows[last]
+
+
+_SMOOTH_S = 0.2
+_LOOKED_AT = 12
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that keeps its distance, m, and direction; what it looks at moves: (n, 3), m, one a frame."""
+
+    distance: float
+    lookat: Array
+
+
+def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) -> Camera:
+    """Return a camera for the chosen frames of a motion.
+
+    Args:
+        scene: the shapes.
+        motion: how they move.
+        rows: the frames, in order.
+        aspect: width of the picture over its height.
+    """
+    root = motion.pos[rows, scene.root]
+    seen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LOOKED_AT)).round().astype(int)]
+    clouds = [points(scene, motion.pos[i], motion.quat[i]) - motion.pos[i, scene.root] for i in seen]
+    low = np.median([cloud.min(axis=0) for cloud in clouds], axis=0)
+    high = np.median([cloud.max(axis=0) for cloud in clouds], axis=0)
+    centre = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
+    distance = max(render_scene.camera_distance(cloud - centre, aspect) for cloud in clouds)
+    return Camera(distance, _smoothed(root, motion.time[rows], scene.size) + centre)
+
+
+def _smoothed(path: Array, time: Array, size: float) -> Array:
+    """Return a path without its shaking; it is cut where the robot was put somewhere else."""
+    jumped = np.linalg.norm(np.diff(path, axis=0), axis=1) > size
+    cuts = np.flatnonzero(jumped) + 1
+    parts = np.split(np.arange(len(path)), cuts)
+    return np.concatenate([_gauss(path[part], time[part]) for part in parts if len(part)])
+
+
+def _gauss(path: Array, time: Array) -> Array:
+    if len(path) < 3:
+        return path
+    spacing = max(float(np.median(np.diff(time))), 1e-6)
+    reach = max(1, int(np.ceil(3 * _SMOOTH_S / spacing)))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / _SMOOTH_S) ** 2)
+    padded = np.pad(path, ((reach, reach), (0, 0)), mode="edge")
+    return np.stack([np.convolve(column, kernel / kernel.sum(), mode="valid") for column in padded.T], axis=1)
+
+
+_INK, _BACK = (31, 41, 51, 255), (255, 255, 255, 205)
+_COMMANDS = (("v_x", "forward", "m/s"), ("v_y", "sideways", "m/s"), ("w_z", "turning", "rad/s"))
+
+
+def caption_lines(motion: Motion, row: int, env_id: int | None = None) -> list[str]:
+    """Return what is said of a frame: environment, iteration, time, and the command if there ever was one."""
+    said = [f"t = {motion.time[row]:.2f} s"]
+    if (iteration := motion.iteration_at(row)) is not None:
+        said.insert(0, f"iteration {iteration}")
+    if env_id is not None:
+        said.insert(0, f"environment {env_id}")
+    told = [
+        f"{word} {motion.commands[name][row]:+.2f} {unit}"
+        for name, word, unit in _COMMANDS
+        if name in motion.commands and np.any(np.abs(np.nan_to_num(motion.commands[name])) > 1e-9)
+    ]
+    return [" · ".join(said), *(["command: " + ", ".join(told)] if told else [])]
+
+
+def arrow_legend(motion: Motion) -> dict[str, tuple[float, ...]]:
+    """Return the meaning and the colour of the arrows that are ever seen."""
+    return {a.name: a.rgba for a in motion.arrows if any(np.abs(v).max(initial=0.0) > 0 for v in a.vectors)}
+
+
+def write_caption(
+    pixels: NDArray[np.uint8], texts: Sequence[str], colours: Mapping[str, tuple[float, ...]]
+) -> NDArray[np.uint8]:
+    """Return a picture (h, w, 3) with texts at its lower left and the meaning of arrows at its lower right."""
+    image = Image.fromarray(pixels).convert("RGBA")
+    layer = Image.new("RGBA", image.size, (0, 0, 0, 0))
+    draw = ImageDraw.Draw(layer)
+    size = max(11, round(min(image.height / 34, image.width / 46)))
+    font, pad = _font(size), round(0.55 * size)
+    _texts(draw, texts, font, pad, image.height)
+    _legend(draw, colours, font, pad, image.size)
+    return np.asarray(Image.alpha_composite(image, layer).convert("RGB"))
+
+
+def _texts(
+    draw: ImageDraw.ImageDraw, texts: Sequence[str], font: ImageFont.FreeTypeFont, pad: int, height: int
+) -> None:
+    if not texts:
+        return
+    step = round(1.35 * font.size)
+    width = max(draw.textlength(text, font) for text in texts)
+    top = height - 2 * pad - len(texts) * step - pad
+    draw.rounded_rectangle((pad, top, pad + width + 2 * pad, height - pad), round(0.6 * pad), fill=_BACK)
+    for i, text in enumerate(texts):
+        draw.text((2 * pad, top + 0.6 * pad + i * step), text, _INK, font)
+
+
+def _legend(
+    draw: ImageDraw.ImageDraw,
+    colours: Mapping[str, tuple[float, ...]],
+    font: ImageFont.FreeTypeFont,
+    pad: int,
+    size: tuple[int, int],
+) -> None:
+    if not colours:
+        return
+    width, height = size
+    step = round(1.35 * font.size)
+    wide = max(draw.textlength(name, font) for name in colours) + 1.6 * font.size
+    left, top = width - wide - 3 * pad, height - 3 * pad - len(colours) * step
+    draw.rounded_rectangle((left, top, width - pad, height - pad), round(0.6 * pad), fill=_BACK)
+    for i, (name, rgba) in enumerate(colours.items()):
+        y = top + 0.6 * pad + i * step
+        shade = tuple(round(255 * part) for part in rgba[:3])
+        middle = y + 0.62 * font.size
+        draw.line(
+            (left + pad, middle, left + pad + 1.1 * font.size, middle), (*shade, 255), max(2, round(font.size / 5))
+        )
+        draw.text((left + pad + 1.6 * font.size, y), name, _INK, font)
+
+
+@lru_cache
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    """Return the font that matplotlib brings, so that pictures are the same everywhere."""
+    return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf", size)

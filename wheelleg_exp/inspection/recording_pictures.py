@@ -1,0 +1,314 @@
+"""Pictures of the robot, drawn by MuJoCo from a recording."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
+from wheelleg_exp.files import require_new, write_new
+from wheelleg_exp.inspection import recorded_scene
+from wheelleg_exp.inspection.plot_data import Sample, Source
+from wheelleg_exp.inspection.recorded_scene import Camera, Motion, follow_robot, frames_of, motion_of, scene_of
+from wheelleg_exp.inspection.row_selection import Length, parse_length
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.rendering.render_job import Arrow, Order, View
+from wheelleg_exp.rendering.render_scene import AZIMUTH, ELEVATION, Scene
+from wheelleg_exp.rendering.renderer import drawing
+
+_KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
+_FINER = 2  # drawn so many times larger and then shrunk, against jagged edges
+_SAMPLES = 4
+_LARGEST = 4096
+_SHORTEST, _LONGEST = 0.02, 1.2  # arrows, in robots' heights: shorter ones are left out, longer ones end there
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """A recording ready to be drawn: where it is from, its shapes, its motion, its samples.
+
+    Attributes:
+        env_id: which environment it is; None when one alone was recorded.
+    """
+
+    source: Source
+    scene: Scene
+    motion: Motion
+    samples: Sequence[Sample]
+
+    @property
+    def env_id(self) -> int | None:
+        """Which of several recorded environments it is; None when one alone was recorded."""
+        return self.source.env_id if len(self.source.recording.env_ids) > 1 else None
+
+
+def scenery(
+    recording: Recording, env: int | None = None, at: str | None = None, iteration: int | None = None
+) -> Scenery:
+    """Return what a recording shows of one of its environments.
+
+    Args:
+        recording: the recording.
+        env: which environment; by default that in which ``at`` happened first, else the first.
+        at: a moment in words, see ``screenshot``.
+        iteration: the training iteration in which that is looked for.
+
+    Raises:
+        RunDirectoryError: it holds no moving robot, or not that environment.
+    """
+    source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
+    scene = scene_of(source)
+    motion = motion_of(source, scene)
+    if not len(motion.step):
+        raise RunDirectoryError(f"'{recording.path}' holds no motion", expected="a recording with frames")
+    return Scenery(source, scene, motion, source.samples() or [_everything(motion)])
+
+
+def screenshot(
+    recording: Recording,
+    path: Path,
+    *,
+    time_s: float | None = None,
+    env: int | None = None,
+    width: int = 1280,
+    height: int = 720,
+    at: str | None = None,
+    iteration: int | None = None,
+    caption: bool = True,
+) -> float:
+    """Write a picture of the robot; whole or not at all.
+
+    Args:
+        recording: what it is drawn from.
+        path: the file: .png, .jpg or .webp; it must not be there yet.
+        time_s: the moment, simulated time, s; with ``iteration`` from where that begins. By default the middle of the
+            iteration, or of the last sample.
+        env: which recorded environment; by default the first, or that in which the term of ``at`` happened first.
+        width: px.
+        height: px.
+        at: the moment in words: ``1.5s``, ``400ms``, ``90steps``, or a term such as ``terminations.base_contact`` for
+            the first time that it is not zero.
+        iteration: the training iteration.
+        caption: whether time, command and the meaning of arrows are written into it.
+
+    Returns:
+        The simulated time of the picture, s.
+
+    Raises:
+        WheellegError: the moment, the size or the path is wrong, or nothing can be drawn on this machine.
+    """
+    _kind(Path(path))
+    shown = scenery(recording, env, at, iteration)
+    row = row_at(shown, time_s=time_s, at=at, iteration=iteration)
+    save(shown, row, path, width, height, caption=caption)
+    return float(shown.motion.time[row])
+
+
+def save(shown: Scenery, row: int, path: Path, width: int, height: int, *, caption: bool = True) -> None:
+    """Write the picture of a frame; whole or not at all (raises as ``screenshot``)."""
+    kind = _kind(Path(path))
+    buffer = io.BytesIO()
+    image = Image.fromarray(picture(shown, row, width, height, caption=caption))
+    image.save(buffer, kind, quality=92, optimize=kind == "PNG")
+    write_new(Path(path), buffer.getvalue())
+
+
+def picture(shown: Scenery, row: int, width: int, height: int, *, caption: bool = True) -> NDArray[np.uint8]:
+    """Return a picture (height, width, 3) of one frame.
+
+    Raises:
+        WheellegError: the size is wrong, or nothing can be drawn on this machine.
+    """
+    return pictures(shown, [row], width, height, caption=caption)[0]
+
+
+def pictures(
+    shown: Scenery, rows: Sequence[int], width: int, height: int, *, caption: bool = False
+) -> list[NDArray[np.uint8]]:
+    """Return a picture (height, width, 3) of each of some frames, all from the same distance.
+
+    Raises:
+        WheellegError: the size is wrong, or nothing can be drawn on this machine.
+    """
+    require_size(width, height)
+    finer = _FINER if _FINER * max(width, height) <= _LARGEST else 1
+    found = [_seen(shown, row, width / height) for row in rows]
+    distance = max((camera.distance for _, camera in found), default=0.0)
+    drawn = []
+    with drawing(Order(shown.scene, finer * width, finer * height, _SAMPLES)) as process:
+        for row, (place, camera) in zip(rows, found, strict=True):
+            pixels = process.draw(view(shown, row, camera.lookat[place], distance))
+            drawn.append(np.asarray(Image.fromarray(pixels).resize((width, height), Image.Resampling.LANCZOS)))
+    if not caption:
+        return drawn
+    colours = recorded_scene.arrow_legend(shown.motion)
+    texts = [recorded_scene.caption_lines(shown.motion, row, shown.env_id) for row in rows]
+    return [recorded_scene.write_caption(p, text, colours) for p, text in zip(drawn, texts, strict=True)]
+
+
+def view(shown: Scenery, row: int, lookat: NDArray[np.float64], distance: float) -> View:
+    """Return the view of a frame."""
+    motion, size = shown.motion, shown.scene.size
+    arrows = [
+        _arrow(kind.rgba, size, origin, vector)
+        for kind in motion.arrows
+        for origin, vector in zip(kind.origins[row], kind.vectors[row], strict=True)
+        if np.isfinite(vector).all() and np.linalg.norm(vector) > _SHORTEST * size
+    ]
+    return View(motion.pos[row], motion.quat[row], arrows, lookat, distance, AZIMUTH, ELEVATION)
+
+
+def _arrow(rgba: tuple[float, ...], size: float, origin: NDArray[np.float64], vector: NDArray[np.float64]) -> Arrow:
+    """Return an arrow, thinner where it is short, so that it stays one."""
+    length = float(np.linalg.norm(vector))
+    shown = min(length, _LONGEST * size)
+    return Arrow(rgba, min(0.016 * size, 0.12 * shown), origin, origin + vector * (shown / length))
+
+
+def row_at(shown: Scenery, *, time_s: float | None = None, at: str | None = None, iteration: int | None = None) -> int:
+    """Return the frame of a moment (see ``screenshot``).
+
+    Raises:
+        WheellegError: the moment is not in the recording.
+    """
+    times = shown.motion.time
+    everything = np.arange(len(times))
+    if at is not None:
+        length = _length(at)
+        if length is None:
+            return _row_of_term(shown, at, everything if iteration is None else _of_iteration(shown, iteration))
+        time_s = length.value * (_step_dt(shown) if length.is_steps else 1.0)
+    if iteration is not None:
+        rows = _of_iteration(shown, iteration)
+        if time_s is None:
+            return int(rows[len(rows) // 2])
+        return _nearest(times, frames_of(shown.motion, sample_at(shown, iteration)), time_s + float(times[rows[0]]))
+    if time_s is not None:
+        return _nearest(times, everything, time_s)
+    rows = frames_of(shown.motion, shown.samples[-1])
+    return int(rows[len(rows) // 2])
+
+
+def sample_at(shown: Scenery, iteration: int) -> Sample:
+    """Return the sample that was recorded at an iteration.
+
+    Raises:
+        WheellegError: there is none.
+    """
+    motion = shown.motion
+    if motion.iteration is not None:
+        for sample in shown.samples:
+            if np.any(motion.iteration[frames_of(motion, sample)] == iteration):
+                return sample
+    there = ", ".join(str(s.iteration) for s in shown.samples if s.iteration is not None) or "none"
+    raise WheellegError(
+        f"nothing was recorded at iteration {iteration}", expected=f"an iteration near a recorded sample: {there}"
+    )
+
+
+def _of_iteration(shown: Scenery, iteration: int) -> NDArray[np.intp]:
+    """Return the frames that were recorded during an iteration (WheellegError when there are none)."""
+    sample_at(shown, iteration)
+    return np.flatnonzero(shown.motion.iteration == iteration)
+
+
+def first_env(recording: Recording, at: str, iteration: int | None = None) -> int | None:
+    """Return the environment in which a term is first not zero; None for a time, or when it never is."""
+    if _length(at) is not None:
+        return None
+    found: dict[int, int] = {}
+    for env_id in recording.env_ids:
+        source = Source(recording, env_id)
+        entity = source.find(at)
+        steps = () if entity is None else _steps_of_term(source, entity, iteration).tolist()
+        if steps:
+            found[env_id] = steps[0]
+    return min(found, key=lambda env_id: found[env_id], default=None)
+
+
+def _length(words: str) -> Length | None:
+    """Return the moment that words such as ``1.5s`` say, None when they name something else."""
+    try:
+        return parse_length(words, "--at")
+    except WheellegError:
+        return None
+
+
+def _step_dt(shown: Scenery) -> float:
+    """Return what a control step lasts, s."""
+    return shown.source.recording.step_dt or float(shown.motion.time[-1]) / max(int(shown.motion.step[-1]), 1)
+
+
+def require_size(width: int, height: int) -> None:
+    """Raise WheellegError unless a picture of this size, px, can be drawn."""
+    if not (16 <= width <= _LARGEST and 16 <= height <= _LARGEST):
+        raise WheellegError(f"a picture of {width} x {height} is not drawn", expected=f"16 to {_LARGEST} pixels each")
+
+
+def _kind(path: Path) -> str:
+    kind = _KINDS.get(path.suffix.lower())
+    if kind is None:
+        raise WheellegError(f"'{path}' says no kind of picture", expected="a name that ends with .png, .jpg or .webp")
+    require_new(path)
+    return kind
+
+
+def _everything(motion: Motion) -> Sample:
+    iteration = None if motion.iteration is None else int(motion.iteration[0])
+    return Sample(int(motion.step[0]), int(motion.step[-1]), iteration)
+
+
+def _seen(shown: Scenery, row: int, aspect: float) -> tuple[int, Camera]:
+    """Return the camera of the sample that a frame stands in, and the frame's place in it."""
+    rows = _around(shown, row)
+    return int(np.flatnonzero(rows == row)[0]), follow_robot(shown.scene, shown.motion, rows, aspect)
+
+
+def _around(shown: Scenery, row: int) -> NDArray[np.intp]:
+    """Return the frames of the sample that a frame stands in."""
+    step = shown.motion.step[row]
+    for sample in shown.samples:
+        if sample.first <= step <= sample.last:
+            return frames_of(shown.motion, sample)
+    return np.array([row])
+
+
+def _row_of_term(shown: Scenery, term: str, inside: NDArray[np.intp]) -> int:
+    source = shown.source
+    entity = source.find(term)
+    if entity is None:
+        names = [f"terminations.{n}" for n in source.fired()] + [f"events.{n}" for n in source.below("events")]
+        raise WheellegError(
+            f"'{term}' is neither a time nor a recorded term",
+            expected="a time such as 1.5s or 90steps, or one of " + ", ".join(names),
+            nearest=nearest_name(term, names),
+        )
+    found = inside[np.isin(shown.motion.step[inside], _steps_of_term(source, entity))]
+    if not len(found):
+        raise WheellegError(f"'{term}' is zero at every recorded step", expected="a term that happened")
+    return int(found[0])
+
+
+def _steps_of_term(source: Source, entity: str, iteration: int | None = None) -> NDArray[np.int64]:
+    """Return the steps, by default of all iterations, at which a number of an entity is not zero."""
+    series = source.series(entity)
+    happened = np.any(np.nan_to_num(series.values) != 0, axis=1)
+    if iteration is not None and series.iteration is not None:
+        happened &= series.iteration == iteration
+    return series.step[happened]
+
+
+def _nearest(times: NDArray[np.float64], rows: NDArray[np.intp], moment: float) -> int:
+    own = times[rows]
+    step = float(np.median(np.diff(own))) if len(own) > 1 else 1.0
+    if not own[0] - 1.5 * step <= moment <= own[-1] + 1.5 * step:
+        raise WheellegError(
+            f"{moment:g} s is not in the recording", expected=f"a time from {own[0]:.2f} to {own[-1]:.2f} s"
+        )
+    return int(rows[np.argmin(np.abs(own - moment))])

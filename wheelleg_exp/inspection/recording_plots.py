@@ -1,0 +1,303 @@
+"""Plots of recordings: single plots by name, pages of plots, and overlays of several recordings.
+
+The functions use no global state and need no display. Figures are matplotlib ``Figure`` objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from wheelleg_exp.definitions import curve_title
+from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
+from wheelleg_exp.files import require_new, write_new
+from wheelleg_exp.inspection import motion_plots as plots_motion
+from wheelleg_exp.inspection import training_curves as plots_training
+from wheelleg_exp.inspection.plot_data import Series, Source, broken
+from wheelleg_exp.inspection.plot_style import Panel, colour, figure_bytes, figure_svg, page, tile
+from wheelleg_exp.inspection.row_selection import Selection
+from wheelleg_exp.recording.layout import TRAINING
+from wheelleg_exp.recording.reading.recording_reader import Recording
+
+__all__ = ["KINDS", "PLOTS", "Plot", "default_page", "figure_svg", "make", "overlay", "save", "terms_figure"]
+
+
+KINDS = ("png", "svg", "pdf")
+_STYLES: tuple[Any, ...] = ("-", (0, (4, 3)), "-.", ":")
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A default figure.
+
+    Attributes:
+        name: its name.
+        title: the line above it.
+        about: what can be read from it, in one sentence.
+        panels: returns its panels; none when a recording holds nothing for it.
+        is_of_all: whether it shows all environments of a training, from its scalars.
+        is_of_last: whether it shows the last sample alone of a training.
+    """
+
+    name: str
+    title: str
+    about: str
+    panels: Callable[[Source], list[Panel]]
+    is_of_all: bool = False
+    is_of_last: bool = False
+
+    def applies(self, recording: Recording) -> bool:
+        """Return whether a recording holds what the figure shows."""
+        return bool(self.each(recording))
+
+    def make(self, recording: Recording, *, selection: Selection | None = None) -> Figure:
+        """Return the figure, as wide as a page and as high as needed.
+
+        Args:
+            recording: what is shown.
+            selection: which rows.
+
+        Raises:
+            RunDirectoryError: the recording holds nothing for it.
+        """
+        source = Source(recording, None, selection)
+        panels = self.panels(source)
+        if not panels:
+            raise RunDirectoryError(f"'{recording.path}' holds nothing for the plot '{self.name}'")
+        figure = tile(panels, title=self.heading(source))
+        figure.set_label(self.name)
+        return figure
+
+    def heading(self, source: Source) -> str:
+        """Return the title, with the environment where one of several is shown, and the sample where it is of one."""
+        is_of_all = source.is_training and self.is_of_all
+        words = [self.title, *([source.whose] if source.whose and not is_of_all else [])]
+        samples = source.samples() if self.is_of_last and source.is_training else []
+        return ", ".join([*words, *(f"last sample, from iteration {sample.iteration} on" for sample in samples[-1:])])
+
+    def each(self, recording: Recording) -> list[Panel]:
+        """Return the panels one by one, for pages that flow; ``style.tile([panel], size=...)`` draws one."""
+        return self.panels(Source(recording))
+
+
+def _learning(source: Source) -> list[Panel]:
+    return plots_training.learning(source.training())
+
+
+def _rewards(source: Source) -> list[Panel]:
+    return plots_training.reward_course(source.training()) or plots_motion.rewards(source)
+
+
+def _terminations(source: Source) -> list[Panel]:
+    return plots_training.endings(source.training()) + plots_motion.terminations(source)
+
+
+PLOTS: dict[str, Plot] = {
+    plot.name: plot
+    for plot in (
+        Plot(
+            "learning_curves",
+            "Learning curves",
+            "Whether it learned, how fast, and whether the optimiser was healthy.",
+            _learning,
+            is_of_all=True,
+        ),
+        Plot(
+            "reward_shares",
+            "Reward by term",
+            "Which terms make up the return, and which cost it.",
+            _rewards,
+            is_of_all=True,
+        ),
+        Plot(
+            "terminations",
+            "How episodes ended",
+            "Which termination ended the episodes.",
+            _terminations,
+            is_of_all=True,
+        ),
+        Plot(
+            "tracking",
+            "Motion against what was asked for",
+            "How well the base follows the commands and its targets.",
+            plots_motion.tracking,
+        ),
+        Plot(
+            "joints",
+            "Joints",
+            "How well each joint follows its target, and how near its effort is to the limit.",
+            plots_motion.joints,
+            is_of_last=True,
+        ),
+        Plot(
+            "contact_forces",
+            "Contact forces",
+            "Which bodies touched something, and how hard.",
+            plots_motion.contact_forces,
+            is_of_last=True,
+        ),
+    )
+}
+
+PAGES: dict[bool, tuple[str, ...]] = {
+    True: ("learning_curves", "reward_shares", "terminations", "tracking"),
+    False: ("tracking", "reward_shares", "contact_forces", "joints", "terminations"),
+}
+
+
+def make(recording: Recording, name: str, *, selection: Selection | None = None) -> Figure:
+    """Return a default figure by its name.
+
+    Raises:
+        WheellegError: there is no such figure, or the recording holds nothing for it.
+    """
+    if name not in PLOTS:
+        raise WheellegError(
+            f"there is no plot '{name}'", expected="one of " + ", ".join(PLOTS), nearest=nearest_name(name, PLOTS)
+        )
+    return PLOTS[name].make(recording, selection=selection)
+
+
+def default_page(recording: Recording, *, selection: Selection | None = None) -> Figure:
+    """Return one figure of what matters for the recording's purpose.
+
+    Raises:
+        RunDirectoryError: the recording holds nothing that a default figure shows.
+    """
+    source = Source(recording, selection=selection)
+    plots = [PLOTS[name] for name in PAGES[source.is_training]]
+    sections = [(plot.heading(source), panels) for plot in plots if (panels := plot.panels(source))]
+    if not sections:
+        raise RunDirectoryError(
+            f"'{recording.path}' holds nothing that the default figures show", expected="--term with one of its terms"
+        )
+    return page(sections)
+
+
+def terms_figure(recording: Recording, terms: Sequence[str], *, selection: Selection | None = None) -> Figure:
+    """Return a figure of chosen terms (``rewards.base_height``) over time.
+
+    Raises:
+        RunDirectoryError: a term is not in the recording.
+    """
+    source = Source(recording, selection=selection)
+    panels = [panel for term in terms for panel in _term(source, term)]
+    of_training = all((source.find(term) or "").startswith(f"{TRAINING}/") for term in terms)
+    return tile(panels, title=None if of_training else source.whose.capitalize() or None)
+
+
+def overlay(
+    recordings: Mapping[str, Recording], terms: str | Sequence[str], *, selection: Selection | None = None
+) -> Figure:
+    """Return a figure with one line a recording, by label, for each number of some terms.
+
+    Args:
+        recordings: what is laid over each other, by label.
+        terms: dotted names; none means what matters for the recordings' purpose.
+        selection: which rows of each.
+
+    Raises:
+        RunDirectoryError: a term is in none of the recordings, or they have nothing in common.
+    """
+    named = {label: Source(r, selection=selection) for label, r in recordings.items()}
+    sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}
+    if terms:
+        words = [terms] if isinstance(terms, str) else list(terms)
+        return tile([panel for term in words for panel in _overlaid(sources, term)])
+    panels = [panel for term in _overlaid_terms(sources) for panel in _overlaid(sources, term, small=True)]
+    if not panels:
+        raise RunDirectoryError("the recordings hold nothing that could be laid over each other")
+    return tile(panels)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, SVG or PDF, by the ending of the file's name; whole or not at all.
+
+    Raises:
+        WheellegError: the ending is another, the file exists, or cannot be written.
+    """
+    write_new(Path(path), figure_bytes(figure, require_path(Path(path))))
+
+
+def require_path(path: Path) -> str:
+    """Return the kind of figure that a new file's name says; WheellegError when it says none or is taken."""
+    kind = path.suffix.removeprefix(".").lower()
+    if kind not in KINDS:
+        raise WheellegError(f"'{path}' says no kind of picture", expected="a name that ends with .png, .svg or .pdf")
+    require_new(path)
+    return kind
+
+
+def _term(source: Source, term: str) -> list[Panel]:
+    entity = source.find(term)
+    if entity is None:
+        source.series(source.path(*term.split(".")))  # raises, naming what there is
+        return []
+    if entity.startswith(f"{TRAINING}/"):
+        return [_training_panel(source, entity, term)]
+    return plots_motion.series_panel(source, entity, term)
+
+
+def _training_panel(source: Source, entity: str, title: str) -> Panel:
+    series = source.series(entity)
+
+    def draw(axes: Axes) -> None:
+        x = series.iteration if series.iteration is not None else series.step
+        plots_training.draw_curve(axes, x, series.first, colour(0))
+        plots_training.over_iterations(axes)
+
+    return Panel(title, draw, height=3.0, wide=True)
+
+
+def _overlaid_terms(sources: Mapping[str, Source]) -> list[str]:
+    if all(source.is_training for source in sources.values()):
+        return [f"{TRAINING}/{key}" for key in plots_training.CURVES if not key.startswith("Perf/")]
+    names = ["base/height", "base/pitch", "base/v_x", "base/w_z"]
+    return [*names, "rewards/total"]
+
+
+def _overlaid(sources: Mapping[str, Source], term: str, *, small: bool = False) -> list[Panel]:
+    found = {label: entity for label, s in sources.items() if (entity := s.find(term)) is not None}
+    if not found:
+        if small:
+            return []
+        next(iter(sources.values())).series(term)  # raises, naming what there is
+    series = {label: sources[label].series(entity) for label, entity in found.items()}
+    widest = max(series.values(), key=lambda s: s.values.shape[1])
+    return [_overlaid_panel(sources, series, i, term, widest, small) for i in range(widest.values.shape[1])]
+
+
+def _title(term: str) -> str:
+    """Return the title that a term has in the default figures, else its name."""
+    word = term.removeprefix(f"{TRAINING}/")
+    named = {key: curve_title(key) for key in plots_training.CURVES} | plots_motion.TITLES
+    return named.get(word, plots_motion.with_unit(word, word.replace(".", "/")))
+
+
+def _overlaid_panel(
+    sources: Mapping[str, Source], series: Mapping[str, Series], column: int, term: str, widest: Series, small: bool
+) -> Panel:
+    shown = _title(term)
+    many = widest.values.shape[1] > 1
+    in_training = all(source.is_training for source in sources.values()) and term.replace(".", "/").startswith(TRAINING)
+
+    def draw(axes: Axes) -> None:
+        for i, (label, one) in enumerate(series.items()):
+            if column >= one.values.shape[1]:
+                continue
+            style = _STYLES[i % len(_STYLES)]
+            if in_training and one.iteration is not None:
+                plots_training.draw_curve(axes, one.iteration, one.values[:, column], colour(i), label, style)
+                continue
+            time, values = broken(one, sources[label].ends(), column)
+            axes.plot(time, np.asarray(values), color=colour(i), linestyle=style, label=label)
+        (plots_training.over_iterations if in_training else plots_motion.over_time)(axes)
+        axes.legend(loc="best")
+
+    return Panel(f"{shown}: {widest.names[column]}" if many else shown, draw, height=2.35 if small else 3.0)

@@ -1,0 +1,154 @@
+"""Videos of the robot, drawn by MuJoCo from a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.files import require_new
+from wheelleg_exp.inspection import recorded_scene
+from wheelleg_exp.inspection.plot_data import chosen_rows
+from wheelleg_exp.inspection.recorded_scene import follow_robot, frames_of
+from wheelleg_exp.inspection.recording_pictures import Scenery, require_size, scenery, view
+from wheelleg_exp.inspection.row_selection import Selection
+from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.rendering import video_file
+from wheelleg_exp.rendering.render_job import Order
+from wheelleg_exp.rendering.renderer import Drawing, drawing
+
+_SAMPLES = 4
+_MOST_PICTURES = 200_000
+
+
+@dataclass(frozen=True)
+class Video:
+    """What was written: frames, their rate, 1/s, the codec's name, and which of several recorded environments."""
+
+    frames: int
+    fps: float
+    codec: str
+    env_id: int | None = None
+
+    @property
+    def duration(self) -> float:
+        """How long it plays, s."""
+        return self.frames / self.fps
+
+
+def video(
+    recording: Recording,
+    path: Path,
+    *,
+    selection: Selection | None = None,
+    fps: float = 30.0,
+    speed: float = 1.0,
+    width: int = 960,
+    height: int = 540,
+    caption: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Video:
+    """Write a video of the robot (H.264 in an .mp4, as browsers play it); whole or not at all.
+
+    Args:
+        recording: what it is drawn from.
+        path: the file: .mp4, .mkv or .mov; it must not be there yet.
+        selection: which environment, by default the first, and which rows; by default a few samples of a training,
+            one after the other, and the whole of anything else.
+        fps: pictures a second.
+        speed: simulated seconds a second: 0.25 is slow motion.
+        width: px, even.
+        height: px, even.
+        caption: whether time, command and the meaning of arrows are written into it.
+        progress: called with the frames so far and in all.
+
+    Raises:
+        WheellegError: something of this is wrong, or nothing can be drawn on this machine.
+    """
+    path = Path(path)
+    _require(path, fps, speed, width, height)
+    chosen = Selection() if selection is None else selection
+    shown = scenery(recording, chosen.env_id)
+    takes = [_resampled(shown, rows, fps, speed) for rows in _takes(shown, chosen)]
+    pictures = _pictures(shown, takes, width, height, caption)
+    total = sum(map(len, takes))
+    told = None if progress is None else lambda done: progress(done, total)
+    codec = video_file.write(path, pictures, fps, (width, height), told)
+    return Video(total, fps, codec, shown.env_id)
+
+
+def _require(path: Path, fps: float, speed: float, width: int, height: int) -> None:
+    if path.suffix.lower() not in video_file.KINDS:
+        expected = "a name that ends with " + ", ".join(video_file.KINDS)
+        raise WheellegError(f"'{path}' says no kind of video", expected=expected)
+    require_new(path)
+    require_size(width, height)
+    if width % 2 or height % 2:
+        raise WheellegError(f"a video of {width} x {height} cannot be encoded", expected="even numbers of pixels")
+    if not (1 <= fps <= 240):
+        raise WheellegError(f"{fps:g} pictures a second", key="--fps", expected="1 to 240")
+    if not (1e-3 <= speed <= 1e3):
+        raise WheellegError(f"a speed of {speed:g}", key="--speed", expected="0.001 to 1000")
+
+
+def _takes(shown: Scenery, selection: Selection) -> list[NDArray[np.intp]]:
+    """Return the frames of each uninterrupted piece."""
+    motion = shown.motion
+    is_whole = selection.begin is None and selection.end is None and selection.iterations is None
+    samples = shown.source.shown_samples() if is_whole and shown.source.is_training else shown.samples
+    chosen = chosen_rows(selection, motion.step, motion.time, motion.iteration)
+    found = [rows for s in samples if len(rows := np.intersect1d(frames_of(motion, s), chosen))]
+    if not found:
+        raise WheellegError(
+            "nothing that is chosen was recorded",
+            expected=f"times from {motion.time[0]:.2f} to {motion.time[-1]:.2f} s" + _iterations(shown),
+        )
+    return found
+
+
+def _iterations(shown: Scenery) -> str:
+    known = [str(sample.iteration) for sample in shown.samples if sample.iteration is not None]
+    return f"; samples begin at the iterations {', '.join(known)}" if known else ""
+
+
+def _resampled(shown: Scenery, rows: NDArray[np.intp], fps: float, speed: float) -> NDArray[np.intp]:
+    """Return the frame that is shown in each picture: the last recorded one at its time."""
+    time = np.nan_to_num(shown.motion.time[rows])
+    spacing = float(np.median(np.diff(time))) if len(time) > 1 else speed / fps
+    count = max(1, round((time[-1] - time[0] + spacing) * fps / speed))
+    if count > _MOST_PICTURES:
+        raise WheellegError(
+            f"it would have {count} pictures", expected=f"at most {_MOST_PICTURES}: --from, --to, --speed"
+        )
+    moments = time[0] + np.arange(count) * speed / fps
+    places = np.searchsorted(time, moments + 1e-9, side="right") - 1
+    return np.asarray(rows[np.clip(places, 0, len(rows) - 1)])
+
+
+def _pictures(
+    shown: Scenery, takes: Sequence[NDArray[np.intp]], width: int, height: int, caption: bool
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures; the camera keeps one distance throughout."""
+    cameras = [follow_robot(shown.scene, shown.motion, rows, width / height) for rows in takes]
+    distance = max(camera.distance for camera in cameras)
+    colours = recorded_scene.arrow_legend(shown.motion)
+    with drawing(Order(shown.scene, width, height, _SAMPLES)) as process:
+        for rows, camera in zip(takes, cameras, strict=True):
+            for row, lookat in zip(rows.tolist(), camera.lookat, strict=True):
+                yield _picture(shown, process, row, lookat, distance, colours if caption else None)
+
+
+def _picture(shown: Scenery, process: Drawing, row: int, lookat: Any, distance: float, colours: Any) -> Any:
+    pixels = process.draw(view(shown, row, lookat, distance))
+    return (
+        pixels
+        if colours is None
+        else recorded_scene.write_caption(
+            pixels, recorded_scene.caption_lines(shown.motion, row, shown.env_id), colours
+        )
+    )

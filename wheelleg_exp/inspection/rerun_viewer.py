@@ -1,0 +1,395 @@
+"""Rerun's viewer with one recording: in a window, in a browser, or as a screenshot.
+
+The viewer and the web server listen on the loopback address only. The page of the web viewer loads nothing from
+other hosts: the server removes the fonts and usage statistics of rerun's page, and a content security policy stops
+the browser from requesting them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+import warnings
+import webbrowser
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import IO, Any, Self, cast
+from urllib.parse import quote, urlsplit
+
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
+from wheelleg_exp.files import require_new, write_new
+from wheelleg_exp.recording.layout import SIM_TIME
+from wheelleg_exp.recording.rerun_program import rerun_program
+from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer_environment
+from wheelleg_exp.rendering.renderer import NoGraphics
+
+_PATIENCE_S = 5.0
+_TELLING = ("adapter", "panic", "error", "failed")  # words of the line that says why, best first
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+
+
+@contextmanager
+def viewer(arguments: Sequence[str]) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
+    """Yield a running viewer and what it says; it is ended, with all that it started, when the body ends.
+
+    Args:
+        arguments: what it is told beside the address that it binds to.
+    """
+    with tempfile.TemporaryDirectory(prefix="wheelleg-viewer-") as folder, tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(
+            [rerun_program(), "--bind", LOOPBACK, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            env=viewer_environment(),  # sends nothing, and leaves the user's settings alone
+            cwd=folder,
+            start_new_session=True,  # Ctrl-C is ours to answer
+        )
+        try:
+            yield process, said
+        finally:
+            end_process(process)
+
+
+def end_process(process: subprocess.Popen[bytes]) -> None:
+    """End a process that leads its own session, and whatever it started."""
+    for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+        _signal(process, number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_PATIENCE_S)
+            break
+    _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # those that outlived it
+
+
+def failure_line(said: IO[bytes]) -> str:
+    """Return the line that tells best why a viewer failed."""
+    said.seek(0)
+    text = said.read().decode(errors="replace")
+    lines = [line for line in (_COLOUR.sub("", raw).strip() for raw in text.splitlines()) if line]
+    for word in _TELLING:
+        if found := [line for line in lines if word in line.lower()]:
+            return found[0][:300]
+    return lines[-1][:300] if lines else "it said nothing"
+
+
+def _signal(process: subprocess.Popen[bytes], number: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, number)
+        else:
+            process.terminate()
+
+
+RECORDING = "/recording.rrd"
+_FILES = ("", "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico", "apple-touch-icon.png", "sw.js")
+_ELSEWHERE = re.compile(r"<link\b[^>]*https?://[^>]*>")
+_POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'",
+        "style-src 'self' 'unsafe-inline'",
+        "img-src 'self' data: blob:",
+        "connect-src 'self' data: blob:",
+        "worker-src 'self' blob:",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+_WEB_START_S = 20.0
+_PIECE = 1 << 20
+
+Files = Mapping[str, tuple[str, bytes]]
+
+
+class WebViewer:
+    """A server of the web viewer and one recording; ``with`` starts and ends it.
+
+    Args:
+        path: the recording.
+        port: of the loopback address; 0 takes a free one.
+
+    Raises:
+        WheellegError: the port is taken, or the viewer does not start.
+    """
+
+    def __init__(self, path: Path, port: int = 0) -> None:
+        if not Path(path).is_file():
+            raise RunDirectoryError(f"there is no recording '{path}'", expected="a rerun recording")
+        files = viewer_files()
+        try:
+            self._server = _Server((LOOPBACK, port), partial(_Handler, files, Path(path)))
+        except (OSError, OverflowError) as error:
+            raise WheellegError(
+                f"port {port} cannot be listened on: {error}", key="--port", expected="a free port, or none"
+            ) from error
+        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._server.server_address[1])
+
+    @property
+    def url(self) -> str:
+        """What a browser opens."""
+        return f"http://{LOOPBACK}:{self.port}/"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def viewer_files() -> Files:
+    """Return the files of the web viewer by path, with their types, as rerun's own server hands them out.
+
+    Raises:
+        SimulationFailure: rerun's server does not start.
+    """
+    port, grpc = free_port(), free_port()
+    arguments = ["--serve-web", "--port", str(grpc), "--web-viewer-port", str(port)]
+    with viewer(arguments) as (process, said):
+        end = time.monotonic() + _WEB_START_S
+        while True:
+            try:
+                return {f"/{name}": _fetched(port, name) for name in _FILES}
+            except OSError as error:
+                if process.poll() is not None or time.monotonic() > end:
+                    raise SimulationFailure(f"the web viewer does not start: {failure_line(said)}") from error
+                time.sleep(0.05)
+
+
+def page_url(base: str) -> str:
+    """Return the address that shows the recording in the viewer."""
+    return f"{base}?url={quote(base.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
+
+
+def _fetched(port: int, name: str) -> tuple[str, bytes]:
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    with opener.open(f"http://{LOOPBACK}:{port}/{name}", timeout=_WEB_START_S) as answer:
+        kind, body = answer.headers.get_content_type(), answer.read()
+    if not name:
+        body = _ELSEWHERE.sub("", body.decode()).encode()
+    return kind, body
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    allow_reuse_address = False
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that goes away is no error."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+
+    def __init__(self, files: Files, recording: Path, *args: Any) -> None:
+        self._files, self._recording = files, recording
+        super().__init__(*args)
+
+    def do_GET(self) -> None:
+        """Answer with a file of the viewer, or the recording."""
+        self._answer(with_body=True)
+
+    def do_HEAD(self) -> None:
+        """Answer as to GET, without the content."""
+        self._answer(with_body=False)
+
+    def log_message(self, *_: Any) -> None:
+        """Say nothing."""
+
+    def _answer(self, *, with_body: bool) -> None:
+        _, port = cast("tuple[str, int]", self.server.server_address)
+        if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
+            self._empty(HTTPStatus.FORBIDDEN)  # a foreign page that made its name point here
+            return
+        address = urlsplit(self.path)
+        if address.path == "/" and "url=" not in address.query:
+            self._empty(HTTPStatus.FOUND, Location=page_url(f"http://{self.headers['Host']}/"))
+        elif address.path == RECORDING:
+            self._send_recording(with_body)
+        elif address.path in self._files:
+            kind, body = self._files[address.path]
+            self._head(kind, len(body))
+            if with_body:
+                self.wfile.write(body)
+        else:
+            self._empty(HTTPStatus.NOT_FOUND)
+
+    def _send_recording(self, with_body: bool) -> None:
+        """Send the file as it is now; a run may be writing to it."""
+        try:
+            file = self._recording.open("rb")
+        except OSError:
+            self._empty(HTTPStatus.NOT_FOUND)
+            return
+        with file, suppress(ConnectionError):
+            left = file.seek(0, 2)
+            file.seek(0)
+            self._head("application/octet-stream", left)
+            while with_body and left and (piece := file.read(min(_PIECE, left))):
+                self.wfile.write(piece)
+                left -= len(piece)
+
+    def _head(self, kind: str, length: int) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(length))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Security-Policy", _POLICY)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.end_headers()
+
+    def _empty(self, status: HTTPStatus, **headers: str) -> None:
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+
+INSTALL = "a Vulkan driver; on Debian or Ubuntu: apt install mesa-vulkan-drivers libvulkan1"
+_START_S, _ENDING_S, _SETTLE_S, _STILL = 30.0, 2.0, 0.4, 3
+
+Say = Callable[[str], None]
+
+
+def open_window(path: Path) -> None:
+    """Show a recording in a window, until that is closed.
+
+    Raises:
+        WheellegError: there is no display.
+        SimulationFailure: the viewer ends by itself.
+    """
+    if not has_display():
+        raise WheellegError(
+            "there is no display for a window",
+            key="--open",
+            expected="a desktop; --web serves the viewer for a browser, --screenshot OUT.png --viewer draws a picture",
+        )
+    with viewer(["--port", str(free_port()), "--hide-welcome-screen", str(path.absolute())]) as (process, said):
+        if process.wait() != 0:
+            raise SimulationFailure(f"the viewer ended with status {process.returncode}: {failure_line(said)}")
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened."""
+    if sys.platform.startswith("linux"):
+        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return True
+
+
+def serve(path: Path, say: Say, *, port: int = 0, browser: bool = True) -> None:
+    """Serve the web viewer with a recording on the loopback address, until interrupted.
+
+    Args:
+        path: the recording.
+        say: receives the lines for people; the first ends with the address.
+        port: where; 0 takes a free port.
+        browser: whether a browser is opened, where there is one.
+
+    Raises:
+        WheellegError: the port is taken.
+        KeyboardInterrupt: it was interrupted.
+    """
+    with WebViewer(path, port) as running:
+        say(f"the viewer is at {running.url}")
+        opened = browser and _open_browser(running.url)
+        say("Ctrl-C ends it" if opened else "open this address in a browser on this machine; Ctrl-C ends it")
+        while True:
+            time.sleep(3600.0)
+
+
+def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
+    """Write a picture of rerun's viewer with a recording in it; whole or not at all.
+
+    Args:
+        path: the recording.
+        output: the picture, .png.
+        time_s: the simulated time that it stands at, s; None is where the viewer begins.
+        width: px.
+        height: px.
+
+    Raises:
+        NoGraphics: there is no Vulkan driver; the message says what to install.
+        WheellegError: the path is wrong.
+    """
+    if output.suffix.lower() != ".png":
+        raise WheellegError(f"'{output}' says no kind of picture", expected="a name that ends with .png")
+    require_new(output)
+    port = free_port()
+    arguments = ["--headless", "--port", str(port), "--window-size", f"{width}x{height}", "--hide-welcome-screen"]
+    with viewer(arguments) as (process, said), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the client is experimental, and says so
+        try:
+            client = _connected(port, process, said)
+            client.open(str(path.absolute()))
+            if time_s is not None:
+                client.set_time(SIM_TIME, duration=time_s, play_state="paused")
+            picture = _still(client)
+        except (RuntimeError, ConnectionError, TimeoutError) as error:
+            with suppress(subprocess.TimeoutExpired):  # it answers first, and finds no driver then
+                process.wait(_ENDING_S)
+            if process.returncode is not None:
+                raise _no_graphics(said) from error
+            raise SimulationFailure(f"the viewer draws nothing: {str(error).splitlines()[0]}") from error
+    write_new(output, picture)
+
+
+def _connected(port: int, process: subprocess.Popen[bytes], said: IO[bytes]) -> Any:
+    from rerun.experimental import ViewerClient
+
+    end = time.monotonic() + _START_S
+    while True:
+        if process.poll() is not None:
+            raise _no_graphics(said)
+        try:
+            return ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+        except ConnectionError as error:
+            if time.monotonic() > end:
+                raise SimulationFailure(f"the viewer does not answer: {failure_line(said)}") from error
+            time.sleep(0.1)
+
+
+def _no_graphics(said: IO[bytes]) -> NoGraphics:
+    return NoGraphics(f"the viewer cannot be drawn on this machine ({failure_line(said)})", expected=INSTALL)
+
+
+def _still(client: Any) -> bytes:
+    """Return a picture once two in a row are the same: data and plots come in over several frames."""
+    before = bytes(client.take_screenshot())
+    for _ in range(_STILL):
+        time.sleep(_SETTLE_S)
+        now = bytes(client.take_screenshot())
+        if now == before:
+            break
+        before = now
+    return before
+
+
+def _open_browser(url: str) -> bool:
+    """Open a browser if that can be seen."""
+    if not has_display():
+        return False
+    try:
+        return webbrowser.open(url)
+    except webbrowser.Error:
+        return False

@@ -1,0 +1,185 @@
+"""Rows of a recording that a question uses, and lengths of time such as ``0.5s``, ``200ms``, ``30steps``."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP
+from wheelleg_exp.recording.reading.recording_reader import Recording
+
+_WORDS = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*")
+_SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3}
+_STEPS = ("step", "steps")
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length of simulated time, or a number of control steps.
+
+    Attributes:
+        value: seconds, or steps.
+        is_steps: which.
+    """
+
+    value: float
+    is_steps: bool
+
+    def steps(self, step_dt: float | None) -> int:
+        """Return the nearest number of control steps of ``step_dt`` seconds.
+
+        Raises:
+            WheellegError: it is in seconds, and how long a step lasts is not known.
+        """
+        if self.is_steps:
+            return round(self.value)
+        if not step_dt:
+            raise WheellegError(
+                "how long a step lasts is not known of this recording",
+                key=f"{self.value:g}s",
+                expected="steps: 30steps",
+            )
+        return round(self.value / step_dt)
+
+
+def parse_length(text: str, key: str) -> Length:
+    """Return the length that a text says; without a unit in seconds.
+
+    Raises:
+        WheellegError: it says none.
+    """
+    match = _WORDS.fullmatch(text)
+    if match and match.group(2) in (*_SECONDS, *_STEPS) and math.isfinite(float(match.group(1))):
+        value, unit = float(match.group(1)), match.group(2)
+        return Length(value, True) if unit in _STEPS else Length(value * _SECONDS[unit], False)
+    raise WheellegError(
+        f"'{text}' is no length of time", key=key, expected="a number with s, ms or steps, such as 0.5s"
+    )
+
+
+_CLOSE = 1e-6  # s: times are written in whole microseconds
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A choice of rows; what is None chooses nothing.
+
+    A time means the control step that is nearest to it, so that times may be given as they are printed.
+
+    Attributes:
+        env_id: the recorded environment.
+        iterations: the first and last training iteration.
+        begin, end: from when to when, both included.
+    """
+
+    env_id: int | None = None
+    iterations: tuple[int, int] | None = None
+    begin: Length | None = None
+    end: Length | None = None
+
+    @property
+    def is_all(self) -> bool:
+        """Whether every row is chosen."""
+        return self == Selection()
+
+    def env_ids(self, recording: Recording) -> list[int]:
+        """Return the chosen environments.
+
+        Raises:
+            RunDirectoryError: the chosen one was not recorded.
+        """
+        if self.env_id is None:
+            return list(recording.env_ids)
+        recording.branch(self.env_id)
+        return [self.env_id]
+
+    def apply(self, table: pa.Table) -> pa.Table:
+        """Return the chosen rows of a table with the timelines ``step``, ``sim_time`` (s) and ``iteration``.
+
+        Raises:
+            WheellegError: the table has no such timeline.
+        """
+        mask = np.ones(len(table), dtype=bool)
+        if self.iterations is not None:
+            values = _timeline(table, ITERATION, "--iteration")
+            mask &= (values >= self.iterations[0]) & (values <= self.iterations[1])
+        for bound, key in ((self.begin, "--from"), (self.end, "--to")):
+            if bound is not None:
+                values = _timeline(table, STEP if bound.is_steps else SIM_TIME, key)
+                room = 0.0 if bound.is_steps else _half_step(table)
+                mask &= values >= bound.value - room if key == "--from" else values <= bound.value + room
+        return table if mask.all() else table.filter(pa.array(mask))
+
+    def has(self, step: int | None, time_s: float | None, iteration: int | None) -> bool:
+        """Return whether a moment is chosen; one that is not known is not."""
+        if self.iterations is not None and not (iteration is not None and _within(iteration, *self.iterations)):
+            return False
+        lower = [(bound, +1) for bound in (self.begin,) if bound is not None]
+        for bound, sign in [*lower, *((bound, -1) for bound in (self.end,) if bound is not None)]:
+            value = step if bound.is_steps else time_s
+            room = 0.0 if bound.is_steps or not step or time_s is None else _half(time_s / step)
+            if value is None or sign * (value - bound.value) < -room:
+                return False
+        return True
+
+
+def nothing_chosen(recording: Recording) -> WheellegError:
+    """Return the error of a selection that chooses no row, which says what there is."""
+    spans = []
+    for name, words in ((SIM_TIME, "times from {:.3f} to {:.3f} s"), (STEP, "steps {:.0f} to {:.0f}")):
+        reach = recording.reach(name)
+        spans += [words.format(*reach)] if reach is not None else []
+    reach = recording.reach(ITERATION)
+    spans += [f"iterations {reach[0]:.0f} to {reach[1]:.0f}"] if reach is not None else []
+    return WheellegError("no recorded row is chosen", expected=", ".join(spans) or "a recording with rows")
+
+
+def require_order(selection: Selection) -> None:
+    """Raise WheellegError when a selection ends before it begins."""
+    begin, end = selection.begin, selection.end
+    if begin is not None and end is not None and begin.is_steps == end.is_steps and begin.value > end.value:
+        raise WheellegError("it lies before --from", key="--to", expected=f"{begin.value:g} or later")
+
+
+def _half_step(table: pa.Table) -> float:
+    """Return half of what a control step lasts, s; times in a table are steps times that."""
+    if STEP not in table.column_names or not len(table):
+        return _CLOSE
+    ends = [tuple(float(table.column(name)[row].as_py()) for name in (STEP, SIM_TIME)) for row in (0, len(table) - 1)]
+    lengths = [time_s / step if step > 0 else 0.0 for step, time_s in ends]
+    is_regular = math.isclose(*lengths, rel_tol=1e-3)  # another tool's steps may be anything
+    return _half(lengths[1]) if is_regular else _CLOSE
+
+
+def _half(step_dt: float) -> float:
+    return max(0.5 * step_dt, _CLOSE)
+
+
+def _within(value: float, first: float, last: float) -> bool:
+    return first <= value <= last
+
+
+def parse_iterations(text: str) -> tuple[int, int]:
+    """Return the first and last iteration that a text says: ``50``, or ``50-60``.
+
+    Raises:
+        WheellegError: it says none.
+    """
+    first, _, last = text.partition("-")
+    if first.isdecimal() and (last.isdecimal() or text == first):
+        if last and int(last) < int(first):
+            raise WheellegError(f"'{text}' ends before it begins", key="--iteration", expected=f"{last}-{first}")
+        return int(first), int(last or first)
+    raise WheellegError(f"'{text}' is no iteration", key="--iteration", expected="a number, or a range such as 50-60")
+
+
+def _timeline(table: pa.Table, name: str, key: str) -> np.ndarray:
+    if name not in table.column_names:
+        have = [column for column in (STEP, SIM_TIME, ITERATION) if column in table.column_names]
+        raise WheellegError(f"there is no timeline '{name}' here", key=key, expected="one of " + ", ".join(have))
+    return np.asarray(table.column(name))

@@ -1,0 +1,198 @@
+"""Panels of a training: curves over iterations, drawn from scalars alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from wheelleg_exp.definitions import EPISODE_REWARD, curve_title, scalar_definition
+from wheelleg_exp.inspection.plot_data import Numbers, Scalars, drawable, mean_of
+from wheelleg_exp.inspection.plot_style import BLUE, INK, MUTED, VERMILLION, Panel, colour
+
+ITERATIONS = "iteration"
+_SMOOTHED_FROM = 60
+_WINDOWS = 40
+_LOG_FROM = 50.0  # largest over smallest: more than this is unreadable on an even scale
+_SHOWN_TERMS = 7
+# The scalars whose curves are drawn; those of the commands' errors come after the second.
+CURVES = (
+    "Train/mean_reward",
+    "Train/mean_episode_length",
+    "Loss/value",
+    "Loss/surrogate",
+    "Policy/mean_std",
+    "Loss/entropy",
+    "Loss/learning_rate",
+    "Perf/total_fps",
+)
+# The errors of commands: the first kind that a training has is drawn.
+_ERRORS = ("Metrics_per_step/", "Episode_Metrics/", "Metrics/")
+
+
+def learning(scalars: Scalars) -> list[Panel]:
+    """Return the learning curves: return, episode length, tracking errors, losses, deviation of the actions."""
+    panels = [_curve(key, scalars[key]) for key in CURVES if key in scalars]
+    kinds = ([key for key in scalars if key.startswith(head)] for head in _ERRORS)
+    errors: list[str] = next(filter(None, kinds), [])
+    return [*panels[:2], *(_curve(key, scalars[key]) for key in errors), *panels[2:]]
+
+
+def endings(scalars: Scalars) -> list[Panel]:
+    """Return how episodes ended over the training: of all environments, by what ended the last one of each."""
+    causes = _below(scalars, "Episode_Termination")
+    if not causes:
+        return []
+    order = sorted(causes, key=lambda name: -float(np.nansum(causes[name][1])))
+    shown = [name for name in order if np.any(np.asarray(causes[name][1]) != 0)] or order[:1]
+
+    def draw(axes: Axes) -> None:
+        for i, name in enumerate(shown):  # not stacked: an episode that two ended is in both
+            draw_curve(axes, *causes[name], colour(i), name)
+        over_iterations(axes)
+        axes.set_ylim(0, 1.02)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+    return [Panel("Share of all environments whose last episode each termination ended", draw, wide=True)]
+
+
+def reward_course(scalars: Scalars) -> list[Panel]:
+    """Return the weighted reward terms over the training: stacked, and as they were at the end.
+
+    These scalars are an episode's sum divided by the seconds of the longest episode there may be, not by its own: as
+    long as episodes end early they are smaller than the reward per second that a recording of motion holds.
+    """
+    terms = _below(scalars, "Episode_Reward")
+    if not terms:
+        return []
+    late = {name: mean_of(v[-max(1, len(v) // 10) :]) for name, (_, v) in terms.items()}
+    order = sorted(terms, key=lambda name: -float(np.nansum(np.abs(terms[name][1]))))
+    return [
+        Panel(f"Reward by term: {EPISODE_REWARD}", _stacker(terms, order), wide=True, height=2.8),
+        shares(late, f"Reward by term in the last tenth: {EPISODE_REWARD}", ""),
+    ]
+
+
+def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
+    """Return bars of the mean weighted reward of each term, and its share of all, by absolute value.
+
+    Args:
+        means: the mean by term.
+        title: what it is.
+        unit: its unit; empty without.
+    """
+    order = sorted(means, key=lambda name: abs(means[name]))
+    total = sum(abs(v) for v in means.values()) or 1.0
+
+    def draw(axes: Axes) -> None:
+        values = [means[name] for name in order]
+        axes.barh(order, values, color=[BLUE if v >= 0 else VERMILLION for v in values], height=0.68)
+        for row, v in enumerate(values):
+            text = f"{v:+.3g}  ({_percent(abs(v) / total)})" if v else "0"
+            place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+            axes.annotate(text, (max(v, 0.0), row), fontsize=8, color=INK, **place)
+        axes.axvline(0.0, color=MUTED, linewidth=0.8)
+        low, high = min(0.0, *values), max(0.0, *values)
+        axes.set_xlim(low - 0.02 * (high - low), high + 0.32 * (high - low) or 1.0)
+        axes.margins(y=0.02)
+        axes.grid(axis="y", visible=False)
+        axes.set_xlabel(f"{unit} (share by absolute value)".strip())
+
+    return Panel(title, draw, height=0.75 + 0.24 * max(len(order), 3), wide=True)
+
+
+def smooth(values: Numbers) -> Numbers:
+    """Return a centred moving mean whose window is a fortieth of the rows; shorter windows at both ends."""
+    half = max(1, len(values) // _WINDOWS // 2)
+    known = np.isfinite(values)
+    sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
+    counts = np.concatenate(([0], np.cumsum(known)))
+    low = np.maximum(np.arange(len(values)) - half, 0)
+    high = np.minimum(np.arange(len(values)) + half + 1, len(values))
+    inside = counts[high] - counts[low]
+    return np.where(inside > 0, (sums[high] - sums[low]) / np.maximum(inside, 1), np.nan)
+
+
+def _percent(part: float) -> str:
+    return f"{part:.0%}" if part >= 0.005 else "<1%"
+
+
+def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:
+    """Draw a curve over iterations; a long one pale as it was, and its moving mean over it."""
+    values = drawable(y)
+    if len(values) >= _SMOOTHED_FROM:
+        axes.plot(x, values, color=shade, linewidth=0.8, alpha=0.3)
+        axes.plot(x, smooth(values), color=shade, label=label, linestyle=style, gid="smooth")
+    else:
+        axes.plot(x, values, color=shade, label=label, linestyle=style, marker="." if len(values) < 15 else None)
+
+
+def over_iterations(axes: Axes, label: str = "") -> None:
+    """Label the axes of a panel over iterations."""
+    axes.set_xlabel(ITERATIONS)
+    axes.set_ylabel(label)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
+    if axes.get_yscale() == "linear":
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+
+
+def _curve(key: str, points: tuple[Any, Any]) -> Panel:
+    told = scalar_definition(key)
+
+    def draw(axes: Axes) -> None:
+        draw_curve(axes, *points, BLUE)
+        values = drawable(points[1])
+        values = values[np.isfinite(values)]
+        if len(values) and values.min() > 0 and values.max() > _LOG_FROM * values.min():
+            axes.set_yscale("log")
+        over_iterations(axes, "" if told is None else told.unit)
+
+    return Panel(curve_title(key), draw)
+
+
+def _below(scalars: Scalars, group: str) -> dict[str, tuple[Any, Any]]:
+    head = f"{group}/"
+    return {key.removeprefix(head): points for key, points in scalars.items() if key.startswith(head)}
+
+
+def _stacker(terms: Mapping[str, tuple[Any, Any]], order: Sequence[str]) -> Any:
+    """Return a function that stacks terms; what is negative goes down from zero."""
+    shown = [name for name in order if np.any(np.asarray(terms[name][1]) != 0)] or list(order[:1])
+
+    def draw(axes: Axes) -> None:
+        x = np.asarray(terms[shown[0]][0])
+        most = _SHOWN_TERMS if len(shown) > _SHOWN_TERMS + 1 else len(shown)
+        rows = [(name, _on(x, terms[name]), colour(i)) for i, name in enumerate(shown[:most])]
+        if rest := shown[most:]:
+            rows.append((f"{len(rest)} others", np.sum([_on(x, terms[n]) for n in rest], axis=0), "#B8C0CA"))
+        stack(axes, x, rows)
+        over_iterations(axes)
+
+    return draw
+
+
+def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, Any]]) -> None:
+    """Stack named rows over ``x``: positive numbers up, negative ones down."""
+    for sign in (1.0, -1.0):
+        parts = [(shade, np.clip(sign * np.nan_to_num(v), 0, None) * sign) for _, v, shade in rows]
+        if any(np.any(part) for _, part in parts):
+            axes.stackplot(
+                x, *(p for _, p in parts), colors=[s for s, _ in parts], alpha=0.85, linewidth=0.4, edgecolor="white"
+            )
+    handles = [axes.fill_between([], [], color=shade, alpha=0.85, label=name) for name, _, shade in rows]
+    axes.axhline(0.0, color=MUTED, linewidth=0.8)
+    axes.margins(x=0)
+    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def _on(x: Numbers, points: tuple[Any, Any]) -> Numbers:
+    """Return a term's values at ``x``; a term that was not logged everywhere is zero where it was not."""
+    own, values = np.asarray(points[0]), drawable(points[1])
+    if len(own) == len(x) and np.array_equal(own, x):
+        return np.nan_to_num(values)
+    found = dict(zip(own.tolist(), values.tolist(), strict=True))
+    return np.nan_to_num(np.array([found.get(i, 0.0) for i in x.tolist()]))

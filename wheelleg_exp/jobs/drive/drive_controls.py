@@ -1,0 +1,186 @@
+"""Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
+
+An axis is a component of a command that the task draws from a range. Keys, sliders, and scripts set values in any
+thread; the thread that drives takes them before each step.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.sim.timers import forget
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One component of a command.
+
+    Attributes:
+        name: what scripts and sliders call it: the component, after the term's name where two terms have one.
+        term: the command term.
+        component: its key in the term's ``ranges``.
+        low: lower end of the range, in the component's unit.
+        high: upper end.
+    """
+
+    name: str
+    term: str
+    component: str
+    low: float
+    high: float
+
+    @property
+    def key(self) -> str:
+        """Config key of the range."""
+        return f"env.commands.{self.term}.ranges.{self.component}"
+
+    @property
+    def rest(self) -> float:
+        """What nobody's hand asks for: 0, or the middle of a range without it."""
+        return 0.0 if self.low <= 0.0 <= self.high else 0.5 * (self.low + self.high)
+
+    def at(self, share: float) -> float:
+        """Return the value at a share of the way from rest to an end: 1 is ``high``, -1 ``low``."""
+        share = min(max(share, -1.0), 1.0)
+        end = self.high if share > 0.0 else self.low
+        return self.rest + abs(share) * (end - self.rest)
+
+    def bounded(self, value: float) -> float:
+        """Return the value of the range that is nearest to ``value``."""
+        return min(max(value, self.low), self.high)
+
+
+def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
+    """Return the axes of all commands that are drawn from ranges, but those whose range is empty, in their order."""
+    found = [
+        (term, component, float(pair[0]), float(pair[1]))
+        for term in env.command_manager.active_terms
+        for component, pair in getattr(env.command_manager.get_term(term), "ranges", {}).items()
+        if isinstance(env.command_manager.get_term(term), RangedCommand) and pair[0] < pair[1]
+    ]
+    times = Counter(component for _, component, *_ in found)
+    return [Axis(f"{t}.{c}" if times[c] > 1 else c, t, c, low, high) for t, c, low, high in found]
+
+
+class CommandHold:
+    """Keeps an environment's commands at given values, through resets and redraws.
+
+    A range that is a single value is what every draw gives, so that nothing is written past the command terms.
+
+    Args:
+        env: the environment.
+        axes: what may be commanded.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
+        self._env, self._axes = env, axes
+        self._held: dict[str, float] = {}
+
+    def __call__(self, values: Mapping[str, float]) -> None:
+        """Let the coming step end with these commands (by axis name); the observation that it returns has them."""
+        changed = [axis for axis in self._axes if self._held.get(axis.name) != values[axis.name]]
+        for axis in changed:
+            term = self._env.command_manager.get_term(axis.term)
+            term.ranges[axis.component] = [values[axis.name]] * 2  # type: ignore[attr-defined]
+            term.time_left.zero_()
+        if changed:
+            forget()
+        self._held = dict(values)
+
+
+@dataclass(frozen=True)
+class Push:
+    """Add a velocity to the base's, in its yaw axes.
+
+    Attributes:
+        x: forwards, m/s.
+        y: to the left, m/s.
+    """
+
+    x: float
+    y: float = 0.0
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Begin a new episode."""
+
+
+@dataclass(frozen=True)
+class Choose:
+    """Drive another checkpoint, or on another ground; what is None stays.
+
+    Attributes:
+        checkpoint: the checkpoint.
+        scene: option of the config group ``scene``, or ``own``.
+    """
+
+    checkpoint: Path | None = None
+    scene: str | None = None
+
+
+@dataclass(frozen=True)
+class Finish:
+    """End the drive."""
+
+
+Request = Push | Reset | Choose | Finish
+
+
+class Controls:
+    """The commands as they are asked for, and requests that wait to be done.
+
+    Args:
+        axes: what may be commanded.
+
+    Attributes:
+        paused: whether time stands still.
+        speed: simulated seconds in one second of the clock on the wall.
+    """
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        self.axes = {axis.name: axis for axis in axes}
+        self.paused = False
+        self.speed = 1.0
+        self._lock = threading.Lock()
+        self._values = {axis.name: axis.rest for axis in axes}
+        self._requests: list[Request] = []
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The commands by axis name."""
+        with self._lock:
+            return dict(self._values)
+
+    def set(self, name: str, value: float) -> None:
+        """Ask for a value; what lies beyond the range is brought to its end, and unknown axes count for nothing."""
+        if name in self.axes and value == value:
+            with self._lock:
+                self._values[name] = self.axes[name].bounded(value)
+
+    def steer(self, name: str, share: float) -> None:
+        """Ask for a share of the range, from -1 (its low) by 0 (rest) to 1 (its high), as sticks and keys do."""
+        if name in self.axes:
+            self.set(name, self.axes[name].at(share))
+
+    def stop(self) -> None:
+        """Ask for rest on every axis."""
+        with self._lock:
+            self._values = {name: axis.rest for name, axis in self.axes.items()}
+
+    def request(self, request: Request) -> None:
+        """Ask for something to be done once, before the next step."""
+        with self._lock:
+            self._requests.append(request)
+
+    def take(self) -> list[Request]:
+        """Return what has been asked for since the last call, in order."""
+        with self._lock:
+            taken, self._requests = self._requests, []
+        return taken

@@ -1,0 +1,446 @@
+"""Show a drive in the browser: the robot, sliders, keys and gamepads, and figures. viser and mjviser draw the page.
+
+The page and its websocket listen on the loopback address alone and refuse pages of other origins.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import errno
+import io
+import json
+import socket
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import mujoco
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Finish, Push, Reset
+from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
+from wheelleg_exp.plain_data import Unreadable, json_value
+from wheelleg_exp.recording.writing.live_view import LOOPBACK
+
+_PROC = Path("/proc")
+_LISTENS = "0A"  # state of a socket in /proc/net/tcp
+
+
+def require_free(port: int, use: str) -> None:
+    """Raise WheellegError unless a port can be listened on, with who has it where the system tells.
+
+    Args:
+        port: the port; 0 is any that is free.
+        use: what it is for, in words.
+    """
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((LOOPBACK, port))
+    except OverflowError as error:
+        raise _port_error(f"there is no port {port} for {use}", "0 to 65534") from error
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise port_in_use(port, use) from error
+        why = "is kept for the system's services" if error.errno == errno.EACCES else f"cannot be had: {error.strerror}"
+        raise _port_error(f"port {port}, for {use}, {why}", _OTHER_PORT) from error
+
+
+def port_in_use(port: int, use: str) -> WheellegError:
+    """Return what to tell of a port that somebody else has."""
+    who = port_holder(port)
+    return _port_error(f"port {port}, for {use}, is in use" + (f" by {who}" if who else ""), _OTHER_PORT)
+
+
+_OTHER_PORT = "another port, such as --port 8123, or --port 0 for any that is free"
+
+
+def _port_error(message: str, expected: str) -> WheellegError:
+    return WheellegError(message, key="--port", expected=expected)
+
+
+def port_holder(port: int) -> str:
+    """Return name and number of the process that listens on a port; empty where the system does not tell."""
+    sockets = {f"socket:[{inode}]" for inode in _listening(port)}
+    for folder in _PROC.glob("[0-9]*/fd") if sockets else ():
+        with suppress(OSError):  # of another user, or gone by now
+            if any(_points_to(entry) in sockets for entry in folder.iterdir()):
+                return f"{(folder.parent / 'comm').read_text().strip()}, process {folder.parent.name}"
+    return ""
+
+
+def _points_to(entry: Path) -> str:
+    with suppress(OSError):  # closed by now, as what listed the folder is
+        return str(entry.readlink())
+    return ""
+
+
+def _listening(port: int) -> Iterator[str]:
+    """Yield the inodes of the sockets that listen on a port, proc_net(5)."""
+    for name in ("tcp", "tcp6"):
+        with suppress(OSError):
+            for line in (_PROC / "self" / "net" / name).read_text().splitlines()[1:]:
+                fields = line.split()
+                if fields[3] == _LISTENS and int(fields[1].rpartition(":")[2], 16) == port:
+                    yield fields[9]
+
+
+_GOOD, _BAD, _PLAIN = "#2f9e44", "#e03131", "#1c7ed6"
+_BOX_STYLE = "font-size:0.82em;line-height:1.5;padding:0.2em 1em"
+KEYS_HELP = (
+    f'<div style="{_BOX_STYLE};opacity:0.75">W S or arrows: forwards, back. A D: turn. Q E: sideways. T G: height. '
+    "Space: pause. R: reset. F: push. X: stop. M: slow motion. A gamepad drives with its sticks.</div>"
+)
+
+
+def state_html(status: Status, controls: Controls, step_dt: float) -> str:
+    """Return time, commands and measures, and the height."""
+    fallen = f'<b style="color:{_BAD}">fallen: {escape(status.fallen)}</b>' if status.fallen else ""
+    word = "paused" if controls.paused else f"{controls.speed:g}x"
+    lines = [
+        f'<div id="drive-time"><b>{status.time_s:.2f} s</b> · {word} · {1.0 / step_dt:.0f} Hz · '
+        f"falls {status.falls} {fallen}</div>"
+    ]
+    lines += [_axis(axis, status.commands[name], status.measured.get(name)) for name, axis in controls.axes.items()]
+    lines.append(f'<div id="drive-height">height {1e3 * status.height_m:.1f} mm</div>')
+    return f'<div style="{_BOX_STYLE}">{"".join(lines)}</div>'
+
+
+def reward_bars_html(values: Mapping[str, float]) -> str:
+    """Return a bar a term, to the right for what pays and to the left for what costs, as long as its share."""
+    most = max((abs(value) for value in values.values()), default=0.0) or 1.0
+    rows = []
+    for name, value in values.items():
+        width = 50.0 * abs(value) / most
+        left = 50.0 if value >= 0.0 else 50.0 - width
+        rows.append(
+            f"<div>{escape(name)}<span style='float:right'>{value:+.3f}</span></div>"
+            + _bar(left, width, _GOOD if value >= 0.0 else _BAD)
+        )
+    return f'<div id="drive-rewards" style="{_BOX_STYLE}">{"".join(rows)}</div>'
+
+
+def _axis(axis: Axis, commanded: float, measured: float | None) -> str:
+    shown = "" if measured is None else f" · is {measured:+.3f}"
+    width = axis.high - axis.low
+    middle, end = (100.0 * (axis.bounded(v) - axis.low) / width for v in (axis.rest, commanded))
+    name = escape(axis.name)
+    text = f'<div data-axis="{name}" data-command="{commanded:.4f}">{name} {commanded:+.3f}{shown}</div>'
+    return text + _bar(min(middle, end), abs(end - middle), _PLAIN)
+
+
+def _bar(left: float, width: float, colour: str) -> str:
+    return (
+        '<div style="position:relative;height:5px;background:#8883;border-radius:3px">'
+        f'<div style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:5px;background:{colour};'
+        'border-radius:3px"></div></div>'
+    )
+
+
+# By the names that browsers give to the places of keys, whatever is printed on them.
+KEYS: dict[str, tuple[str, float]] = {
+    **dict.fromkeys(("KeyW", "ArrowUp"), ("lin_vel_x", 1.0)),
+    **dict.fromkeys(("KeyS", "ArrowDown"), ("lin_vel_x", -1.0)),
+    **dict.fromkeys(("KeyA", "ArrowLeft"), ("ang_vel_z", 1.0)),
+    **dict.fromkeys(("KeyD", "ArrowRight"), ("ang_vel_z", -1.0)),
+    "KeyQ": ("lin_vel_y", 1.0),
+    "KeyE": ("lin_vel_y", -1.0),
+    "KeyT": ("height", 1.0),
+    "KeyG": ("height", -1.0),
+}
+KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyX": "stop", "KeyM": "slow"}
+# Of a pad in the standard layout: the left stick forwards is axis 1 at -1, the right one to the right axis 2 at 1.
+_STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
+_BUTTONS = {0: "push", 1: "reset", 2: "slow", 9: "pause"}
+_DEADZONE = 0.12  # of a stick that nobody touches
+SLOW = 0.25  # simulated seconds in one second of slow motion
+_MAX_MESSAGE = 1024  # bytes of a message
+
+
+class InputServer:
+    """Listens to keys and gamepads of a page on the loopback address; one whose page goes away lets go of all.
+
+    Args:
+        controls: of whom they ask.
+        origins: the pages that may ask, such as ``http://127.0.0.1:8080``.
+        port: of the loopback address; 0 takes a free one.
+
+    Attributes:
+        push: the push of a key, m/s.
+    """
+
+    def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
+        from websockets.sync.server import serve
+
+        self.controls, self.push = controls, 0.0
+        allowed: Any = list(origins)
+        self._server = serve(self._listen, LOOPBACK, port, origins=allowed, max_size=_MAX_MESSAGE, compression=None)
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+
+    def javascript(self) -> str:
+        """Return what the page runs."""
+        port = self._server.socket.getsockname()[1]
+        axes = self.controls.axes
+        told = {
+            "url": f"ws://{LOOPBACK}:{port}/",
+            "keys": {code: pair for code, pair in KEYS.items() if pair[0] in axes},
+            "presses": KEY_ACTIONS,
+            "sticks": {index: pair for index, pair in _STICKS.items() if pair[0] in axes},
+            "buttons": _BUTTONS,
+            "deadzone": _DEADZONE,
+        }
+        return f"const DRIVE = {json.dumps(told)};\n{files(__package__).joinpath('keys.js').read_text('utf-8')}"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._thread.join()
+
+    def press(self, name: str) -> None:
+        """Do what a key asks for by its name; unknown ones count for nothing."""
+        controls = self.controls
+        if name == "pause":
+            controls.paused = not controls.paused
+        elif name == "slow":
+            controls.speed = 1.0 if controls.speed == SLOW else SLOW
+        elif name == "stop":
+            controls.stop()
+        elif name == "reset":
+            controls.request(Reset())
+        elif name == "push":
+            controls.request(Push(self.push))
+
+    def _listen(self, connection: Any) -> None:
+        steered: set[str] = set()
+        try:
+            for message in connection:
+                self._take(message, steered)
+        finally:
+            for axis in steered:
+                self.controls.steer(axis, 0.0)
+
+    def _take(self, message: str | bytes, steered: set[str]) -> None:
+        try:
+            said = json_value(message)
+        except Unreadable:
+            return
+        if not isinstance(said, dict):
+            return
+        axis, share = said.get("steer"), said.get("share")
+        if isinstance(axis, str) and isinstance(share, (int, float)):
+            steered.add(axis)
+            self.controls.steer(axis, float(share))
+        elif isinstance(said.get("press"), str):
+            self.press(said["press"])
+
+
+_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5  # as seen from the base, in heights of it
+_PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
+
+
+class DrivePage:
+    """A server of the page on the loopback address; ``with`` starts and ends it.
+
+    Args:
+        port: where; keys and gamepads use the next one. 0 takes free ones.
+        scenes: the grounds that can be chosen.
+        checkpoints: the checkpoints that can be chosen.
+
+    Raises:
+        WheellegError: what draws the page is not installed, or the port is taken.
+    """
+
+    def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
+        self._server_class, self._scene_class = _viewer()
+        self._port = port
+        self._scenes, self._checkpoints = list(scenes), {path.stem: path for path in checkpoints}
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        keys = self._port + 1 if self._port else 0
+        require_free(self._port, "the page")
+        require_free(keys, "the page's keys and gamepads")
+        with _without_output():
+            self._server = self._server_class(host=LOOPBACK, port=self._port, label="wheelleg", verbose=False)
+        self._stack.callback(self._stop)
+        if self._port not in (0, self._server.get_port()):
+            raise port_in_use(self._port, "the page")
+        origins = [f"http://{host}:{self._server.get_port()}" for host in (LOOPBACK, "localhost")]
+        _refuse_other_origins(self._server, origins)
+        self._hands = InputServer(Controls([]), origins, keys)
+        self._stack.enter_context(self._hands)
+        self._server.gui.configure_theme(show_share_button=False, control_width="large")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def url(self) -> str:
+        """What a browser opens."""
+        return f"http://{LOOPBACK}:{self._server.get_port()}/"
+
+    def open(self, session: DriveSession, choice: Choose, push: float) -> str:
+        """Show a drive that begins: its robot, its ground, what can be asked of it; return the page's address.
+
+        Args:
+            session: the drive.
+            choice: the checkpoint and the ground.
+            push: the push of a key or a button, m/s.
+        """
+        self._session, self._hands.push = session, push
+        self._controls = self._hands.controls = session.controls
+        self._data = mujoco.MjData(session.env.scene.sim.model)
+        self._server.scene.reset()
+        self._server.gui.reset()
+        model = copy.copy(session.env.scene.sim.model)  # the viewer changes its colours
+        self._scene = self._scene_class(self._server, model, num_envs=1)
+        self._look_from()
+        self._build(choice)
+        _run_in_page(self._server, self._hands.javascript())
+        return self.url
+
+    def show(self, status: Status) -> None:
+        """Show how the drive stands."""
+        env = self._session.env
+        self._data.qpos[:] = env.scene.sim.view("qpos")[0].cpu().numpy()
+        mujoco.mj_kinematics(self._scene.mj_model, self._data)
+        with self._server.atomic():
+            self._scene.update_from_mjdata(self._data)
+            self._state.content = state_html(status, self._controls, env.step_dt)
+            self._rewards.content = reward_bars_html(status.rewards)
+            for name, value in status.commands.items():
+                if self._mirrored.get(name) != value:  # by keys or a script; a slider in somebody's hand stays in it
+                    self._mirrored[name] = self._sliders[name].value = value
+            self._pause.label = "Go on" if self._controls.paused else "Pause"
+
+    def _stop(self) -> None:
+        with _without_output():
+            self._server.stop()
+
+    def _look_from(self) -> None:
+        away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
+        self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
+        self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
+
+    def _build(self, choice: Choose) -> None:
+        gui, controls = self._server.gui, self._controls
+        self._state = gui.add_html("")
+        with gui.add_folder("Commands"):
+            self._mirrored: dict[str, float] = {}
+            self._sliders = {name: self._slider(name) for name in controls.axes}
+            if not controls.axes:
+                gui.add_markdown("This task's commands have no range: the robot can be pushed, not driven.")
+            gui.add_button("Stop", hint="x").on_click(lambda _: controls.stop())
+        with gui.add_folder("Time"):
+            self._pause = gui.add_button("Pause", hint="space")
+            self._pause.on_click(lambda _: self._hands.press("pause"))
+            speed = gui.add_button_group("Speed", ("1", f"{SLOW:g}", "0.1"))
+            speed.on_click(lambda _: setattr(controls, "speed", float(speed.value)))
+            gui.add_button("Reset", hint="r").on_click(lambda _: controls.request(Reset()))
+            pushes = gui.add_button_group("Push", tuple(_PUSHES))
+            pushes.on_click(lambda _: controls.request(self._push_to(pushes.value)))
+        with gui.add_folder("Rewards, per second"):
+            self._rewards = gui.add_html("")
+        with gui.add_folder("What is driven"):
+            self._choices(choice)
+            gui.add_button("Finish", hint="end the drive and write its figures").on_click(
+                lambda _: controls.request(Finish())
+            )
+        gui.add_html(KEYS_HELP)
+
+    def _push_to(self, way: str) -> Push:
+        x, y = _PUSHES[way]
+        return Push(self._hands.push * x, self._hands.push * y)
+
+    def _slider(self, name: str) -> Any:
+        axis = self._controls.axes[name]
+        slider = self._server.gui.add_slider(
+            name, min=axis.low, max=axis.high, step=(axis.high - axis.low) / 200.0, initial_value=axis.rest
+        )
+
+        @slider.on_update
+        def _(event: Any) -> None:
+            if event.client is not None:  # not our own picture of it
+                self._mirrored[name] = float(slider.value)
+                self._controls.set(name, self._mirrored[name])
+
+        return slider
+
+    def _choices(self, choice: Choose) -> None:
+        gui, controls, names = self._server.gui, self._controls, list(self._checkpoints)
+        if choice.checkpoint is not None and choice.checkpoint.stem not in names:
+            names.append(choice.checkpoint.stem)
+        now = names[0] if choice.checkpoint is None else choice.checkpoint.stem
+        checkpoint = gui.add_dropdown("Checkpoint", names, initial_value=now)
+        scene = gui.add_dropdown("Ground", self._scenes, initial_value=choice.scene or self._scenes[0])
+
+        @checkpoint.on_update
+        def _(_: Any) -> None:
+            if checkpoint.value in self._checkpoints:
+                controls.request(Choose(checkpoint=self._checkpoints[checkpoint.value]))
+
+        @scene.on_update
+        def _(_: Any) -> None:
+            if scene.value in self._scenes:
+                controls.request(Choose(scene=scene.value))
+
+
+def _viewer() -> tuple[Any, Any]:
+    """Return the server's class, which never opens a tunnel to elsewhere, and the scene's."""
+    try:
+        import viser
+        from mjviser import ViserMujocoScene
+    except ImportError as error:
+        raise WheellegError(
+            f"the page is drawn by viser and mjviser, and there is no {error.name}",
+            key="--drive",
+            expected='pip install "wheelleg_exp[drive]"',
+        ) from error
+
+    class LocalServer(viser.ViserServer):
+        def request_share_url(self, verbose: bool = True) -> str | None:
+            """Return None: nothing is shown to others, whoever in the page asks for it."""
+            del verbose
+            return None
+
+    return LocalServer, ViserMujocoScene
+
+
+def _run_in_page(server: Any, source: str) -> None:
+    """Let every page that is open, or opened later, run a script, as viser itself does for its plots."""
+    from viser._messages import RunJavascriptMessage
+
+    server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
+
+
+def _refuse_other_origins(server: Any, origins: Sequence[str]) -> None:
+    """Close connections of pages that are not ours: a page of anybody's may try to reach the loopback address."""
+    own = server._websock_server
+
+    async def check(client: Any) -> None:
+        connection = own._live_connections[client.client_id]
+        if connection.request.headers.get("Origin") not in origins:
+            await connection.close(1008, "another page")
+
+    own.on_client_connect(check)
+
+
+@contextmanager
+def _without_output() -> Iterator[None]:
+    """Keep what viser prints away from standard output, on which reports go."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

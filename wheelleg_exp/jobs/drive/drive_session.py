@@ -1,0 +1,233 @@
+"""Step one robot under one policy, apply commands and requests between steps, and measure the drive."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from wheelleg_exp.definitions import ending
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.drive.drive_controls import Axis, CommandHold, Controls, Push, Reset, command_axes
+from wheelleg_exp.jobs.drive.drive_script import DriveLog
+from wheelleg_exp.managers.non_finite import require_finite_actions
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+# What an axis of a command is measured by, of the robot's data: the first row is the driven robot's.
+_MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
+    "lin_vel_x": lambda data: data.root_lin_vel_b[:, 0],
+    "lin_vel_y": lambda data: data.root_lin_vel_b[:, 1],
+    "ang_vel_z": lambda data: data.root_ang_vel_b[:, 2],
+    "pitch": lambda data: torch.asin(data.projected_gravity_b[:, 0].clamp(-1.0, 1.0)),
+    "roll": lambda data: torch.atan2(-data.projected_gravity_b[:, 1], -data.projected_gravity_b[:, 2]),
+}
+
+
+class DriveMeter:
+    """Sums what a drive shows, step by step; see ``definitions.drive``.
+
+    Args:
+        env: the environment, of one robot.
+        axes: what may be commanded.
+
+    Attributes:
+        height_m: height of the root link's origin above the ground below it, of the last step.
+        measured: what the robot did in it, for the axes that are known: m/s, rad/s, m and rad, by name.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
+        self._env, self._axes = env, list(axes)
+        self._steps, self._distance = 0, 0.0
+        self._squares: defaultdict[str, float] = defaultdict(float)
+        self._reward = self._height = 0.0
+        self.height_m, self.measured = self._look()
+        self._ended: Counter[str] = Counter()
+        self._requests: Counter[str] = Counter()
+        self._place: torch.Tensor | None = None
+
+    @property
+    def falls(self) -> int:
+        """How many episodes have ended by themselves."""
+        return sum(self._ended.values())
+
+    def observe(self, commanded: Mapping[str, float]) -> None:
+        """Take up a step that was done under commands."""
+        place = self._env.scene.robot.data.root_pos_w[0, :2].clone()
+        if self._place is not None:
+            self._distance += float(torch.linalg.vector_norm(place - self._place))
+        self._place = place
+        self._steps += 1
+        self._reward += float(self._env.reward_buf[0])
+        self.height_m, self.measured = self._look()
+        self._height += self.height_m
+        for name, value in self.measured.items():
+            self._squares[name] += (value - commanded[name]) ** 2
+
+    def ended(self, by: str) -> None:
+        """Note that an episode has ended, and by what."""
+        self._ended[by] += 1
+
+    def asked(self, request: Reset | Push) -> None:
+        """Note a request that is done."""
+        self._requests[type(request).__name__] += 1
+
+    def began(self) -> None:
+        """Note that the robot stands elsewhere: the way there was not driven."""
+        self._place = None
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures as plain values."""
+        count = max(self._steps, 1)
+        return {
+            "duration_s": self._steps * self._env.step_dt,
+            "steps": self._steps,
+            "distance_m": self._distance,
+            "falls": dict(self._ended),
+            "resets": self._requests[Reset.__name__],
+            "pushes": self._requests[Push.__name__],
+            "height_mean_m": self._height / count,
+            "reward": self._reward,
+            "tracking_rmse": {name: (total / count) ** 0.5 for name, total in self._squares.items()},
+        }
+
+    def _look(self) -> tuple[float, dict[str, float]]:
+        """Return height and measures; once a step, because rays that ask for the ground touch the engine."""
+        scene, measured = self._env.scene, {}
+        position = scene.robot.data.root_pos_w
+        height = float((position[:, 2] - scene.terrain.height_at(position[:, :2]))[0])
+        for axis in self._axes:
+            if axis.component == "height":
+                measured[axis.name] = height
+            elif axis.component in _MEASURES:
+                measured[axis.name] = float(_MEASURES[axis.component](scene.robot.data)[0])
+        return height, measured
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a drive stands, in numbers of the host.
+
+    Attributes:
+        time_s: simulated time since the drive began.
+        commands: what is commanded, by axis.
+        measured: the same of the robot, for the axes that can be measured.
+        height_m: height of the root link's origin above the ground below it.
+        rewards: this step's weighted values per second, by term.
+        falls: how often the robot has fallen.
+        fallen: by what the episode has ended; None while it goes on.
+    """
+
+    time_s: float
+    commands: dict[str, float]
+    measured: dict[str, float]
+    height_m: float
+    rewards: dict[str, float] = field(default_factory=dict)
+    falls: int = 0
+    fallen: str | None = None
+
+
+class DriveSession:
+    """A drive: nothing is reset unless somebody asks for it, and an episode that is over waits until it is.
+
+    Args:
+        adapter: the environment, of one robot.
+        policy: returns actions (1, A) for observations.
+
+    Attributes:
+        env: the environment.
+        axes: what may be commanded.
+        controls: what is asked for.
+        driven: what was asked for, step by step.
+        meter: figures of the drive.
+        steps: control steps since the drive began.
+        fallen: by what the episode has ended; None while it goes on.
+
+    Raises:
+        ConfigError: there are several environments.
+    """
+
+    def __init__(self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor]) -> None:
+        if adapter.num_envs != 1:
+            raise ConfigError(f"{adapter.num_envs} robots cannot be driven", key="env.num_envs", expected="1")
+        self._adapter, self._policy = adapter, policy
+        self.env: ManagerBasedRLEnv = adapter.env
+        self.env.autoreset = "disabled"
+        self.axes: list[Axis] = command_axes(self.env)
+        self.controls = Controls(self.axes)
+        self._hold = CommandHold(self.env, self.axes)
+        self.driven = DriveLog(self.env.step_dt)
+        self.meter = DriveMeter(self.env, self.axes)
+        self.steps = 0
+        self.fallen: str | None = None
+        self._hold(self.controls.values)
+        self.env.reset()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the drive began, s."""
+        return self.steps * self.env.step_dt
+
+    def step(self) -> None:
+        """Do one control step under the present commands; an episode that is over is not gone on with.
+
+        Raises:
+            SimulationFailure: the policy's actions are not finite.
+        """
+        values = self.controls.values
+        self.driven.commanded(self.steps, values)
+        self._hold(values)
+        actions = self._policy(self._adapter.get_observations())
+        require_finite_actions(self.env, actions)
+        self._adapter.step(actions)
+        self.steps += 1
+        self.meter.observe(values)
+        if bool(self.env.termination_manager.dones[0]):
+            terms = self.env.termination_manager.get_active_iterable_terms(0)
+            self.fallen = ending(name for name, (flag,) in terms if flag)
+            self.meter.ended(self.fallen)
+
+    def obey(self, request: Reset | Push) -> None:
+        """Do what was asked for; a robot that has fallen can only be reset, which would be done unasked as well."""
+        if self.fallen is not None:
+            if isinstance(request, Reset):
+                self.reset()
+            return
+        self.driven.asked(self.steps, request)
+        self.meter.asked(request)
+        if isinstance(request, Push):
+            self._push(request)
+        else:
+            self.reset()
+
+    def reset(self) -> None:
+        """Begin a new episode under the present commands."""
+        self._hold(self.controls.values)
+        self.env.reset()
+        self.meter.began()
+        self.fallen = None
+
+    def _push(self, push: Push) -> None:
+        robot, data = self.env.scene.robot, self.env.scene.robot.data
+        yaw = float(data.heading_w[0])
+        added = (math.cos(yaw) * push.x - math.sin(yaw) * push.y, math.sin(yaw) * push.x + math.cos(yaw) * push.y, 0.0)
+        velocity = data.root_lin_vel_w + data.root_lin_vel_w.new_tensor(added)
+        robot.write_root_com_velocity_to_sim(torch.cat((velocity, data.root_ang_vel_w), dim=1))
+        self.env.scene.refresh()
+
+    def status(self) -> Status:
+        """Return how the drive stands."""
+        rewards = self.env.reward_manager.get_active_iterable_terms(0)
+        return Status(
+            time_s=self.time_s,
+            commands=self.controls.values,
+            measured=self.meter.measured,
+            height_m=self.meter.height_m,
+            rewards={name: value for name, (value,) in rewards},
+            falls=self.meter.falls,
+            fallen=self.fallen,
+        )

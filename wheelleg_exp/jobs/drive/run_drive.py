@@ -1,0 +1,335 @@
+"""Drive a trained robot: in real time in the browser, or from a script as fast as it computes.
+
+The environment has one robot, on the run's own ground or another; no event acts unless the driver requests it.
+Each drive is recorded like a play and saved under the run.
+"""
+
+from __future__ import annotations
+
+import copy
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.explaining.catalog import options
+from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
+from wheelleg_exp.files import while_running, write_json, write_yaml
+from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
+from wheelleg_exp.jobs.drive.drive_script import Script, ScriptPlayer, read_script
+from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
+from wheelleg_exp.jobs.job_display import Display
+from wheelleg_exp.jobs.play_policy import RunPolicy, Tree, prepare_policy
+from wheelleg_exp.jobs.rollout_files import close_dataset
+from wheelleg_exp.packages import with_current
+from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
+from wheelleg_exp.stop_request import StopRequest
+from wheelleg_exp.user_exceptions import ending_as
+
+OWN_GROUND = "own"  # the run's own ground
+_GROUP = "scene"
+_DISTURBANCES = ("interval", "step")  # modes of events that act while an episode goes on
+
+
+def scenes() -> list[str]:
+    """Return the grounds that can be chosen: the run's own, and the options of the config group ``scene``."""
+    return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
+
+
+def require_scene(name: str) -> None:
+    """Raise ConfigError for a ground that there is not."""
+    known = scenes()
+    if name not in known:
+        raise ConfigError(
+            f"there is no ground '{name}'",
+            key="--scene",
+            expected="one of " + ", ".join(known),
+            nearest=nearest_name(name, known),
+        )
+
+
+def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
+    """Return a play's tree for driving.
+
+    One robot; episodes as long as ``drive.episode_length_s``; no events but those of starts and resets, and no
+    curriculum; commands that follow the hand instead of a heading or a share that stands.
+
+    Args:
+        tree: the tree.
+        scene: option of ``scene`` whose ground takes the place of the run's, or ``own``.
+    """
+    tree = copy.deepcopy(tree)
+    env = tree["env"]
+    env["num_envs"] = 1
+    env["episode_length_s"] = tree["drive"]["episode_length_s"]
+    env["events"] = {k: node for k, node in (env.get("events") or {}).items() if node.get("mode") not in _DISTURBANCES}
+    env["curriculum"] = {}
+    for node in (env.get("commands") or {}).values():
+        node |= {k: v for k, v in {"rel_standing_envs": 0.0, "heading_command": False}.items() if k in node}
+        if "heading_command" in node:
+            node["ranges"] = {**node["ranges"], "heading": None}
+    if scene != OWN_GROUND:
+        env["scene"] = _with_ground(env["scene"], scene)
+    return tree
+
+
+def _with_ground(own: Tree, name: str) -> Tree:
+    """Return a scene with another's ground, and what the sensors of both need there; the run's others stay."""
+    other = compose([f"+{_GROUP}={name}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
+    shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
+    ground = {key: value for key, value in other.items() if key != "sensors"}
+    return {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
+
+
+_MAX_DELAY_S = 0.1  # later than that is not made up for: a machine that is too slow shows slow motion
+
+
+class RealTimePacer:
+    """Waits between control steps as long as they last.
+
+    Args:
+        step_dt: control step, s.
+        frames_per_s: pictures in one second of the clock on the wall.
+        clock: returns that clock, s.
+        sleep: waits so many seconds.
+    """
+
+    def __init__(
+        self,
+        step_dt: float,
+        frames_per_s: float,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._step_dt, self._frame_s = step_dt, 1.0 / frames_per_s
+        self._clock, self._sleep = clock, sleep
+        self._due = self._next_frame = clock()
+
+    def wait(self, speed: float) -> None:
+        """Wait until the next step is due.
+
+        Args:
+            speed: simulated seconds in one second.
+        """
+        self._due = max(self._due + self._step_dt / speed, self._clock() - _MAX_DELAY_S)
+        left = self._due - self._clock()
+        if left > 0.0:
+            self._sleep(left)
+
+    def is_frame_due(self) -> bool:
+        """Return whether a picture is due, and count it as shown."""
+        now = self._clock()
+        if now < self._next_frame:
+            return False
+        self._next_frame += self._frame_s
+        if self._next_frame <= now:
+            self._next_frame = now + self._frame_s
+        return True
+
+
+class DriveView(Protocol):
+    """What shows a drive to the one who drives, and lets them ask."""
+
+    def open(self, session: DriveSession, choice: Choose, push: float) -> str:
+        """Show a drive that begins, of a checkpoint on a ground, with pushes of so many m/s; return where it is."""
+
+    def show(self, status: Status) -> None:
+        """Show how it stands."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What a drive made.
+
+    Attributes:
+        checkpoint: the checkpoint.
+        folder: what was written, below the run.
+        recording: the recording, or None.
+        figures: see ``definitions.drive``.
+    """
+
+    checkpoint: Path
+    folder: Path
+    recording: Path | None
+    figures: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DriveRequest:
+    """What is to be driven.
+
+    Attributes:
+        run: the run.
+        checkpoint: which of its checkpoints; None is the last.
+        overrides: changes to the run's parameters.
+        scene: option of the config group ``scene``; None or ``own`` is the run's own ground.
+        script: a file of commands, or None.
+        command: the command line, for the manifest.
+    """
+
+    run: RunDirectory
+    checkpoint: Path | None = None
+    overrides: Sequence[str] = ()
+    scene: str | None = None
+    script: Path | None = None
+    command: Sequence[str] = ()
+
+
+def drive(wish: DriveRequest, display: Display, face: DriveView | None = None) -> list[Drive]:
+    """Drive until somebody finishes; each checkpoint and each ground that is chosen on the way is a drive of its own.
+
+    Without a face there must be a script, which is driven as fast as it goes. With both the script goes first, in
+    real time, and the hand takes over.
+
+    Args:
+        wish: what is to be driven.
+        display: receives progress.
+        face: what shows the drive, or None.
+
+    Raises:
+        WheellegError: the run, a checkpoint, an override or the script is wrong.
+        SimulationFailure: numbers are not finite, or the disk is full.
+    """
+    drives: list[Drive] = []
+    choice: Choose | None = Choose(wish.checkpoint or wish.run.latest_checkpoint(), wish.scene)
+    script = wish.script
+    with StopRequest() as stop:
+        while choice is not None:
+            made, choice = _drive_one(wish, choice, script, display, face, stop)
+            drives.append(made)
+            script = None
+    return drives
+
+
+def _drive_one(
+    wish: DriveRequest, choice: Choose, path: Path | None, display: Display, face: DriveView | None, stop: StopRequest
+) -> tuple[Drive, Choose | None]:
+    """Return what was driven, and what is to be driven next."""
+    scene = choice.scene or OWN_GROUND
+    require_scene(scene)
+    prepared = prepare_policy(
+        wish.run, choice.checkpoint, wish.overrides, wish.command, display, lambda tree: drivable(tree, scene)
+    )
+    session = DriveSession(prepared.adapter, prepared.policy)
+    script = None if path is None else read_script(path, session.axes)
+    folder = create_exclusively(wish.run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
+    try:
+        with while_running():
+            return _drive_recorded(wish, choice, prepared, session, script, folder, display, face, stop)
+    except BaseException:  # what was not finished leaves nothing that looks like a drive
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _drive_recorded(
+    wish: DriveRequest,
+    choice: Choose,
+    prepared: RunPolicy,
+    session: DriveSession,
+    script: Script | None,
+    folder: Path,
+    display: Display,
+    face: DriveView | None,
+    stop: StopRequest,
+) -> tuple[Drive, Choose | None]:
+    tree = prepared.tree
+    recording = prepared.recording(folder, wish.command) if tree["recording"]["enabled"] else None
+    with recording or nullcontext():
+        if face is not None:
+            where = face.open(session, Choose(prepared.checkpoint, choice.scene), float(tree["drive"]["push"]))
+            display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
+        following = _Driver(session, script, tree["drive"], display, face, stop).run()
+        content = {
+            **prepared.about,
+            "seed": tree["seed"],
+            "overrides": list(wish.overrides),
+            "scene": choice.scene or OWN_GROUND,
+        }
+        content |= session.meter.figures()
+        if recording is not None:
+            recording.figures(content)
+    driven = folder / "driven.yaml"
+    write_yaml(driven, session.driven.script(session.steps))
+    write_json(folder / "figures.json", content)
+    files = [*close_dataset(folder / "dataset", session.env), folder / "figures.json", driven]
+    files += [] if recording is None else [recording.path]
+    wish.run.manifest().add("drive", files, content, command=wish.command)
+    made = Drive(prepared.checkpoint, folder, recording.path if recording else None, content)
+    if following is None:
+        return made, None
+    return made, Choose(following.checkpoint or prepared.checkpoint, following.scene or choice.scene)
+
+
+class _Driver:
+    """Does step after step until the script is over, or somebody finishes or chooses something else."""
+
+    def __init__(
+        self,
+        session: DriveSession,
+        script: Script | None,
+        options: dict[str, Any],
+        display: Display,
+        face: DriveView | None,
+        stop: StopRequest,
+    ) -> None:
+        self._session, self._display, self._face, self._stop = session, display, face, stop
+        self._controls: Controls = session.controls
+        step_dt = session.env.step_dt
+        self._hand = None if script is None else ScriptPlayer(script, self._controls, step_dt)
+        self._pace = None if face is None else RealTimePacer(step_dt, float(options["frames_per_s"]))
+        self._shown_s = 0.0 if face is None else float(options["fall_shown_s"])
+        self._fallen_at: float | None = None
+
+    @ending_as(SimulationFailure)
+    @torch.inference_mode()
+    def run(self) -> Choose | None:
+        """Return what was chosen, or None when the drive is over."""
+        while not self._is_over():
+            for request in self._requests():
+                if isinstance(request, Finish):
+                    return None
+                if isinstance(request, Choose):
+                    return request
+                self._session.obey(request)
+            if self._session.fallen is not None:
+                self._stand_up()
+            elif not self._controls.paused:
+                self._session.step()
+                if self._hand is not None and self._face is None:
+                    self._display.steps(self._session.steps, self._hand.last_step)
+            self._keep_time()
+        return None
+
+    def _requests(self) -> list[Any]:
+        if self._hand is not None and not self._controls.paused and self._session.fallen is None:
+            self._hand.before(self._session.steps)
+        return self._controls.take()
+
+    def _is_over(self) -> bool:
+        if self._face is not None:
+            return self._stop.requested
+        self._stop.check()
+        return self._hand is None or self._session.steps >= self._hand.last_step
+
+    def _stand_up(self) -> None:
+        """Reset a robot that has fallen, as soon as that was seen."""
+        now = time.monotonic()
+        self._fallen_at = now if self._fallen_at is None else self._fallen_at
+        if now - self._fallen_at >= self._shown_s:
+            self._session.reset()
+        if self._session.fallen is None:
+            self._fallen_at = None
+
+    def _keep_time(self) -> None:
+        if self._pace is None or self._face is None:
+            return
+        if self._pace.is_frame_due():
+            self._face.show(self._session.status())
+        self._pace.wait(self._controls.speed)

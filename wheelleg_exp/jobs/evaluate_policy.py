@@ -1,0 +1,456 @@
+"""Evaluate a run's policy, or the reference controller, in the scenarios of a protocol, and save the result.
+
+Each evaluation is a folder ``evaluation/<time>/`` below the run. ``compare`` compares saved evaluations over
+training seeds, with other runs, and with the reference.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking.find_mistakes import check_tree
+from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
+from wheelleg_exp.config.config_errors import raise_all
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.evaluation.evaluation_env import evaluation_cfg, rewarded_height
+from wheelleg_exp.evaluation.lqr_balancer import Reference
+from wheelleg_exp.evaluation.method_comparison import (
+    Difference,
+    OverSeeds,
+    differences,
+    over_seeds,
+    plain,
+    push_verdict,
+    verdict,
+)
+from wheelleg_exp.evaluation.protocol import MakePolicy, Tell, evaluate
+from wheelleg_exp.evaluation.protocol_options import Protocol
+from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
+from wheelleg_exp.files import for_people, sha256, while_running, write_json, write_text
+from wheelleg_exp.jobs.saved_robot import saved_mjcf
+from wheelleg_exp.jobs.torch_threads import set_threads
+from wheelleg_exp.plain_data import Unreadable, json_value
+from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
+from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
+from wheelleg_exp.run.start_run import refuse_secrets
+from wheelleg_exp.terms.config_sections import read_section
+from wheelleg_exp.user_exceptions import ending_as
+
+_ALTERNATIVES = {
+    "env.num_envs": "the episodes of a test, such as protocol.stand.episodes",
+    "env.episode_length_s": "the length of a test, such as protocol.stand.horizon_s",
+    "env.scene.terrain": "protocol.ground=own, which evaluates on the task's own ground",
+    "env.rewards": "a key that an evaluation reads: rewards are not computed",
+    "agent.device": "env.sim.engine and env.sim.device: the policy runs where the simulation does",
+    "agent": "agent.torch_threads, agent.clip_actions, or a key of the policy's network",
+    "": "a key of what is evaluated: robot, scene, actions, observations, failures, events at startup and reset",
+}
+
+
+def evaluation_settings(
+    run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Return ``env``, ``agent``, ``protocol`` and ``seed``, plain: the run's own but for the overrides.
+
+    Args:
+        run: the run.
+        overrides: those of ``protocol`` and ``seed`` choose and change the protocol, all others the run's parameters.
+        config_dirs: folders of the user's own protocols.
+
+    Raises:
+        WheellegError: an override, the run or the protocol is wrong.
+    """
+    mine = [text for text in overrides if _is_of_protocol(text)]
+    others = run_overrides(overrides)
+    composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
+    env, agent = load_params(run)
+    kept = {"env": on_reference_engine(upgrade_env_params(env)), "agent": agent}
+    tree = {**apply_overrides(kept, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
+    with composed.placing(), placing(others):
+        if errors := check_tree(tree, schema.EvaluateRoot):
+            raise_all(errors)
+        for key in ("asset", "base"):
+            if tree["env"]["robot"][key] != kept["env"]["robot"][key]:
+                raise ConfigError(
+                    "a policy is evaluated on the robot that it was trained on",
+                    key=f"env.robot.{key}",
+                    expected="the run's own value; another robot needs a new run",
+                )
+        protocol = read_section(Protocol, tree["protocol"], "protocol")
+        require_read(kept, others, lambda changed: _settings_read(changed, protocol), _ALTERNATIVES)
+    return tree
+
+
+def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
+    """Return what an evaluation reads of ``env`` and ``agent``."""
+    env = tree["env"]
+    height = rewarded_height(env) if protocol.target_height is None else None
+    agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
+    return evaluation_cfg(env, protocol, 1, 1.0, protocol.ground), height, agent
+
+
+def run_overrides(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides that change the run's parameters, and not the protocol."""
+    return [text for text in overrides if not _is_of_protocol(text)]
+
+
+def _is_of_protocol(override: str) -> bool:
+    key = override.lstrip("+~").partition("=")[0]
+    return key.split(".")[0].split("@")[0] in ("protocol", "seed")
+
+
+Draw = Callable[[Evaluation, Path], list[Path]]  # draws an evaluation into a folder, and returns the files
+
+RESULT, EPISODES = "evaluation.json", "episodes.csv"
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """What an evaluation made.
+
+    Attributes:
+        run: the run whose policy it was.
+        checkpoint: the checkpoint; None of the reference controller.
+        folder: what was written, below the run.
+        evaluation: what was found.
+        content: what stands in ``evaluation.json``.
+    """
+
+    run: RunDirectory
+    checkpoint: Path | None
+    folder: Path
+    evaluation: Evaluation
+    content: dict[str, Any]
+
+
+def evaluate_run(
+    run: RunDirectory,
+    checkpoint: Path | None,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    tell: Tell | None = None,
+    config_dirs: Sequence[Path] = (),
+    draw: Draw | None = None,
+) -> Evaluated:
+    """Evaluate the mean of a run's policy, and keep what was found under the run.
+
+    Args:
+        run: the run.
+        checkpoint: which of its checkpoints; None is the last.
+        overrides: the protocol, changes to it, and changes to the run's parameters.
+        command: the command line, for the manifest.
+        tell: told the test, and how many of its steps are done of how many.
+        config_dirs: folders of the user's own protocols.
+        draw: draws what was found.
+
+    Raises:
+        WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
+    """
+    checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
+    tree = evaluation_settings(run, overrides, config_dirs)
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree)
+    found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), tell)
+    own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
+    name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
+    about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint), "overrides": list(overrides)}
+    content = {**about, **found.as_dict()}
+    return Evaluated(run, checkpoint, _save(run, "evaluation", content, found, command, draw), found, content)
+
+
+def evaluate_reference(
+    run: RunDirectory,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    tell: Tell | None = None,
+    config_dirs: Sequence[Path] = (),
+    draw: Draw | None = None,
+) -> Evaluated:
+    """Evaluate the reference controller on a run's robot and task, and keep what was found under the run.
+
+    Args:
+        run: the run.
+        overrides: as for ``evaluate_run``, as are the others.
+        command: the command line, for the manifest.
+        tell: told how far it is.
+        config_dirs: folders of the user's own protocols.
+        draw: draws what was found.
+
+    Raises:
+        WheellegError: an override is wrong, or the robot or its actions are none that the reference can balance.
+    """
+    tree = evaluation_settings(run, overrides, config_dirs)
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree)
+    made: list[Reference] = []
+
+    def make(env: ManagerBasedRLEnv) -> Reference:
+        made.append(Reference(env, tree["protocol"]["command"]))
+        return made[-1]
+
+    found = _evaluate(tree, saved_mjcf(run), make, tell)
+    content = {"policy": Reference.name, **made[0].describe(), "overrides": list(overrides), **found.as_dict()}
+    return Evaluated(run, None, _save(run, Reference.name, content, found, command, draw), found, content)
+
+
+def _save(
+    run: RunDirectory,
+    kind: str,
+    content: dict[str, Any],
+    found: Evaluation,
+    command: Sequence[str],
+    draw: Draw | None,
+) -> Path:
+    """Write what was found below the run, whole or not at all, and return the folder."""
+    folder = create_exclusively(run.evaluation, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
+    try:
+        with while_running():
+            write_text(folder / EPISODES, episodes_text(found.episodes))
+            write_json(folder / RESULT, content)
+            drawn = [] if draw is None else draw(found, folder)
+            run.manifest().add(kind, [folder / RESULT, folder / EPISODES, *drawn], _summary(content), command=command)
+    except BaseException:  # an interrupted evaluation leaves nothing that looks like one
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder
+
+
+@ending_as(SimulationFailure)
+def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, tell: Tell | None) -> Evaluation:
+    return evaluate(tree["env"], mjcf, make_policy, tree["protocol"], tree["seed"], tell=tell)
+
+
+def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
+    """Return what makes the policy of a checkpoint for an environment: its mean action, clipped as in training.
+
+    Args:
+        checkpoint: the checkpoint.
+        agent: the run's ``agent`` section.
+    """
+
+    def make(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
+        set_threads(agent, env.scene.sim.nthread)
+        clip = agent.get("clip_actions")
+        policy = load_policy(checkpoint, RslRlVecEnv(env, clip), agent)
+        policy.to(env.device)
+
+        def act(observations: Mapping[str, Any]) -> torch.Tensor:
+            actions = policy(TensorDict(dict(observations), batch_size=[env.num_envs]))
+            return actions if clip is None else actions.clamp(-clip, clip)
+
+        return act
+
+    return make
+
+
+def _summary(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the manifest says of an evaluation: which, of what, and its values."""
+    kept = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
+    values = {name: figure["value"] for name, figure in content["metrics"].items()}
+    told = {key: content[key] for key in kept if key in content}
+    return {"protocol": content["protocol"]["name"], **told, "metrics": values}
+
+
+def episodes_text(episodes: Mapping[str, Any]) -> str:
+    """Return the episodes as CSV, one row each; numbers as Python writes them, so that they are read back exactly."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(episodes)
+    for row in zip(*(column.tolist() for column in episodes.values()), strict=True):
+        writer.writerow(_cell(value) for value in row)
+    return file.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    return "" if math.isnan(value) else repr(int(value) if math.isfinite(value) and value == int(value) else value)
+
+
+_EXPECTED = "an evaluation that wheelleg evaluate has written"
+
+
+def read_content(folder: Path) -> dict[str, Any]:
+    """Return what stands in a kept ``evaluation.json``.
+
+    Raises:
+        RunDirectoryError: it is missing or damaged, or of another version.
+    """
+    path = folder / RESULT
+    try:
+        with for_people(path, "read"):
+            content = json_value(path.read_bytes())
+    except Unreadable as error:
+        raise RunDirectoryError(f"is damaged: {error.problem}", key=str(path), expected=_EXPECTED) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise RunDirectoryError(f"is no evaluation of format {FORMAT}", key=str(path), expected=_EXPECTED)
+    return content
+
+
+def read_evaluation(folder: Path) -> Evaluation:
+    """Return a kept evaluation, its episodes included.
+
+    Raises:
+        RunDirectoryError: a file of it is missing or damaged.
+    """
+    content = read_content(folder)
+    try:
+        metrics = {name: _figure(value) for name, value in content["metrics"].items()}
+        kept = {key: content[key] for key in ("protocol", "seed", "scenarios_sha256", "starts_sha256", "about")}
+        return Evaluation(episodes=read_episodes(folder / EPISODES), metrics=metrics, **kept)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunDirectoryError(f"is damaged: {error!r}", key=str(folder), expected=_EXPECTED) from error
+
+
+def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the columns of ``episodes.csv``: numbers, NaN where a cell is empty, or texts."""
+    with for_people(path, "read"):
+        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
+    if not rows:
+        raise RunDirectoryError("is empty", key=str(path), expected=_EXPECTED)
+    return {name: _column([row[i] for row in rows[1:]]) for i, name in enumerate(rows[0])}
+
+
+def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
+    """Return the newest kept evaluation of a checkpoint under a protocol; None when there is none.
+
+    Args:
+        run: the run.
+        checkpoint: the checkpoint's sha256.
+        tree: what ``settings`` returns for the overrides: a protocol is the same in whatever words it was asked for.
+        overrides: those of the run's own parameters and of the protocol.
+    """
+    asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
+    folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
+    for folder in sorted(folders, reverse=True):
+        content = read_content(folder)
+        made = tuple(content.get(key) for key in ("checkpoint_sha256", "seed", "protocol"))
+        if (*made, run_overrides(content.get("overrides") or [])) == asked:
+            return folder
+    return None
+
+
+def load_evaluated(run: RunDirectory, checkpoint: Path, folder: Path) -> Evaluated:
+    """Return a kept evaluation as if it had just been made."""
+    return Evaluated(run, checkpoint, folder, read_evaluation(folder), read_content(folder))
+
+
+def _figure(value: Mapping[str, Any]) -> Figure:
+    numbers = {key: float("nan") if value[key] is None else float(value[key]) for key in ("value", "low", "high")}
+    return Figure(**numbers, episodes=value["episodes"], unit=value["unit"], better=value["better"])
+
+
+def _column(cells: Sequence[str]) -> np.ndarray[Any, Any]:
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in cells])
+    except ValueError:
+        return np.array(cells)
+
+
+COMPARISON = "comparison.json"
+COMPARISON_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What a comparison made.
+
+    Attributes:
+        folder: what was written, below the first run.
+        seeds: every metric over the runs.
+        differences: how they differ from those that they are held against; empty when they are against none.
+        verdict: what that comes to, in words; empty likewise.
+        push_verdict: what it comes to in push recovery; empty likewise, and where no pushes were measured.
+        content: what stands in ``comparison.json``.
+    """
+
+    folder: Path
+    seeds: list[OverSeeds]
+    differences: list[Difference]
+    verdict: str
+    push_verdict: str
+    content: dict[str, Any]
+
+
+def compare(
+    runs: Sequence[Evaluated],
+    against: Sequence[Evaluated],
+    reference: Evaluated | None,
+    command: Sequence[str],
+    name: str | None = None,
+) -> Compared:
+    """Compare evaluated runs and keep what was found under the first of them.
+
+    Args:
+        runs: of one method, trained with different seeds.
+        against: of another; may be empty.
+        reference: the reference controller; told beside them.
+        command: the command line, for the manifest.
+        name: what the runs are called together; by default by the id of the first.
+
+    Raises:
+        RunDirectoryError: they are of different scenarios.
+    """
+    seeds = over_seeds([made.evaluation for made in runs])
+    found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
+    names = name or group_name(runs), group_name(against) if against else ""
+    # The reference was not trained.
+    trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
+    said = verdict(found, *names, trainings) if against else ""
+    pushed = push_verdict(found, *names)
+    evaluation = runs[0].evaluation
+    content: dict[str, Any] = {
+        "format": COMPARISON_FORMAT,
+        "protocol": evaluation.protocol["name"],
+        "scenarios_sha256": evaluation.scenarios_sha256,
+        "runs": [_identify(made) for made in runs],
+        "against": [_identify(made) for made in against],
+        "reference": None if reference is None else _identify(reference),
+        "over_seeds": {row.metric: plain(asdict(row)) for row in seeds},
+        "differences": {row.metric: row.as_dict() for row in found},
+        "verdict": said,
+        "push_verdict": pushed,
+    }
+    run = runs[0].run
+    folder = create_exclusively(run.evaluation, datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + "_comparison")
+    try:
+        with while_running():
+            write_json(folder / COMPARISON, content)
+            results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
+            run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return Compared(folder, seeds, found, said, pushed, content)
+
+
+def group_name(made: Sequence[Evaluated]) -> str:
+    """Return what evaluated runs are called in a sentence."""
+    names = [display_name(one) for one in made]
+    return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
+
+
+def display_name(made: Evaluated) -> str:
+    """Return what one is called in a table: the run's id, or the reference's name."""
+    return made.run.id if made.checkpoint is not None else f"the {made.content['policy']}"
+
+
+def _identify(made: Evaluated) -> dict[str, Any]:
+    about = {"run": made.run.id, "evaluation": made.folder.name, "starts_sha256": dict(made.evaluation.starts_sha256)}
+    if made.checkpoint is None:
+        return about | {"policy": made.content["policy"]}
+    return about | {"checkpoint_sha256": made.content["checkpoint_sha256"]}

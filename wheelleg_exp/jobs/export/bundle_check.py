@@ -1,0 +1,180 @@
+"""Record episodes of the training's simulation, and compare every policy that a bundle ships with them.
+
+Each compared step starts from recorded values. A policy that is fed its own actions amplifies rounding errors.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from onnx.reference import ReferenceEvaluator
+
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.jobs.export.bundle import runner
+from wheelleg_exp.jobs.export.exported_observations import reading
+from wheelleg_exp.managers.non_finite import require_finite_actions
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.user_exceptions import ending_as
+
+READING = "reading:"
+
+
+@ending_as(SimulationFailure)
+@torch.inference_mode()
+def recorded_episodes(
+    adapter: RslRlVecEnv,
+    policy: Callable[[Any], torch.Tensor],
+    trained: Callable[[Any], torch.Tensor],
+    groups: Sequence[str],
+    names: Sequence[str],
+    clip_actions: float | None,
+    steps: int,
+) -> dict[str, np.ndarray]:
+    """Return what a policy saw and did in the first simulation, float32, a row a control step.
+
+    Args:
+        adapter: the environment.
+        policy: the mean action of observations, which is applied.
+        trained: the same in float32, as training computes it.
+        groups: the observation groups that it sees.
+        names: the readings to keep.
+        clip_actions: bound of the raw actions, or None.
+        steps: control steps.
+
+    Returns:
+        ``reset`` (T,) bool: an episode begins; ``reading:<name>`` (T, width); ``observations`` (T, O); ``actions``
+        (T, A), clipped, and ``actions_float32``, of ``trained``; ``targets`` (T, 3, J): positions, velocities, efforts
+        of all joints.
+    """
+    env, begins = adapter.env, True
+    rows: dict[str, list[np.ndarray]] = {}
+    for _ in range(steps):
+        seen = adapter.get_observations()
+        actions, rounded = policy(seen), trained(seen)
+        require_finite_actions(env, actions)
+        if clip_actions is not None:
+            actions, rounded = (found.clamp(-clip_actions, clip_actions) for found in (actions, rounded))
+        row = {READING + name: reading(name).of(env) for name in names}
+        row |= {"observations": torch.cat([seen[group] for group in groups], dim=1), "actions": actions}
+        row |= {"actions_float32": rounded, "targets": _targets(adapter, actions)}
+        for name, value in row.items():
+            rows.setdefault(name, []).append(value[0].numpy().astype(np.float32))
+        rows.setdefault("reset", []).append(np.bool_(begins))  # type: ignore[arg-type]
+        _, _, dones, _ = adapter.step(actions)
+        begins = bool(dones[0])
+        if begins:
+            env.reset()  # as a deployer begins: nothing has happened before the first reading
+    return {name: np.stack(values) for name, values in rows.items()}
+
+
+def _targets(adapter: RslRlVecEnv, actions: torch.Tensor) -> torch.Tensor:
+    """Return the joint targets (N, 3, J) that actions set in the first physics step, and change nothing.
+
+    Positions are clipped to the joints' limits, as a runner clips them; training does not.
+    """
+    env = adapter.env
+    manager, kept = env.action_manager, env.action_manager.state_dict()
+    manager.process_action(actions)
+    manager.apply_action()
+    targets = env.scene.robot.targets
+    low, high = env.scene.robot.layout.joint_pos_limits.unbind(dim=1)
+    found = torch.stack((targets.pos.clamp(low, high), targets.vel, targets.effort), dim=1)
+    manager.load_state_dict(kept)
+    return found
+
+
+# Relative to the larger of 1 and the recorded number. Float32 sums depend on their order, float64 sums do not.
+TOLERANCE, TOLERANCE_FLOAT32 = 1e-6, 1e-4
+_FLOAT64 = ("observations", "actions", "targets", "c_double")
+_COMPILERS = ("cc", "gcc", "clang")
+_MOST_S = 300.0
+_MAIN = """
+#include "policy.h"
+#include <stdio.h>
+#define READ(x) (fread(&x, sizeof x, 1, stdin) == 1)
+#define WRITE(x) fwrite(&x, sizeof x, 1, stdout)
+int main(void) {
+    static policy_state s, whole;
+    static policy_readings readings;
+    static policy_targets targets;
+    static float starts, observation[POLICY_OBSERVATIONS], action[POLICY_ACTIONS];
+    while (READ(starts) && READ(readings) && READ(observation) && READ(action)) {
+        if (starts) policy_reset(&s);
+        whole = s;
+        if (policy_step(&whole, &readings, &targets)) return 1;
+        policy_observe(&s, &readings);
+        WRITE(s.observation);
+        memcpy(s.observation, observation, sizeof observation);
+        policy_network(&s);
+        WRITE(s.action);
+        memcpy(s.action, action, sizeof action);
+        if (policy_act(&s, readings.joint_pos, &targets)) return 1;
+        WRITE(targets);
+    }
+    return 0;
+}
+"""
+
+
+def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
+    """Return the largest differences of the policies from ``check.npz``, and why the header was not compared, if so.
+
+    Args:
+        folder: the bundle with what ``runner.py`` needs.
+        torchscript: the content of ``policy.pt``.
+        onnx: the content of ``policy.onnx``.
+        header: the content of ``policy.h``.
+
+    Raises:
+        SimulationFailure: a difference is larger than its tolerance.
+    """
+    found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
+    recorded = dict(np.load(folder / "check.npz"))
+    seen = recorded["observations"]
+    by_onnx = ReferenceEvaluator(onnx).run(None, {"obs": seen})[0]
+    by_torch = torch.jit.load(io.BytesIO(torchscript))(torch.from_numpy(seen)).detach().numpy()
+    for name, actions in (("onnx", by_onnx), ("torchscript", by_torch)):
+        found[name] = runner.largest_difference(clipped(actions), recorded["actions"])
+    differences, notes = _compare_header(header, recorded)
+    for name, difference in (found := found | differences).items():
+        tolerance = TOLERANCE if name in _FLOAT64 else TOLERANCE_FLOAT32
+        if not difference <= tolerance:
+            message = f"the exported policy is not the trained policy: its {name} differ by {difference:.3g}"
+            raise SimulationFailure(message, expected=f"at most {tolerance:g}, relative to max(1, |recorded|)")
+    return found, notes
+
+
+def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[dict[str, float], list[str]]:
+    compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
+    if compiler is None:
+        return {}, [f"policy.h, which was not compared: there is no C compiler ({', '.join(_COMPILERS)})"]
+    names = ("reset", *(name for name in recorded if name.startswith(READING)), "observations", "actions")
+    rows, wanted = (_rows(recorded, columns) for columns in (names, ("observations", "actions", "targets")))
+    found = {}
+    with tempfile.TemporaryDirectory(prefix="wheelleg-header-") as folder:
+        for name, text in (("policy.h", header), ("main.c", _MAIN)):
+            Path(folder, name).write_text(text, encoding="utf-8")
+        for real in ("double", "float"):
+            command = [compiler, "-std=c99", "-O1", f"-DPOLICY_REAL={real}", "main.c", "-o", "main", "-lm"]
+            try:
+                subprocess.run(command, cwd=folder, capture_output=True, check=True, timeout=_MOST_S)
+                said = subprocess.run([f"{folder}/main"], input=rows.tobytes(), capture_output=True, timeout=_MOST_S)
+            except (OSError, subprocess.SubprocessError) as error:
+                return {}, [f"policy.h, which was not compared: {compiler} failed: {error}"]
+            whole = said.returncode == 0 and len(said.stdout) == wanted.nbytes
+            values = np.frombuffer(said.stdout, np.float32).reshape(wanted.shape) if whole else np.inf
+            found[f"c_{real}"] = runner.largest_difference(values, wanted)
+    return found, []
+
+
+def _rows(recorded: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
+    """Return arrays (T, ...) side by side, float32 (T, sum of widths)."""
+    return np.concatenate([recorded[name].reshape(len(recorded["reset"]), -1) for name in names], 1, dtype=np.float32)

@@ -1,0 +1,200 @@
+"""Write the README of a bundle: its files, how to use them, and the robot's joints, readings, and terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+_FILES = {
+    "policy.json": "everything between sensor readings and joint targets, as numbers",
+    "runner.py": "the policy in NumPy, one file: `Policy().step(readings) -> targets`",
+    "policy.npz": "the network's arrays, float32, for `runner.py`",
+    "policy.onnx": "the network: `obs` (B, O) to `actions` (B, A), before clipping; its metadata hold `policy.json`",
+    "policy.pt": "the same as TorchScript",
+    "policy.h": "the same policy in C99: readings to targets, no other file needed; returns a status",
+    "check.npz": "readings, observations, actions and targets of training's own simulation, with which "
+    "`python runner.py` compares each step",
+    "simulate.py": "the robot in MuJoCo: `python simulate.py --seconds 20 --view`; needs numpy and mujoco, `--onnx` "
+    "also onnxruntime or onnx, `--view` also a display",
+    "robot/robot.xml": "the robot that was simulated, with its meshes",
+    "robot/scene.xml": "the same with training's drives, friction and solver on level ground",
+}
+_USE = """```python
+from runner import Policy
+
+policy = Policy()              # Policy(onnx=True) runs policy.onnx, with onnxruntime or onnx
+policy.reset()                 # when an episode starts, and after the robot was put on its feet
+targets = policy.step({...})   # every step_dt: targets["position"] (rad), ["velocity"] (rad/s), ["effort"] (N·m)
+```
+
+A reading that is NaN, inf or missing raises ValueError; in C `policy_step` returns `POLICY_NOT_FINITE`. The call then
+changes nothing, and the caller must decide what the drives do."""
+
+
+def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) -> str:
+    """Return the text.
+
+    Args:
+        spec: ``policy.json``.
+        files: the files of the bundle.
+        notes: what is missing in it and why.
+    """
+    about, joints = spec["run"], spec["joint_names"]
+    parts = [
+        f"# The policy `{about['task']}` of run `{about['id']}`, iteration {about['iteration']}",
+        "Sensor readings in, joint targets out, every "
+        f"{1000 * spec['step_dt']:.4g} ms ({1 / spec['step_dt']:.4g} Hz). Nothing here needs torch or the program that "
+        "trained it. SI units and radians; quaternions are (w, x, y, z); the base's x axis points forwards, z upwards.",
+        "## Files",
+        _table(("file", "what it is"), [(f"`{name}`", _FILES[name]) for name in _FILES if name in files]),
+        *(f"Not here: {note}." for note in notes),
+        "## Use",
+        _USE,
+        _checked(spec["check"]),
+        "## Readings, in the order of `policy.json`",
+        _table(
+            ("name", "width", "unit", "what it is"),
+            [(f"`{name}`", r["width"], r["unit"], r["meaning"]) for name, r in spec["readings"].items()],
+        ),
+        *_commands(spec["commands"]),
+        *_accelerations(spec["command_accelerations"]),
+        "## Joints, in order",
+        _table(
+            ("#", "joint", "default, rad", "stiffness, N·m/rad", "damping, N·m·s/rad", "effort, N·m", "speed, rad/s"),
+            [(i, f"`{joints[i]}`", *(_number(spec[key][i]) for key in _PER_JOINT)) for i in range(len(joints))],
+        ),
+        "Position targets are clipped to the limits of the joints (`joint_pos_limits`), velocity targets to the speed. "
+        "The positions of these joints count from `reset`, whatever their encoders read then: "
+        f"{', '.join(f'`{name}`' for name in spec['rolling_joints']) or 'none'}.",
+        "## What the robot must have\n\nThe policy was trained with these joints. A robot that differs can fall.",
+        _table(
+            ("joint", *_UNITS),
+            [(f"`{joints[i]}`", *(_number(spec[key][i]) for key in _OF_ROBOT)) for i in range(len(joints))],
+        ),
+        "Armature is the rotor's inertia times the gear ratio squared; it adds to the inertia of the parts. The drive "
+        "must compute its torque from new encoder values at the drive rate or faster: in each physics step of the "
+        "training, and ten times as often as stability needs. With less armature it must do so more often.",
+        "## Observation",
+        f"{spec['observation_width']} numbers. Each term: its value, its modifiers, `clip`, then `scale`; then the "
+        "history. The first readings of an episode fill every slot of it.",
+        *_observations(spec["observations"]),
+        "The network normalises it: (x - mean) / deviation, arrays of `policy.npz`; the ONNX and TorchScript files do "
+        "so themselves."
+        if spec["network"]["normalized"]
+        else "",
+        "## Actions",
+        _clipped(spec["clip_actions"]),
+        _table(("action", "joint", "drives", "what becomes of it"), [*_actions(spec["actions"])]),
+        "A joint that no action drives keeps its default position, velocity 0 and effort 0 as targets. Drives hold a "
+        "target for the whole control step: torque = stiffness (position - q) + damping (velocity - q̇) + effort, "
+        "within the effort limit.",
+        *_trained_with(spec),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+_OF_ROBOT = ("armature", "inertia", "friction", "viscous_friction", "drive_rate")
+_UNITS = ("armature, kg·m²", "inertia of the parts, kg·m²", "friction, N·m", "damping, N·m·s/rad", "drive rate, Hz")
+_PER_JOINT = ("default_joint_pos", "stiffness", "damping", "effort_limit", "velocity_limit")
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
+
+
+def _checked(check: Mapping[str, Any]) -> str:
+    rows = [(f"`{name}`", f"{value:.1g}") for name, value in check["largest_difference"].items()]
+    return (
+        f"Every policy here was compared with {check['steps']} recorded steps, each from the recorded readings, "
+        "observation and last action. Differences are relative to max(1, |recorded|). `observations`, `actions` and "
+        f"`targets` (`runner.py`) and `c_double` (`policy.h`) agree within {check['tolerance']:g}. `actions_float32` "
+        "(the network as in training), `onnx`, `torchscript` and `c_float` have float32 sums, which depend on their "
+        f"order: within {check['tolerance_float32']:g}. `python runner.py [--onnx]` repeats the comparison.\n\n"
+        + _table(("compared", "largest difference"), rows)
+    )
+
+
+def _commands(commands: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    told = [
+        f"`commands.{name}`: " + ", ".join(f"{axis} [{low:.4g}, {high:.4g}]" for axis, (low, high) in ranges.items())
+        for name, ranges in commands.items()
+        if ranges and all(len(pair) == 2 for pair in ranges.values())
+    ]
+    return ["Trained with these commands (m/s, rad/s): " + "; ".join(told) + "."] if told else []
+
+
+def _accelerations(accelerations: Mapping[str, Sequence[float | None]]) -> list[str]:
+    return [
+        f"`commands.{name}` begins at rest and goes towards what is asked for by at most "
+        + ", ".join("any amount" if most is None else f"{most:.4g}" for most in limits)
+        + " a second (m/s, m/s, rad/s), as `simulate.py` does it: a robot that is told to be fast at once falls."
+        for name, limits in accelerations.items()
+    ]
+
+
+def _observations(groups: Sequence[Mapping[str, Any]]) -> list[str]:
+    told, start = [], 0
+    for group in groups:
+        rows = []
+        for term in group["terms"]:
+            length = max(1, term["history_length"])
+            source = f"`{term['reading']}`" if "reading" in term else "-"
+            scales = dict.fromkeys(f"{scale:.6g}" for scale in term.get("scale", [1.0]))
+            clip = "-" if term["clip"] is None else term["clip"]
+            rows.append((f"`{term['name']}`", term["function"], source, term["width"], length, clip, " ".join(scales)))
+            start += term["width"] * length
+        order = (
+            "step by step, oldest first, each step with all terms"
+            if group["history_order"] == "time"
+            else "term by term, each with its history, oldest first"
+        )
+        head = ("term", "value", "of", "width", "samples", "clip", "scale")
+        told += [f"Group `{group['name']}`: {order}.", _table(head, rows)]
+    return told
+
+
+def _clipped(bound: float | None) -> str:
+    if bound is None:
+        return "The network's output is not clipped; as `last_action` the policy sees it as it is."
+    return f"The network's output is clipped to ±{bound:g} first; as `last_action` the policy sees it clipped."
+
+
+def _actions(actions: Sequence[Mapping[str, Any]]) -> Iterable[tuple[Any, ...]]:
+    for term in actions:
+        for index, joint in enumerate(term["joint_names"]):
+            number = term["start"] + min(index, term["stop"] - term["start"] - 1)
+            clip = None if term["clip"] is None else term["clip"][index]
+            within = "" if clip is None else f", within [{_number(clip[0])}, {_number(clip[1])}]"
+            yield number, f"`{joint}`", term["drives"], _law(term, index) + within
+
+
+def _law(term: Mapping[str, Any], index: int) -> str:
+    if term["function"] == "binary":
+        return f"{_number(term['open'][index])} or {_number(term['close'][index])}, by a threshold"
+    scaled = f"{term['scale'][index]:.6g} a {term['offset'][index]:+.6g}"
+    told = {"relative": f"{scaled} + the joint's position", "affine": scaled}.get(term["function"], scaled)
+    if term.get("rescale"):
+        told += f", [-1, 1] spread over [{_number(term['low'][index])}, {_number(term['high'][index])}]"
+    return told + (f", moving average with weight {term['alpha'][index]:.6g}" if "alpha" in term else "")
+
+
+def _trained_with(spec: Mapping[str, Any]) -> list[str]:
+    """Tell noise and delays of the training, which a runner does not add."""
+    terms = [(f"observation `{term['name']}`", term) for group in spec["observations"] for term in group["terms"]]
+    terms += [(f"action `{term['name']}`", term) for term in spec["actions"]]
+    terms += [(f"drive `{drive['name']}`", drive) for drive in spec["actuators"]]
+    told = []
+    for name, term in terms:
+        if term["trained_with"].get("delay_steps"):
+            low, high = term["trained_with"]["delay_steps"]
+            told.append(f"- {name}: {low} to {high} physics steps of {1000 * spec['physics_dt']:.4g} ms late")
+        if term["trained_with"].get("noise"):
+            told.append(f"- {name}: with noise")
+    if not told:
+        return []
+    return ["## What training added\n\nThe runner does not: a robot has its own.", "\n".join(told)]

@@ -1,0 +1,356 @@
+"""Describe a policy in ``policy.json``: everything between sensor readings and joint targets, as numbers.
+
+The action terms, the drives of each joint, and the network become plain numbers that a runner works with. A term
+or network that a runner cannot compute raises a ``ConfigError`` with its name.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.modules.distribution import GaussianDistribution
+from tensordict import TensorDict
+
+from wheelleg_exp.anatomy.compiled_robot import at_default
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.export.exported_observations import COMMANDS, observation_specs, reading, readings_of
+from wheelleg_exp.mdp import actions
+from wheelleg_exp.sim import actuators
+from wheelleg_exp.sim.sensors import Imu
+
+_DRIVE_LAWS = {
+    actuators.ImplicitActuator: "implicit",
+    actuators.IdealPDActuator: "pd",
+    actuators.DelayedPDActuator: "pd",
+    actuators.DCMotor: "dc_motor",
+}
+_DRIVE_RATE_MARGIN = 10.0
+_DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
+
+
+def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
+    """Return the actuator groups in order.
+
+    ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (the same of
+    the state before each physics step), ``dc_motor`` (behind a motor's line), or null: no simulation but training's
+    has it.
+    """
+    found = []
+    for name, group in env.scene.robot.actuators.items():
+        node = env.cfg["robot"]["actuators"][name]
+        numbers = {key: [finite(value) for value in getattr(group, key)[0].tolist()] for key in _DRIVE_KEYS}
+        spec: dict[str, Any] = {"name": name, "law": drive_law(group), "class": type(group).__name__}
+        spec |= {"joint_names": list(group.joint_names), "joint_ids": group.joint_ids.tolist(), **numbers}
+        spec |= {"saturation_effort": node.get("saturation_effort")}
+        delay = node.get("delay") or ([node["min_delay"], node["max_delay"]] if "max_delay" in node else None)
+        found.append(spec | {"trained_with": {"delay_steps": delay}})
+    return found
+
+
+def drive_law(group: actuators.ActuatorBase) -> str | None:
+    """Return by which law a group turns targets into torques, or None for one that no runner knows."""
+    return _DRIVE_LAWS.get(type(group))
+
+
+def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str, list[float | None]]:
+    """Return gains and limits of every joint in the robot's order, and what it is; without a drive gains are 0.
+
+    ``inertia`` is of the parts about the joint's axis, without ``armature``. ``drive_rate`` (Hz) is how often a drive
+    must compute its torque: each physics step, and ten times as often as stability needs (kp·dt² + 2·kd·dt < 4·I).
+    """
+    robot = env.scene.robot
+    count = len(robot.joint_names)
+    found: dict[str, list[float | None]] = {
+        key: [0.0 if key in _DRIVE_KEYS[:2] else None] * count for key in _DRIVE_KEYS
+    }
+    for drive in drives:
+        for key in _DRIVE_KEYS:
+            for joint, value in zip(drive["joint_ids"], drive[key], strict=True):
+                found[key][joint] = value
+    model, dofs = env.scene.sim.model, robot.layout.dof_ids.tolist()
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, at_default(model, robot), matrix)
+    fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
+    fields["inertia"] = matrix.diagonal() - model.dof_armature
+    found |= {name: values[dofs].tolist() for name, values in fields.items()}
+    effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]  # what a torque meets while everything else can move
+    kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
+    least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
+    found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
+    return found
+
+
+def finite(value: float) -> float | None:
+    """Return a number, or None in place of what JSON does not have."""
+    return value if abs(value) < float("inf") else None
+
+
+Spec = dict[str, Any]
+
+
+def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
+    """Return the action terms in order, each with its slice of the policy's output and its joints.
+
+    Raises:
+        ConfigError: a term is none of this package's.
+    """
+    manager, start, found = env.action_manager, 0, []
+    for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
+        term, bound = manager.get_term(name), manager.get_term_cfg(name)
+        known = _KNOWN_ACTIONS.get(type(term))
+        if known is None:
+            raise ConfigError(
+                f"a runner does not know the actions of '{bound.target}'",
+                key=bound.path,
+                expected="one of " + ", ".join(sorted(kind.__name__ for kind in _KNOWN_ACTIONS)),
+            )
+        ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
+        place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
+        spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
+        # On a robot the way to the drives takes its own time.
+        found.append(spec | {"trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")}})
+        start += width
+    return found
+
+
+def _clip(term: Any) -> list[list[float | None]] | None:
+    """Return the bounds of each joint, null where there is none."""
+    if term._low is None:
+        return None
+    return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
+
+
+def _affine(term: Any, function: str = "affine") -> Spec:
+    return {"function": function, "scale": term._scale.tolist(), "offset": term._offset[0].tolist()}
+
+
+def _to_limits(term: Any) -> Spec:
+    low, high = term._limits()
+    limits = {"low": [*map(finite, low[0].tolist())], "high": [*map(finite, high[0].tolist())]}
+    scale = {"scale": term._scale.tolist(), "offset": [0.0] * len(term._scale)}
+    return {"function": "to_limits", **scale, "rescale": term._rescale, **limits}
+
+
+def _ema(term: Any) -> Spec:
+    return {**_to_limits(term), "alpha": term._alpha.tolist()}
+
+
+def _binary(term: Any) -> Spec:
+    threshold = {"threshold": 0.0, "strict": False, "opens_above": True}
+    if isinstance(term, actions.AbsBinaryJointPositionAction):
+        threshold = {"threshold": term._threshold, "strict": term._positive, "opens_above": term._positive}
+    return {"function": "binary", **threshold, "open": term._open.tolist(), "close": term._close.tolist()}
+
+
+_KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
+    actions.JointPositionAction: _affine,
+    actions.JointVelocityAction: _affine,
+    actions.JointEffortAction: _affine,
+    actions.RelativeJointPositionAction: lambda term: _affine(term, "relative"),
+    actions.JointPositionToLimitsAction: _to_limits,
+    actions.EMAJointPositionToLimitsAction: _ema,
+    actions.BinaryJointPositionAction: _binary,
+    actions.BinaryJointVelocityAction: _binary,
+    actions.AbsBinaryJointPositionAction: _binary,
+}
+
+
+_ACTIVATIONS: dict[type, str] = {
+    torch.nn.ELU: "elu",
+    torch.nn.CELU: "elu",  # with alpha 1, as rsl_rl makes it
+    torch.nn.ReLU: "relu",
+    torch.nn.LeakyReLU: "leaky_relu",
+    torch.nn.SELU: "selu",
+    torch.nn.Tanh: "tanh",
+    torch.nn.Sigmoid: "sigmoid",
+    torch.nn.Softplus: "softplus",
+    torch.nn.SiLU: "swish",
+    torch.nn.Identity: "identity",
+}
+ROLES = ("student", "actor")
+_GAUSSIAN = GaussianDistribution.__name__
+
+
+def require_perceptron(section: Mapping[str, Any], key: str) -> None:
+    """Raise ConfigError, by name, for a network that is no perceptron whose output is the mean action.
+
+    Args:
+        section: the network's section of the agent.
+        key: its config key.
+    """
+    if section["class_name"] != MLPModel.__name__:
+        raise ConfigError(
+            f"a runner does not know networks of class '{section['class_name']}'",
+            key=f"{key}.class_name",
+            expected="MLPModel: no memory of its own, no pictures",
+        )
+    distribution = (section.get("distribution_cfg") or {}).get("class_name", _GAUSSIAN)
+    if distribution != _GAUSSIAN:
+        raise ConfigError(
+            f"a runner does not know the mean of a '{distribution}'",
+            key=f"{key}.distribution_cfg.class_name",
+            expected=f"{_GAUSSIAN}, whose mean is the network's output",
+        )
+
+
+def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return what a network is, for people and runners, and its arrays by name, float32 but for the deviation.
+
+    Args:
+        policy: the trained network, a perceptron.
+        role: its section of the agent, ``actor`` or ``student``.
+
+    Raises:
+        ConfigError: a runner does not know an activation.
+    """
+    key = f"agent.{role}"
+    arrays: dict[str, np.ndarray] = {}
+    if policy.obs_normalization:
+        normalizer = policy.obs_normalizer
+        arrays["mean"] = _array(normalizer._mean[0])
+        arrays["deviation"] = (normalizer._std[0].double() + normalizer.eps).numpy()
+    activations: list[str] = []
+    for layer in policy.mlp:
+        if isinstance(layer, torch.nn.Linear):
+            arrays[f"weight_{len(activations)}"] = _array(layer.weight)
+            arrays[f"bias_{len(activations)}"] = _array(layer.bias)
+            activations.append("identity")
+        else:
+            activations[-1] = _activation(layer, key)
+    widths = [arrays[f"bias_{k}"].size for k in range(len(activations))]
+    about = {"file": "policy.npz", "dtype": "float32", "widths": widths, "activations": activations}
+    return about | {"normalized": bool(policy.obs_normalization)}, arrays
+
+
+def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
+    """Return the mean action (N, A) of a network as a function that computes in float64, and rounds at the end.
+
+    It has no order of sums that matters; in float32 two libraries differ by some 1e-6.
+    """
+    precise = copy.deepcopy(policy).double()
+
+    def act(observations: TensorDict) -> torch.Tensor:
+        return precise(observations.double()).float()
+
+    return act
+
+
+def _activation(layer: torch.nn.Module, key: str) -> str:
+    name = _ACTIVATIONS.get(type(layer))
+    if name is None:
+        raise ConfigError(
+            f"a runner does not know the activation '{type(layer).__name__}'",
+            key=f"{key}.activation",
+            expected="one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity",
+        )
+    return name
+
+
+def _array(values: torch.Tensor) -> np.ndarray:
+    return values.detach().cpu().numpy().astype(np.float32)
+
+
+FORMAT_VERSION = 1
+
+
+def specification(
+    env: ManagerBasedRLEnv, agent: Mapping[str, Any], ranges: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return what a deployer must know of an environment and its agent, but for the network.
+
+    Lists by joint are in the order of ``joint_names``; null stands for a limit that there is not. Names are Isaac
+    Lab's where it has one.
+
+    Args:
+        env: the environment, of one simulation and without events: numbers are the config's own.
+        agent: the agent's section.
+        ranges: of each command, [low, high] by component, as they were at the end of training.
+
+    Raises:
+        ConfigError: a runner without the simulation cannot do what a term does.
+    """
+    robot, layout = env.scene.robot, env.scene.robot.layout
+    groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])
+    actions, drives = action_specs(env), drive_specs(env)
+    names = readings_of(groups)
+    limits = [[finite(low), finite(high)] for low, high in layout.joint_pos_limits.tolist()]
+    by_joint = per_joint(env, drives)
+    return {
+        "format_version": FORMAT_VERSION,
+        "step_dt": env.step_dt,
+        "physics_dt": env.physics_dt,
+        "decimation": env.decimation,
+        "robot_profile": robot.options.profile,
+        "joint_names": list(robot.joint_names),
+        "default_joint_pos": layout.default_joint_pos.tolist(),
+        "default_joint_vel": layout.default_joint_vel.tolist(),
+        "joint_pos_limits": limits,
+        "rolling_joints": [robot.joint_names[i] for i in _rolling(limits, by_joint["stiffness"], actions)],
+        **by_joint,
+        "readings": {name: _reading(env, name) for name in names},
+        "commands": {
+            name.removeprefix(COMMANDS): dict(ranges.get(name.removeprefix(COMMANDS), {}))
+            for name in names
+            if name.startswith(COMMANDS)
+        },
+        "command_accelerations": _accelerations(env, names),
+        "observation_width": sum(_width(term) for group in groups for term in group["terms"]),
+        "observations": groups,
+        "action_width": env.action_manager.total_action_dim,
+        "clip_actions": agent.get("clip_actions"),
+        "actions": actions,
+        "actuators": drives,
+        "imus": _imus(env, names),
+        "root": {
+            "body": robot.body_names[0],
+            "floating": robot.floating,
+            "pos": layout.default_root_pos.tolist(),
+            "quat": layout.default_root_quat.tolist(),
+        },
+    }
+
+
+def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, Any]]) -> list[int]:
+    """Return the joints whose positions count from the reset: without limits, and not driven to an absolute position.
+
+    An encoder does not know how often a wheel has turned; in training each episode starts at the default position.
+    """
+    driven = {i: term["function"] for term in actions if term["drives"] == "position" for i in term["joint_ids"]}
+    free = [i for i, pair in enumerate(limits) if pair == [None, None]]
+    return [i for i in free if driven.get(i, "absolute" if stiffness[i] else "relative") == "relative"]
+
+
+def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
+    """Return by how much the commands that are read change at most, m/s² and rad/s², where they may not jump."""
+    found = {}
+    for name in (name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)):
+        most = getattr(env.command_manager.get_term(name), "max_acceleration", None)
+        if most is not None and any(limit is not None for limit in most):
+            found[name] = list(most)
+    return found
+
+
+def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, Any]:
+    """Return where the IMUs sit that are read."""
+    found = {}
+    for name, sensor in env.scene.sensors.items():
+        if isinstance(sensor, Imu) and any(reading.rpartition(".")[0] == name for reading in readings):
+            place = {"pos": sensor._offset_pos.tolist(), "quat": sensor._offset_quat.tolist()}
+            found[name] = {"body": sensor.body_names[0], **place}
+    return found
+
+
+def _width(term: Mapping[str, Any]) -> int:
+    return int(term["width"]) * max(1, int(term["history_length"]))
+
+
+def _reading(env: ManagerBasedRLEnv, name: str) -> dict[str, Any]:
+    known = reading(name)
+    return {"width": known.of(env).shape[1], "unit": known.unit, "meaning": known.meaning}

@@ -1,0 +1,328 @@
+"""Export a trained policy as a bundle: one folder that runs without this package.
+
+The bundle is written whole or not at all, and is compared with the simulation that trained the policy. The exported
+environment has no noise, delays, or events, because the real robot brings its own. ``policy.onnx`` carries
+``policy.json`` and mjlab's metadata.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+import re
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.files import (
+    dump_json,
+    for_people,
+    require_new,
+    sha256,
+    sync_folder,
+    temporary_folder,
+    write_bytes,
+    write_json,
+    write_text,
+)
+from wheelleg_exp.jobs.export import bundle
+from wheelleg_exp.jobs.export.bundle_check import TOLERANCE, TOLERANCE_FLOAT32, compare, recorded_episodes
+from wheelleg_exp.jobs.export.bundle_readme import readme
+from wheelleg_exp.jobs.export.bundle_specification import (
+    ROLES,
+    drive_law,
+    in_float64,
+    network_arrays,
+    require_perceptron,
+    specification,
+)
+from wheelleg_exp.jobs.export.c_header import c_header
+from wheelleg_exp.jobs.saved_robot import REPORT, saved_mjcf
+from wheelleg_exp.jobs.torch_threads import set_threads
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.managers.scene_manager import SceneManager
+from wheelleg_exp.rl import checkpoint as checkpoints
+from wheelleg_exp.rl import export as formats
+from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.run_config import load_params, on_reference_engine, upgrade_env_params
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.state.saved_values import made_again
+
+_BIAS = "wheelleg_exp.mdp.events.randomize_encoder_bias"
+_RESET = "wheelleg_exp.mdp.events.reset_joints_by_scale"
+_ENTITY = "wheelleg_exp.managers.SceneEntityCfg"
+_PLANE = "wheelleg_exp.sim.terrain.Plane"
+
+
+def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the ``env`` section for one simulation whose numbers nothing draws or changes: no events, no curriculum.
+
+    Args:
+        env: the run's section, plain; it stays as it is.
+    """
+    found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
+    found["sim"]["nthread"] = 1
+    return found
+
+
+def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
+    """Return the ``env`` section for episodes that a runner can repeat from readings.
+
+    Noise and delays belong to the sensors and the way to the drives, which a robot has by itself: they are left out.
+    So are errors of encoders, pushes between two readings and what is drawn once of the robot. Resets stay, but rolling
+    joints then are at their defaults, because a runner counts their positions from there.
+
+    Args:
+        env: the run's section, plain; it stays as it is.
+        rolling_joints: the joints whose positions count from the reset.
+    """
+    found = as_configured(env)
+    events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
+    found["events"] = {name: copy.deepcopy(node) for name, node in events.items() if node["mode"] == "reset"}
+    if rolling_joints:
+        joints = {"_target_": _ENTITY, "name": "robot", "joint_names": [*map(re.escape, rolling_joints)]}
+        still = {"position_range": [1.0, 1.0], "velocity_range": [1.0, 1.0], "asset_cfg": joints}
+        found["events"]["rolling_joints_at_default"] = {"_target_": _RESET, "mode": "reset", **still}
+    for group in (group for group in found["observations"].values() if group is not None):
+        group["enable_corruption"] = False
+        for node in (node for node in group["terms"].values() if node is not None):
+            node.pop("delay", None)
+    for node in (node for node in found["actions"].values() if node is not None):
+        node.pop("delay", None)
+    return found
+
+
+def as_simulated(env: Mapping[str, Any], friction: tuple[float, float, float]) -> dict[str, Any]:
+    """Return the ``env`` section of a scene with nothing but the robot on level ground.
+
+    Args:
+        env: the run's section, plain; it stays as it is.
+        friction: the ground's static and dynamic friction and its restitution.
+    """
+    found = as_configured(env)
+    names = ("static_friction", "dynamic_friction", "restitution")
+    plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}
+    found["scene"] = {**found["scene"], "terrain": plane, "sensors": {}}
+    return found
+
+
+def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
+    """Return an ONNX model that carries a bundle's specification.
+
+    Lists are words with commas between, as in mjlab's exports; ``action_scale`` and ``action_offset`` are there where
+    every action has them, in the order of ``action_joint_names``.
+
+    Args:
+        model: the model.
+        spec: ``policy.json``.
+    """
+    loaded = onnx.load_from_string(model)
+    terms = [term for group in spec["observations"] for term in group["terms"]]
+    about = {
+        "joint_names": _comma_separated(spec["joint_names"]),
+        "joint_stiffness": _comma_separated(spec["stiffness"]),
+        "joint_damping": _comma_separated(spec["damping"]),
+        "default_joint_pos": _comma_separated(spec["default_joint_pos"]),
+        "command_names": _comma_separated(spec["commands"]),
+        "observation_names": _comma_separated(term["name"] for term in terms),
+        "action_joint_names": _comma_separated(name for action in spec["actions"] for name in action["joint_names"]),
+        "step_dt": str(spec["step_dt"]),
+        "decimation": str(spec["decimation"]),
+        "policy.json": dump_json(spec),
+    }
+    for key in ("scale", "offset"):
+        if all(key in action for action in spec["actions"]):
+            about[f"action_{key}"] = _comma_separated(value for action in spec["actions"] for value in action[key])
+    for key, value in about.items():
+        entry = loaded.metadata_props.add()
+        entry.key, entry.value = key, value
+    return loaded.SerializeToString()
+
+
+def _comma_separated(values: Iterable[Any]) -> str:
+    return ",".join("" if value is None else str(value) for value in values)
+
+
+BUNDLE = "bundle"
+_COPIED_FILES = ("runner.py", "simulate.py")
+_MOST_STEPS = 600
+_SKIPPED_FILES = (REPORT, "asset.json")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export made.
+
+    Attributes:
+        run: the run whose policy it is.
+        checkpoint: the checkpoint.
+        folder: the bundle.
+        differences: the largest differences of its policies from the simulation that trained it, step by step.
+        notes: what the bundle lacks, and why.
+    """
+
+    run: RunDirectory
+    checkpoint: Path
+    folder: Path
+    differences: Mapping[str, float]
+    notes: Sequence[str]
+
+
+def export(run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str]) -> Exported:
+    """Write a run's policy as a folder that a deployer can use without this program.
+
+    Args:
+        run: the run.
+        checkpoint: which of its checkpoints; None is the last.
+        output: the folder to make; None is ``exported/bundle`` of the run, with a number when that is taken.
+        command: the command line, for the manifest.
+
+    Raises:
+        ConfigError: a part of the policy cannot work without the simulation: which, and what can.
+        RunDirectoryError: the run or the checkpoint is wrong, or the folder exists.
+        SimulationFailure: a policy of the bundle differs from what the simulation recorded; nothing is written.
+    """
+    checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
+    if output is not None:
+        require_new(output)
+    target = run.exported / BUNDLE if output is None else output.absolute()
+    with for_people(target), temporary_folder(target) as work:
+        differences, notes = _fill(work, run, checkpoint)
+        sync_folder(work)
+        folder = _move_into_place(work, target, numbered=output is None)
+    if folder.is_relative_to(run.path):
+        results = {"checkpoint": checkpoint.name, "largest_difference": differences, "lacks": notes}
+        try:
+            _record(run, folder, results, command)
+        except BaseException:  # what the manifest does not name is not of the run
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+    return Exported(run, checkpoint, folder, differences, notes)
+
+
+def _record(run: RunDirectory, folder: Path, results: Mapping[str, Any], command: Sequence[str]) -> None:
+    """Add a bundle below its run to the manifest."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    place = str(folder.relative_to(run.path))
+    run.manifest().add("export", files, {"folder": place, **results}, command=command)
+
+
+def _move_into_place(work: Path, target: Path, *, numbered: bool) -> Path:
+    """Give a finished folder its name; a taken one gets a number, or is refused."""
+    number, place = 1, target
+    while place.exists() or place.is_symlink():
+        if not numbered:
+            require_new(place)
+        number += 1
+        place = target.with_name(f"{target.name}-{number}")
+    with for_people(place):
+        work.rename(place)
+    return place.resolve()
+
+
+def _fill(folder: Path, run: RunDirectory, checkpoint: Path) -> tuple[dict[str, float], list[str]]:
+    """Write the bundle's files and return how far its runner is from the simulation, and what it lacks."""
+    params, agent = load_params(run)
+    params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
+    role = next(role for role in ROLES if role in agent)
+    require_perceptron(agent[role], f"agent.{role}")
+    groups = agent["obs_groups"][role]
+    mjcf, state = saved_mjcf(run), checkpoints.load(checkpoint)
+    plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
+    _require_unchanged(state)
+    spec = specification(plain, agent, _ranges(plain, state))
+    steps = min(2 * plain.max_episode_length, _MOST_STEPS)
+    need = 4 * steps * spec["observation_width"]
+    require_memory(
+        need, f"env.observations.{groups[0]}", f"{steps} recorded steps of {spec['observation_width']:,} numbers"
+    )
+    env = ManagerBasedRLEnv(as_checked(params, spec["rolling_joints"]), mjcf, seed)
+    set_threads(agent, env.scene.sim.nthread)
+    adapter = RslRlVecEnv(env, agent.get("clip_actions"))
+    policy = load_policy(checkpoint, adapter, agent)
+    network, arrays = network_arrays(policy, role)
+    recorded = recorded_episodes(
+        adapter, in_float64(policy), policy, groups, list(spec["readings"]), agent.get("clip_actions"), steps
+    )
+    spec = {"format_version": spec.pop("format_version"), "run": _provenance(run, checkpoint, state), **spec}
+    about = {"file": "check.npz", "steps": steps, "tolerance": TOLERANCE, "tolerance_float32": TOLERANCE_FLOAT32}
+    spec |= {"network": network, "check": about}
+    write_bytes(folder / "policy.npz", _npz(arrays))
+    write_bytes(folder / "check.npz", _npz(recorded))
+    for name in _COPIED_FILES:
+        write_text(folder / name, Path(str(bundle.__file__)).with_name(name).read_text(encoding="utf-8"))
+    write_json(folder / "policy.json", spec)
+    torchscript, onnx, header = formats.torchscript(policy), formats.onnx(policy), c_header(spec, arrays)
+    differences, notes = compare(folder, torchscript, onnx, header)
+    spec["check"]["largest_difference"] = differences
+    write_json(folder / "policy.json", spec)
+    write_bytes(folder / "policy.pt", torchscript)
+    write_bytes(folder / "policy.onnx", with_metadata(onnx, spec))
+    if not notes:
+        write_text(folder / "policy.h", header)
+    notes += _write_robot(folder / "robot", mjcf, params, plain, spec["readings"])
+    files = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
+    write_text(folder / "README.md", readme(spec, files, notes))
+    return differences, notes
+
+
+def _provenance(run: RunDirectory, checkpoint: Path, state: Mapping[str, Any]) -> dict[str, Any]:
+    about = {"id": run.id, "task": run.manifest().data.get("task"), "iteration": state["iter"]}
+    return about | {"checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
+
+
+def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the ranges of each command as the training has left them: a curriculum may have widened them."""
+    found = {}
+    for name in env.command_manager.active_terms:
+        ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
+        term = state.get("env", {}).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
+        changed = (term.get("object") or {}).get("ranges")
+        found[name] = ranges if changed is None else made_again(changed)
+    return found
+
+
+def _require_unchanged(state: Mapping[str, Any]) -> None:
+    """Refuse a training that has changed settings of actions or observations since its config was written."""
+    managers = state.get("env", {}).get("managers", {})
+    terms = {f"env.actions.{name}": term for name, term in managers.get("actions", {}).get("terms", {}).items()}
+    for group, found in managers.get("observations", {}).get("groups", {}).items():
+        terms |= {f"env.observations.{group}.terms.{name}": term["term"] for name, term in found.items()}
+    for key, term in terms.items():
+        if term.get("settings"):
+            raise ConfigError(
+                "its settings were changed while training (" + ", ".join(term["settings"]) + ")",
+                key=key,
+                expected="the settings of the config: what is exported is read from there",
+            )
+
+
+def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _write_robot(
+    folder: Path, mjcf: Path, params: Mapping[str, Any], env: ManagerBasedRLEnv, readings: Iterable[str] = ()
+) -> list[str]:
+    """Write the robot's files and its scene; return what is missing."""
+    with for_people(folder):
+        shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
+    ground = env.scene.terrain
+    friction = (ground.static_friction, ground.dynamic_friction, ground.restitution)
+    scene = SceneManager(as_simulated(params, friction), mjcf, 1).scene
+    scene.play()
+    write_text(folder / "scene.xml", scene.spec.to_xml())
+    strange = [f"the drive `{name}`" for name, group in env.scene.robot.actuators.items() if drive_law(group) is None]
+    strange += [f"the reading `{name}`" for name in readings if name.endswith(".lin_acc")]
+    strange += [] if env.scene.robot.floating else ["a fixed base"]
+    return [f"a simulation of {what}, which `simulate.py` refuses" for what in strange]

@@ -1,0 +1,274 @@
+"""Describe observation terms and the sensor readings that they need, as numbers that a runner works with.
+
+A term that a runner cannot compute raises a ``ConfigError`` with its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import SceneEntityCfg, Term
+from wheelleg_exp.managers.observation_term import ObservationTerm
+from wheelleg_exp.mdp import modifiers, observations
+from wheelleg_exp.mdp import observations as obs
+from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
+from wheelleg_exp.terms.term_binding import TARGET
+
+COMMANDS = "commands."
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one reading is.
+
+    Attributes:
+        unit: its unit.
+        meaning: what it measures, in which axes.
+        of: returns it from a simulation, (N, width).
+    """
+
+    unit: str
+    meaning: str
+    of: Callable[[ManagerBasedRLEnv], torch.Tensor]
+
+
+READINGS = {
+    "base_ang_vel": Reading("rad/s", "angular velocity of the base in its own axes: a gyroscope", obs.base_ang_vel),
+    "projected_gravity": Reading(
+        "1",
+        "unit vector of gravity in the base's axes, upright (0, 0, -1); base_quat (w, x, y, z) may stand for it",
+        obs.projected_gravity,
+    ),
+    "base_lin_vel": Reading(
+        "m/s", "velocity of the base's centre of mass in its own axes: an estimate", obs.base_lin_vel
+    ),
+    "base_height": Reading("m", "height of the base above the ground below it: an estimate", obs.base_height),
+    "joint_pos": Reading("rad", "joint positions, in the order of joint_names: encoders", obs.joint_pos),
+    "joint_vel": Reading("rad/s", "joint velocities, in the order of joint_names", obs.joint_vel),
+    "joint_effort": Reading("N·m", "torques of the drives, in the order of joint_names", obs.joint_effort_commanded),
+}
+
+
+# Of an IMU (``<sensor>.<quantity>``): its unit and meaning, and the attribute of the sensor's data.
+QUANTITIES = {
+    "ang_vel": ("rad/s", "angular velocity in its own axes", "ang_vel_b"),
+    "lin_acc": ("m/s^2", "acceleration in its own axes; at rest it reads gravity upwards", "lin_acc_b"),
+    "projected_gravity": ("1", "unit vector of gravity in its own axes", "projected_gravity_b"),
+    "quat": ("1", "orientation in the world (w, x, y, z)", "quat_w"),
+}
+
+
+def reading(name: str) -> Reading:
+    """Return what a reading is, also of a command (``commands.<term>``) or an IMU (``<sensor>.<quantity>``)."""
+    if name in READINGS:
+        return READINGS[name]
+    if not name.startswith(COMMANDS):
+        sensor, _, quantity = name.rpartition(".")
+        unit, meaning, attribute = QUANTITIES[quantity]
+        return Reading(
+            unit, f"of the IMU '{sensor}': {meaning}", lambda env: getattr(env.scene[sensor].data, attribute)
+        )
+    term = name.removeprefix(COMMANDS)
+    meaning = f"what the command '{term}' asks for; its components and ranges stand in commands.{term}"
+    return Reading("m/s, rad/s", meaning, lambda env: env.command_manager.get_command(term))
+
+
+Spec = dict[str, Any]
+_ROBOT = SceneEntityCfg("robot")
+_IMU = "imu"  # the sensor that terms take by default
+
+
+def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
+    """Return the groups that a policy sees, in order, each with its terms.
+
+    Args:
+        env: an environment with the policy's observations.
+        groups: names of the groups.
+
+    Raises:
+        ConfigError: a term looks at what a runner has no reading of, or does what it cannot.
+    """
+    found: list[Spec] = []
+    for group in groups:
+        node = env.cfg["observations"][group]
+        terms = env.observation_manager.terms(group)
+        specs = [_term(env, node["terms"][name], term) for name, term in terms.items()]
+        found.append({"name": group, "history_order": node.get("history_order", "term"), "terms": specs})
+    return found
+
+
+def readings_of(groups: list[Spec]) -> list[str]:
+    """Return the names of the readings that the terms take, each once; joint positions always."""
+    names: list[str] = []
+    for term in (term for group in groups for term in group["terms"]):
+        names += [term["reading"]] if "reading" in term else term.get("needs", [])
+    return list(dict.fromkeys([*names, "joint_pos"]))
+
+
+def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm) -> Spec:
+    bound, fields = term.term, term.term.fields
+    known = _KNOWN.get(bound.func) or _KNOWN.get(type(bound.func))
+    if known is None:
+        raise ConfigError(
+            f"a runner without the simulation cannot work out '{bound.target}'",
+            key=bound.path,
+            expected="one of " + ", ".join(sorted(function.__name__ for function in _KNOWN)),
+        )
+    clip, scale = fields.get("clip"), fields.get("scale")
+    spec = {"name": bound.name, **known(env, bound), "width": term.width, "history_length": term.history_length}
+    spec["modifiers"] = [
+        _modifier(modifier, part, f"{bound.path}.modifiers[{number}]")
+        for number, (modifier, part) in enumerate(zip(node.get("modifiers") or [], _modifiers(term), strict=True))
+    ]
+    spec["clip"] = None if clip is None else [float(clip[0]), float(clip[1])]
+    if scale is not None:
+        spec["scale"] = [float(scale)] * term.width if isinstance(scale, (int, float)) else list(map(float, scale))
+    # What the world did to the reading while training; on a robot it does so by itself.
+    noise = node.get("noise") if env.cfg["observations"][_group(bound)].get("enable_corruption") else None
+    return spec | {"trained_with": {"noise": noise, "delay_steps": node.get("delay")}}
+
+
+def _group(term: Term) -> str:
+    return term.path.split(".")[2]
+
+
+def _modifiers(term: ObservationTerm) -> list[Any]:
+    return [part for name, part in term.parts().items() if name != "noise"]
+
+
+def _modifier(node: Mapping[str, Any], part: Any, path: str) -> Spec:
+    kinds = {
+        modifiers.Scale: "scale",
+        modifiers.Bias: "bias",
+        modifiers.Clip: "clip",
+        modifiers.DigitalFilter: "filter",
+        modifiers.Integrator: "integrator",
+    }
+    if type(part) not in kinds:
+        raise ConfigError(
+            f"a runner does not know the modifier '{node[TARGET]}'",
+            key=path,
+            expected="one of " + ", ".join(kind.__name__ for kind in kinds),
+        )
+    return {"kind": kinds[type(part)], **{name: value for name, value in node.items() if name != TARGET}}
+
+
+def _joints(env: ManagerBasedRLEnv, term: Term) -> list[int]:
+    """Return the indices of a term's joints in the robot's order."""
+    entity = term.params.get("asset_cfg", _ROBOT)
+    return torch.arange(len(env.scene.robot.joint_names))[entity.joint_ids].tolist()
+
+
+def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
+    if term.params.get("measured") is False and name == "joint_pos":
+        raise ConfigError(
+            "shows where the joints are, which encoders do not tell", key=term.path, expected="measured: true"
+        )
+    ids = _joints(env, term)
+    return {"reading": name, "columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
+
+
+def _plain(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
+    return lambda _env, _term: {"function": function, "reading": name}
+
+
+def _of_imu(quantity: str) -> Callable[[ManagerBasedRLEnv, Term], Spec]:
+    def spec(_env: ManagerBasedRLEnv, term: Term) -> Spec:
+        sensor = term.params["asset_cfg"].name if "asset_cfg" in term.params else _IMU
+        return {"function": "reading", "reading": f"{sensor}.{quantity}"}
+
+    return spec
+
+
+def _joint_values(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
+    return lambda env, term: {"function": function, **_of_joints(env, term, name)}
+
+
+def _minus_default(name: str, default: str) -> Callable[[ManagerBasedRLEnv, Term], Spec]:
+    def spec(env: ManagerBasedRLEnv, term: Term) -> Spec:
+        found = _of_joints(env, term, name)
+        subtract = getattr(env.scene.robot.layout, default)[found["columns"]].tolist()
+        return {"function": "minus_default", **found, "subtract": subtract}
+
+    return spec
+
+
+def _within_limits(env: ManagerBasedRLEnv, term: Term) -> Spec:
+    ids = torch.arange(len(env.scene.robot.joint_names))[term.func._ids].tolist()  # type: ignore[attr-defined]
+    low, high = env.scene.robot.layout.soft_joint_pos_limits[ids].unbind(dim=1)
+    joints = {"columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
+    span = {"middle": ((low + high) / 2).tolist(), "range": (high - low).tolist()}
+    return {"function": "within_limits", "reading": "joint_pos", **joints, **span}
+
+
+def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
+    name = term.params["command_name"]
+    command: Any = env.command_manager.get_term(name)
+    if type(command) is not UniformVelocityTravelCommand:
+        kind = type(command).__name__
+        message = f"a runner does not know how a '{kind}' sums up its error"
+        raise ConfigError(message, key=term.path, expected="a UniformVelocityTravelCommand")
+    ids = torch.arange(len(env.scene.robot.joint_names))[command._wheel_ids].tolist()
+    most = command._most[0].tolist()
+    return {
+        "function": "travel_error",
+        "needs": ["joint_vel", "base_ang_vel", f"{COMMANDS}{name}"],
+        "columns": ids,
+        "joint_names": [env.scene.robot.joint_names[i] for i in ids],
+        "command": f"{COMMANDS}{name}",
+        "signs": list(command.wheel_signs),
+        "wheel_radius": command._radius,
+        "max_travel_error": most[0],
+        "max_heading_error": most[1],
+    }
+
+
+def _last_action(env: ManagerBasedRLEnv, term: Term) -> Spec:
+    manager, chosen = env.action_manager, term.params.get("action_name")
+    start, columns = 0, {}
+    for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
+        columns[name] = list(range(start, start + width))
+        start += width
+    return {"function": "last_action", "columns": list(range(start)) if chosen is None else columns[chosen]}
+
+
+_KNOWN: dict[Any, Callable[[ManagerBasedRLEnv, Term], Spec]] = {
+    observations.base_ang_vel: _plain("base_ang_vel"),
+    observations.base_lin_vel: _plain("base_lin_vel"),
+    observations.base_height: _plain("base_height"),
+    observations.projected_gravity: _plain("projected_gravity"),
+    observations.base_roll_pitch: _plain("projected_gravity", "roll_pitch"),
+    observations.joint_pos: _joint_values("joint_pos"),
+    observations.joint_pos_rel: _minus_default("joint_pos", "default_joint_pos"),
+    observations.joint_pos_sin_cos: _joint_values("joint_pos", "sin_cos"),
+    observations.joint_pos_limit_normalized: _within_limits,
+    observations.joint_vel: _joint_values("joint_vel"),
+    observations.joint_vel_rel: _minus_default("joint_vel", "default_joint_vel"),
+    observations.joint_effort_commanded: _joint_values("joint_effort"),
+    observations.imu_ang_vel: _of_imu("ang_vel"),
+    observations.imu_lin_acc: _of_imu("lin_acc"),
+    observations.imu_projected_gravity: _of_imu("projected_gravity"),
+    observations.imu_orientation: _of_imu("quat"),
+    observations.generated_commands: lambda _env, term: {
+        "function": "reading",
+        "reading": f"{COMMANDS}{term.params['command_name']}",
+    },
+    observations.last_action: _last_action,
+    observations.travel_error: _travel_error,
+    observations.current_time_s: lambda _env, _term: {"function": "time"},
+    observations.remaining_time_s: lambda env, _term: {
+        "function": "remaining_time",
+        "episode_length_s": env.max_episode_length_s,
+    },
+    observations.gait_phase: lambda _env, term: {
+        "function": "gait_phase",
+        "period": term.params["period"],
+        "offsets": list(term.params.get("offsets", (0.0,))),
+    },
+}

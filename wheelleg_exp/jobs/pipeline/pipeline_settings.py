@@ -1,0 +1,231 @@
+"""Compose a pipeline and its phases, and check them before the first phase starts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.checking.find_mistakes import compose_valid
+from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.compose_sweep import digest_of
+from wheelleg_exp.config.config_errors import override_of, parts, raise_all
+from wheelleg_exp.constraints import Seed
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, Phase, Pipeline
+from wheelleg_exp.jobs.train.initial_networks import PARTS, fit, initial_file
+from wheelleg_exp.terms.config_sections import read_section, section_errors
+from wheelleg_exp.terms.config_values import require_fit
+from wheelleg_exp.terms.key_syntax import PIPELINE as PRIMARY
+from wheelleg_exp.terms.key_syntax import split_path
+
+_RESERVED_KEYS = ("init_from", "agent.max_iterations", "task", "run.name")  # what a pipeline sets itself
+_NAME = re.compile(r"[\w-]+")  # of a phase: it stands in keys and names a folder
+
+
+@dataclass(frozen=True)
+class PipelineSettings:
+    """A pipeline as it is declared.
+
+    Attributes:
+        tree: its plain config.
+        phases: its phases by name.
+        composed: what it was composed from, which knows the file and the line of a key; None of a record.
+    """
+
+    tree: dict[str, Any]
+    phases: dict[str, Phase]
+    composed: Composed | None = None
+
+
+def compose_pipeline(overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> PipelineSettings:
+    """Compose a pipeline.
+
+    Raises:
+        ConfigError: there is none of that name, or a setting of it is wrong.
+    """
+    composed = compose(overrides, primary=PRIMARY, config_dirs=config_dirs)
+    with composed.placing():
+        return replace(read_pipeline(composed.config[PRIMARY]), composed=composed)
+
+
+def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
+    """Return a pipeline's plain config, read.
+
+    Raises:
+        ConfigError: a setting of it is wrong.
+    """
+    if errors := section_errors(PRIMARY, tree, Pipeline):
+        raise_all(errors)
+    named = read_section(Pipeline, tree, PRIMARY).phases
+    phases = {str(name): phase for name, phase in named.items() if phase is not None}
+    if not phases:
+        raise ConfigError("has no phase", key=f"{PRIMARY}.phases", expected="at least one")
+    mistakes = [
+        error
+        for number, (name, phase) in enumerate(phases.items())
+        for error in _own_mistakes(name, phase, is_first=number == 0)
+    ]
+    if mistakes:
+        raise_all(mistakes)
+    nodes = {str(name): node for name, node in tree["phases"].items() if node is not None}
+    return PipelineSettings({**tree, "phases": nodes}, phases)
+
+
+def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
+    """Return the overrides that a phase is trained with, but for what it begins with and how long it trains.
+
+    Args:
+        name: the phase's name, which its run gets.
+        phase: the phase.
+        overrides: those of the command line, for all phases.
+    """
+    return [f"task={phase.task}", *phase.overrides, *overrides, f"run.name={name}"]
+
+
+def compose_phases(
+    phases: Mapping[str, Phase], overrides: Sequence[str], config_dirs: Sequence[Path] = ()
+) -> dict[str, Composed]:
+    """Compose and check every phase, and hold each against the one whose policy it begins with.
+
+    Raises:
+        ConfigError: the mistakes of all phases, each with its phase; one that all of them have is told once.
+    """
+    for text in overrides:
+        if _key(text) in _RESERVED_KEYS:
+            raise ConfigError(
+                "a pipeline's phases say this themselves",
+                key=_key(text),
+                where=f"override {text}",
+                expected=f"settings of {PRIMARY}.phases.<phase>",
+            )
+    found: dict[str, Composed] = {}
+    wrong: dict[str, list[ConfigError]] = {}
+    for name, phase in phases.items():
+        errors = []
+        try:
+            found[name] = compose_valid(phase_overrides(name, phase, overrides), config_dirs=config_dirs)
+            with found[name].placing(), initial_file(found[name].config, lambda _: None):
+                pass  # what the first phase may begin with is there, and fits
+        except ConfigError as error:
+            errors += [_place_phase_error(part, name, phase, overrides) for part in parts(error)]
+        if phase.gate is not None:
+            try:
+                compose_gate(phase.gate, config_dirs)
+            except ConfigError as error:
+                errors += [place_gate_error(part, name, phase.gate) for part in parts(error)]
+        if errors:
+            wrong[name] = errors
+    mistakes = list(_mistakes_by_phase(wrong, len(phases), overrides) if wrong else _misfits(found))
+    if mistakes:
+        raise_all(mistakes)
+    return found
+
+
+def _key(text: str) -> str:
+    return text.lstrip("+~").partition("=")[0]
+
+
+def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[ConfigError]:
+    """Yield what is wrong with a phase by itself; no override of it or of its gate replaces what it says."""
+    key, gate = f"{PRIMARY}.phases.{name}", phase.gate
+    if not _NAME.fullmatch(name):
+        yield ConfigError(f"'{name}' names no phase", key=f"{PRIMARY}.phases", expected="letters, digits, - and _")
+    if gate is not None and not (gate.at_least or gate.at_most):
+        yield ConfigError("asks for nothing", key=f"{key}.gate", expected="at_least or at_most, or no gate")
+    for text in phase.overrides:
+        if _key(text) in _RESERVED_KEYS and not (is_first and _key(text) == "init_from"):  # where the whole road begins
+            yield ConfigError(f"'{text}': the phase says this itself", key=f"{key}.overrides")
+    for text in gate.overrides if gate is not None else ():
+        if _key(text) == "protocol":
+            yield ConfigError(f"'{text}': the gate says this itself", key=f"{key}.gate.overrides")
+
+
+def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
+    """Compose a gate's protocol and its seed.
+
+    Raises:
+        ConfigError: there is no such protocol, or an override of it is wrong.
+    """
+    composed = compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
+    with composed.placing():
+        require_fit("seed", composed.config["seed"], Seed)
+    return composed
+
+
+def _place_phase_error(error: ConfigError, name: str, phase: Phase, overrides: Sequence[str]) -> ConfigError:
+    """Return a mistake of what a phase says by the phase's own key, whose file and line are known."""
+    blamed, key = override_of(error), f"{PRIMARY}.phases.{name}"
+    if blamed == f"task={phase.task}":
+        return _at_key(error, f"{key}.task")
+    if blamed == f"run.name={name}":
+        return _at_key(error, key)
+    if blamed in phase.overrides and blamed not in overrides:
+        return _at_key(error, f"{key}.overrides", f"{_with_key(error)}, in '{blamed}'")
+    return error
+
+
+def place_gate_error(error: ConfigError, name: str, gate: Gate) -> ConfigError:
+    """Return a mistake of what a phase's gate says by the gate's own key, whose file and line are known."""
+    key, blamed = f"{PRIMARY}.phases.{name}.gate", override_of(error)
+    if blamed == f"protocol={gate.protocol}":
+        return _at_key(error, f"{key}.protocol")
+    if blamed in gate.overrides:
+        return _at_key(error, f"{key}.overrides", f"{_with_key(error)}, in '{blamed}'")
+    if split_path(error.key or "")[:1] in (("protocol",), ("seed",)):  # of a value that several of them make
+        return _at_key(error, f"{key}.overrides" if gate.overrides else f"{key}.protocol", _with_key(error))
+    return error
+
+
+def _at_key(error: ConfigError, key: str, message: str | None = None) -> ConfigError:
+    return ConfigError(message or error.message, key=key, expected=error.expected, nearest=error.nearest)
+
+
+def _with_key(error: ConfigError) -> str:
+    """Return a message that keeps the key which another one takes the place of."""
+    return f"{error.key}: {error.message}"
+
+
+def _mistakes_by_phase(
+    wrong: Mapping[str, Sequence[ConfigError]], phases: int, overrides: Sequence[str]
+) -> Iterator[ConfigError]:
+    """Yield each mistake with its phase; one of an override for all phases that all of them have is told once."""
+    of_all = [
+        {(error.key, blamed) for error in errors if (blamed := override_of(error)) in overrides}
+        for errors in wrong.values()
+    ]
+    shared = set.intersection(*of_all) if len(wrong) == phases else set()
+    told = set()
+    for name, errors in wrong.items():
+        for error in errors:
+            mistake = (error.key, override_of(error))
+            if mistake not in shared:
+                yield name_phase(error, name)
+            elif mistake not in told:
+                told.add(mistake)
+                yield error
+
+
+def phase_digest(composed: Composed) -> str:
+    """Return the digest of a phase's config; what it begins with and how long it trains stand in none of it."""
+    return digest_of(composed)
+
+
+def _misfits(phases: Mapping[str, Composed]) -> Iterator[ConfigError]:
+    names = list(phases)
+    for before, name in pairwise(names):
+        was, now = phases[before].config, phases[name].config
+        roles = [part for part in PARTS[now.get("init_from_what") or "networks"] if part != "optimizer"]
+        found = fit((was["env"], was["agent"]), (now["env"], now["agent"]), roles, f"phase '{before}'")
+        for error in [*found.mistakes, *found.suspects]:
+            expected = f"what phase '{before}' has, whose policy it begins with"
+            yield name_phase(ConfigError(_with_key(error), key=f"{PRIMARY}.phases.{name}", expected=expected), name)
+
+
+def name_phase(error: ConfigError, name: str) -> ConfigError:
+    """Return a mistake that says in whose phase it is."""
+    message = f"phase '{name}': {error.message}"
+    return ConfigError(message, key=error.key, where=error.where, expected=error.expected, nearest=error.nearest)

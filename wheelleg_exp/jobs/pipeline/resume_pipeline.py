@@ -1,0 +1,131 @@
+"""Resume a pipeline that was stopped, was killed, or did not pass a gate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.checking.find_mistakes import compose_valid
+from wheelleg_exp.config.composing.compose import apply_overrides, placing
+from wheelleg_exp.config.explaining.config_diff import Change, changes, same
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.jobs.pipeline.pipeline_phases import Phase
+from wheelleg_exp.jobs.pipeline.pipeline_settings import PipelineSettings, phase_overrides, read_pipeline
+from wheelleg_exp.packages import join_recorded, left_out
+from wheelleg_exp.run.run_config import require_overrides
+from wheelleg_exp.run.run_index import PipelineIndex
+from wheelleg_exp.run.run_lock import is_alive
+from wheelleg_exp.run.start_run import refuse_secrets
+from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
+
+_CHANGEABLE_LATER = ("max_iterations", "gate")  # what may change of a phase that has begun
+
+
+def resume_pipeline(
+    index: PipelineIndex, overrides: Sequence[str], command: Sequence[str], config_dirs: Sequence[Path] = ()
+) -> PipelineSettings:
+    """Make a pipeline ready to go on, and return what is run from here on.
+
+    Args:
+        index: its record.
+        overrides: changes to its phases, such as ``pipeline.phases.walk.max_iterations=600``.
+        command: the command line, for the record.
+        config_dirs: the user's config folders; if none are given, the recorded ones, which must be the user's own.
+
+    Raises:
+        WheellegError: it is under way or finished, or an override is wrong. Nothing of the record has changed then.
+    """
+    if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
+        raise RunDirectoryError(
+            "this pipeline is still running", key=str(index.path), expected="one that has ended: wait for it"
+        )
+    if index.data["status"] == "finished":
+        raise RunDirectoryError("this pipeline is finished", key=str(index.path), expected="one that was stopped")
+    for text in overrides:
+        if not names_pipeline(text):
+            raise ConfigError(
+                "a pipeline goes on with the settings that it began with",
+                key=text.lstrip("+~").partition("=")[0],
+                where=f"override {text}",
+                expected=f"settings of {PIPELINE}.phases.<phase>",
+            )
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)})
+    kept = index.data["config"]
+    tree = apply_overrides({PIPELINE: kept}, overrides)[PIPELINE]
+    found = list(changes(kept, tree, same, (PIPELINE,)))
+    with placing(overrides):
+        for change in found:
+            _require_changeable(change, index)
+        declared = read_pipeline(tree)
+    folders = _folders(index, config_dirs)
+    for name, asked in declared.phases.items():
+        require_overrides(phase_overrides(name, asked, index.data["overrides"]), index.path)
+        if asked.gate is not None:
+            require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
+    if list(declared.phases) != [phase["name"] for phase in index.phases]:
+        raise ConfigError("the phases of a pipeline stay", key=f"{PIPELINE}.phases", expected=str(list(kept["phases"])))
+    regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
+    with placing(overrides):
+        _require_gates({name: declared.phases[name] for name in declared.phases if name in regated}, index, folders)
+    for phase in index.phases:
+        if phase["status"] == "failed":
+            phase |= _retry(phase, declared.tree["phases"][phase["name"]], found)
+    index.data["config_dirs"] = [str(folder) for folder in folders]
+    index.restart(command, [{"key": c.key, "was": str(c.a), "now": str(c.b)} for c in found], declared.tree)
+    return declared
+
+
+def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
+    """Return the config folders to use: a pipeline composes its phases again, so it needs every recorded one."""
+    recorded = index.data["config_dirs"]
+    folders = join_recorded(config_dirs, recorded)
+    for folder, why in left_out(recorded, folders).items() if not config_dirs else ():
+        expected = "--config-dir with the place where that folder is now, if it is yours"
+        raise ConfigError(f"the pipeline needs {folder}, which {why}", key=str(index.path), expected=expected)
+    return folders
+
+
+def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:
+    """Hold changed gates against what their protocols measure."""
+    if phases:
+        from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
+
+        words = {name: phase_overrides(name, phase, index.data["overrides"]) for name, phase in phases.items()}
+        require_metrics(phases, {name: compose_valid(w, config_dirs=folders) for name, w in words.items()}, folders)
+
+
+def _require_changeable(change: Change, index: PipelineIndex) -> None:
+    name = change.keys[2] if len(change.keys) > 2 and change.keys[1] == "phases" else None
+    phase = next((phase for phase in index.phases if phase["name"] == name), None)
+    if phase is None:
+        raise ConfigError("the phases of a pipeline stay", key=change.key, expected="settings of its phases")
+    if phase["status"] == "passed":
+        raise ConfigError(f"phase '{name}' has passed already", key=change.key, expected="settings of a later phase")
+    if phase["run"] is not None and change.keys[3] not in _CHANGEABLE_LATER:
+        raise ConfigError(
+            f"phase '{name}' has begun",
+            key=change.key,
+            expected=f"{' or '.join(_CHANGEABLE_LATER)} of it, or a new pipeline",
+        )
+    done = index.done(phase)
+    if change.keys[3] == "max_iterations" and isinstance(change.b, int) and change.b < done:
+        raise ConfigError(
+            f"is {change.b}, and phase '{name}' has done {done} iterations",
+            key=change.key,
+            expected=f"at least {done}",
+        )
+
+
+def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
+    """Return what a phase that did not pass its gate goes on with: another gate judges the same policy anew."""
+    changed = any(change.keys[2] == phase["name"] for change in found)
+    if not changed:
+        raise ConfigError(
+            f"phase '{phase['name']}' has not passed its gate, and would not: {phase['why']}",
+            key=f"{PIPELINE}.phases.{phase['name']}.max_iterations",
+            expected=f"more than {config['max_iterations']}, or another gate",
+        )
+    regated = any(change.keys[2:4] == (phase["name"], "gate") for change in found)
+    kept = [] if regated else [gate for gate in phase["gates"] if gate["iteration"] <= phase["trained"]]
+    return {"status": "training", "why": None, "ended": None, "gates": kept}

@@ -1,0 +1,299 @@
+"""Run the phases of a pipeline, each an ordinary run in its own process, and keep the record up to date.
+
+Before the first phase, ``require_metrics`` checks that the gates ask for metrics that their protocols measure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.config.checking.find_mistakes import compose_valid
+from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.config.composing.compose_sweep import digest_of
+from wheelleg_exp.config.config_errors import parts, raise_all
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import (
+    ConfigError,
+    Interrupted,
+    RunDirectoryError,
+    SimulationFailure,
+    WheellegError,
+    nearest_name,
+)
+from wheelleg_exp.evaluation.protocol import evaluate
+from wheelleg_exp.evaluation.protocol_options import Protocol
+from wheelleg_exp.files import while_running
+from wheelleg_exp.jobs.job_display import Display
+from wheelleg_exp.jobs.pipeline.child import StepProcess
+from wheelleg_exp.jobs.pipeline.job import Step
+from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, Phase, judge, streak
+from wheelleg_exp.jobs.pipeline.pipeline_settings import (
+    PipelineSettings,
+    compose_gate,
+    name_phase,
+    phase_digest,
+    phase_overrides,
+    place_gate_error,
+)
+from wheelleg_exp.jobs.processes import Event
+from wheelleg_exp.rl.trainer import Iteration
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_index import PipelineIndex, PipelineStatus
+from wheelleg_exp.run.timestamps import utc_now, utc_text
+from wheelleg_exp.stop_request import StopRequest
+from wheelleg_exp.terms.config_sections import read_section
+from wheelleg_exp.terms.key_syntax import PIPELINE
+
+_TESTS = ("stand", "walk", "steps", "push", "terrain", "strip", "robust")
+
+
+def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
+    """Hold the gates of phases against what their protocols measure of the robots of these phases.
+
+    The names are those of an evaluation of actions that are no numbers: every episode is over after its first step.
+
+    Args:
+        phases: the phases by name.
+        composed: the config of each.
+        folders: the user's config folders.
+
+    Raises:
+        ConfigError: a gate asks for a metric that its protocol does not have, or the protocol is wrong.
+    """
+    mistakes: list[ConfigError] = []
+    for name, phase in phases.items():
+        if phase.gate is not None:
+            try:
+                mistakes += _unknown_metrics(
+                    f"{PIPELINE}.phases.{name}.gate", phase.gate, _metric_names(phase.gate, composed[name], folders)
+                )
+            except ConfigError as error:
+                mistakes += [name_phase(place_gate_error(part, name, phase.gate), name) for part in parts(error)]
+    if mistakes:
+        raise_all(mistakes)
+
+
+def _unknown_metrics(key: str, gate: Gate, names: Sequence[str]) -> Iterator[ConfigError]:
+    for bound, asked in (("at_least", gate.at_least), ("at_most", gate.at_most)):
+        for name in asked:
+            if name not in names:
+                yield ConfigError(
+                    f"protocol '{gate.protocol}' has no such metric",
+                    key=f"{key}.{bound}.{name}",
+                    expected="a metric of its evaluations, such as " + ", ".join(names[:3]),
+                    nearest=nearest_name(name, names),
+                )
+
+
+def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:
+    whole = compose_gate(gate, folders)
+    protocol: dict[str, Any] = whole.config["protocol"]
+    with whole.placing():
+        read_section(Protocol, protocol, "protocol")  # as it will be; what follows only makes it short
+    protocol["resamples"] = 1
+    for test in _TESTS:
+        if protocol.get(test) is not None:
+            protocol[test] = {**protocol[test], "episodes": 1}
+    config = composed.config
+    env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
+    asset = prepare_asset(config, composed.asset_roots)
+    return list(evaluate(env, asset.output, _nan_policy, protocol).metrics)
+
+
+def _nan_policy(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
+    actions = torch.full((env.num_envs, env.action_manager.total_action_dim), torch.nan, device=env.device)
+    return lambda _: actions
+
+
+class PipelineRunner:
+    """Runs the phases that are left, until one does not pass its gate or a stop is asked for.
+
+    Every step (training up to a gate, going on, evaluating) is a process of its own: a phase's run holds the same bytes
+    as ``wheelleg train`` of its overrides, and whatever is killed goes on where it was.
+
+    Args:
+        index: the pipeline's record, which is kept up to date.
+        declared: what is run.
+        display: receives what happens.
+        stop: asks to stop; a training stops at its next whole iteration, with a checkpoint.
+        program: the command that does one step, by default ``job`` under this interpreter.
+    """
+
+    def __init__(
+        self,
+        index: PipelineIndex,
+        declared: PipelineSettings,
+        display: Display,
+        stop: StopRequest,
+        program: Sequence[str] | None = None,
+    ) -> None:
+        self._index = index
+        self._declared = declared
+        self._display = display
+        self._stop = stop
+        self._program = program
+        self._folders = [Path(folder) for folder in index.data["config_dirs"]]
+
+    @while_running()
+    def run(self) -> PipelineStatus:
+        """Run, and return how it ended, as the record has it.
+
+        Raises:
+            WheellegError: a phase failed; the record says which and why.
+        """
+        status: PipelineStatus = "failed"
+        why: str | None = None
+        try:
+            status, why = self._run()
+        except KeyboardInterrupt:
+            status = "interrupted"
+        except WheellegError as error:
+            why = str(error)
+            raise
+        finally:
+            self._index.finish(status, why)
+        return status
+
+    def _run(self) -> tuple[PipelineStatus, str | None]:
+        source: Path | None = None
+        for name, phase in self._declared.phases.items():
+            entry = next(entry for entry in self._index.phases if entry["name"] == name)
+            if entry["status"] != "passed":
+                self._index.update(entry, status="training", started=entry["started"] or utc_text(utc_now()))
+                why = self._phase(entry, phase, source)
+                passed = why is None or entry["status"] == "passed"
+                self._index.update(entry, ended=utc_text(utc_now()))
+                if not passed:
+                    return "stopped", f"phase '{name}': {why}"
+            run = self._index.run_of(entry)
+            assert run is not None
+            source = run / f"model_{entry['trained'] - 1}.pt"
+        return "finished", None
+
+    def _phase(self, entry: dict[str, Any], phase: Phase, source: Path | None) -> str | None:
+        """Train a phase up to one gate after the other; return why it does not go on, None when it does."""
+        while True:
+            target = self._target(entry, phase)
+            self._train(entry, phase, source, target)
+            if phase.gate is None:
+                return self._end(entry, passed=True, why=f"trained {target} iterations; there is no gate")
+            if not any(found["iteration"] == target for found in entry["gates"]):
+                self._judge(entry, phase.gate, target, last=target >= phase.max_iterations)
+            verdicts = [bool(found["passed"]) for found in entry["gates"]]
+            in_a_row, last = streak(verdicts), target >= phase.max_iterations
+            times = "once" if in_a_row == 1 else f"{in_a_row} times in a row"
+            if in_a_row >= phase.gate.passes and not last:
+                return self._end(entry, passed=True, why=f"the gate was passed {times}, after {target} iterations")
+            if last and verdicts[-1]:
+                return self._end(entry, passed=True, why=f"the gate was passed {times}, after training")
+            if last:
+                wrong = "; ".join(entry["gates"][-1]["why"])
+                return self._end(entry, passed=False, why=f"the gate is not passed after {target} iterations: {wrong}")
+
+    def _end(self, entry: dict[str, Any], *, passed: bool, why: str) -> str | None:
+        self._index.update(entry, status="passed" if passed else "failed", why=why)
+        return None if passed else why
+
+    def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
+        """Return up to which iteration is trained before the next evaluation."""
+        every = phase.gate.every if phase.gate is not None else None
+        if not every:
+            return phase.max_iterations
+        judged = entry["gates"][-1]["iteration"] if entry["gates"] else 0
+        # It may have done more than that since: `every` can change while a phase is under way.
+        steps = max(1, -(-(self._index.done(entry) - judged) // every))
+        return min(phase.max_iterations, judged + every * steps)
+
+    # --- training ---
+
+    def _train(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> None:
+        if entry["trained"] >= target:
+            return
+        run = self._index.run_of(entry)
+        if run is None:
+            self._perform(self._new(entry, phase, source, target), entry)
+        elif _finished_iterations(run) < target:
+            override = [f"agent.max_iterations={target}"]
+            command = ["wheelleg", "resume", str(run), *override]
+            self._perform(self._step("resume", override, command, run=str(run)), entry)
+        self._index.update(entry, trained=target)
+
+    def _new(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> Step:
+        words = phase_overrides(entry["name"], phase, self._index.data["overrides"])
+        if phase_digest(compose_valid(words, config_dirs=self._folders)) != entry["digest"]:
+            self._display.note(f"note: {entry['name']}: its config is not what it was when the pipeline began")
+            self._index.update(entry, config_changed=True)
+        words.append(f"agent.max_iterations={target}")
+        if source is not None:
+            words.append(f"init_from='{source}'")
+            self._index.update(entry, init_from=self._index.relative(source))
+        command = ["wheelleg", "train", *words, *(w for d in self._folders for w in ("--config-dir", str(d)))]
+        return self._step("train", words, command, digest=digest_of(compose_valid(words, config_dirs=self._folders)))
+
+    def _step(self, kind: Any, overrides: list[str], command: list[str], **facts: str) -> Step:
+        folders = [str(folder) for folder in self._folders]
+        return Step(kind, overrides, folders, command, root=str(self._index.root), **facts)
+
+    # --- judging ---
+
+    def _judge(self, entry: dict[str, Any], gate: Gate, iteration: int, *, last: bool) -> None:
+        run = self._index.run_of(entry)
+        assert run is not None
+        name = f"model_{iteration - 1}.pt"
+        words = [f"protocol={gate.protocol}", *gate.overrides]
+        command = ["wheelleg", "evaluate", str(run), *words]
+        self._display.note(f"{entry['name']}: evaluating {name} in the scenarios of '{gate.protocol}'")
+        told = self._perform(self._step("evaluate", words, command, run=str(run), checkpoint=name), entry)
+        found = told.get("evaluated")
+        if found is None:
+            raise SimulationFailure("the evaluation has told nothing", key=str(run))
+        verdict = judge(gate, found["metrics"])
+        facts = {"iteration": iteration, "passed": verdict.passed, "values": verdict.values, "why": verdict.why}
+        kept = {"protocol": gate.protocol, "scenarios_sha256": found["scenarios_sha256"], "evaluation": found["folder"]}
+        self._index.update(entry, gates=[*entry["gates"], {**facts, **kept}])
+        # Why the last one is not passed is why the pipeline stops, and told with that.
+        why = "" if verdict.passed or last else f": {'; '.join(verdict.why)}"
+        says = ("passed" if verdict.passed else "not passed") + why
+        self._display.note(f"{entry['name']}: gate after {iteration} iterations {says}")
+
+    # --- steps ---
+
+    def _perform(self, step: Step, entry: dict[str, Any]) -> dict[str, Event]:
+        """Do a step in another process; return the last event of each kind."""
+        told: dict[str, Event] = {}
+        if self._stop.requested:
+            raise Interrupted
+        try:
+            with StepProcess(step, self._stop, self._program) as process:
+                for event in process.events():
+                    told[event["event"]] = event
+                    self._hear(event, entry)
+        except WheellegError as error:
+            error.message = f"phase '{entry['name']}': {error.message}"
+            raise
+        return told
+
+    def _hear(self, event: Event, entry: dict[str, Any]) -> None:
+        kind = event["event"]
+        if kind == "run":
+            self._index.update(entry, run=self._index.relative(Path(event["path"])))
+            self._display.note(f"{entry['name']}: run directory {event['path']}")
+        elif kind == "note":
+            self._display.note(f"{entry['name']}: {event['text']}")
+        elif kind == "iteration":
+            self._display.iteration(Iteration(event["done"] - 1, event["scalars"], 0), event["total"])
+
+
+def _finished_iterations(run: Path) -> int:
+    """Return how many iterations a finished run has; 0 for one that has not finished."""
+    with suppress(RunDirectoryError):
+        manifest = RunDirectory(run).manifest()
+        if manifest.status == "finished":
+            return int(manifest.results.get("iterations", 0))
+    return 0

@@ -1,0 +1,249 @@
+"""Play a trained policy for one episode and save figures and a recording under the run.
+
+``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive uses it, too.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking.find_mistakes import check_tree
+from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
+from wheelleg_exp.config.config_errors import raise_all
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.files import sha256, while_running, write_json
+from wheelleg_exp.jobs.job_display import Display
+from wheelleg_exp.jobs.rollout_figures import MotionFigures, MotionMeter, StandFigures, StandMeter
+from wheelleg_exp.jobs.rollout_files import (
+    EpisodeRecording,
+    close_dataset,
+    command_document,
+    config_document,
+    json_document,
+    run_documents,
+)
+from wheelleg_exp.jobs.saved_robot import saved_mjcf, saved_model_digest
+from wheelleg_exp.jobs.torch_threads import set_threads
+from wheelleg_exp.managers.non_finite import require_finite_actions
+from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.rollout_log import FailureCount
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
+from wheelleg_exp.run.run_directory import RunDirectory, create_exclusively
+from wheelleg_exp.run.start_run import refuse_secrets
+from wheelleg_exp.user_exceptions import ending_as
+
+Tree = dict[str, Any]
+
+_ALTERNATIVES = {
+    "agent.device": "env.sim.engine and env.sim.device: the policy runs where the simulation does",
+    "": "agent.torch_threads, agent.clip_actions, agent.max_non_finite, or a key of the policy's network",
+}
+
+
+@dataclass(frozen=True)
+class RunPolicy:
+    """A policy and an environment that fits it.
+
+    Attributes:
+        run: the run.
+        checkpoint: the checkpoint that the policy is of.
+        tree: ``env`` and ``agent`` of the run, and the settings of ``configs/play.yaml``, with the changes.
+        adapter: the environment as rsl_rl sees it.
+        policy: the policy, which returns its mean action.
+        about: the checkpoint's name, as seen from the run, and its sha256.
+    """
+
+    run: RunDirectory
+    checkpoint: Path
+    tree: Tree
+    adapter: RslRlVecEnv
+    policy: Any
+    about: dict[str, str]
+
+    def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
+        """Return the recording of what is to be played, in a folder below the run.
+
+        Args:
+            folder: where ``recording.rrd`` goes.
+            command: the command line.
+        """
+        documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
+        task = self.run.manifest().data.get("task")
+        return EpisodeRecording(
+            folder / "recording.rrd",
+            self.adapter.env,
+            self.tree["recording"],
+            purpose="play",
+            name=folder.name,
+            about={
+                "run_id": self.run.id,
+                "task": None if task is None else str(task),
+                "agent": "policy",
+                **self.about,
+            },
+            documents=documents | json_document("checkpoint", self.about),
+        )
+
+
+def prepare_policy(
+    run: RunDirectory,
+    checkpoint: Path | None,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    display: Display,
+    change: Callable[[Tree], Tree] | None = None,
+) -> RunPolicy:
+    """Load a run's policy and build an environment for it.
+
+    Args:
+        run: the run.
+        checkpoint: which of its checkpoints; None is the last.
+        overrides: changes to the run's parameters.
+        command: the command line, in which no key or token may stand.
+        display: is told when the compiled model is another than the training's.
+        change: a last change to the tree, after the overrides.
+
+    Raises:
+        WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
+    """
+    checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
+    env_params, agent = load_params(run)
+    kept = {**_play_settings(), "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
+    tree = apply_overrides(kept, overrides)
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)}, tree, kept)
+    with placing(overrides):
+        tree = tree if change is None else change(tree)
+        _require_playable(kept, tree)
+        require_read(kept, overrides, _settings_read, _ALTERNATIVES)
+        env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
+    set_threads(tree["agent"], env.scene.sim.nthread)
+    if tree["env"] == kept["env"] and env.scene.model_digest() != saved_model_digest(run):
+        display.note("note: the compiled model is not the one of the training; is this another MuJoCo version?")
+    adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
+    policy = load_policy(checkpoint, adapter, tree["agent"])
+    own = checkpoint.resolve().is_relative_to(run.path)  # a run may be moved
+    name = checkpoint.resolve().relative_to(run.path) if own else checkpoint.resolve()
+    about = {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
+    return RunPolicy(run, checkpoint, tree, adapter, policy, about)
+
+
+def _play_settings() -> Tree:
+    composed = compose(primary="play").config
+    return {key: composed[key] for key in ("seed", "play", "drive", "recording")}
+
+
+def _settings_read(tree: Mapping[str, Any]) -> Any:
+    """Return what a play reads: of ``agent``, what the policy depends on and how many failures are accepted."""
+    agent = {key: value for key, value in tree["agent"].items() if key in (*POLICY_KEYS, "max_non_finite")}
+    return {**tree, "agent": agent}
+
+
+def _require_playable(kept: Tree, tree: Tree) -> None:
+    """Hold the amended tree against what a play reads, before anything is built or made."""
+    errors = check_tree(tree, schema.PlayRoot)
+    if errors:
+        raise_all(errors)
+    for key in ("asset", "base"):
+        if tree["env"]["robot"][key] != kept["env"]["robot"][key]:
+            raise ConfigError(
+                "a play simulates the robot that the run was trained on",
+                key=f"env.robot.{key}",
+                expected="the run's own value; another robot needs a new run",
+            )
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a play made.
+
+    Attributes:
+        run: the run whose policy it was.
+        checkpoint: the checkpoint.
+        folder: what was written, below the run.
+        recording: the recording, or None.
+        figures: how the policy stood.
+        motion: how it moved, and what its motors bore.
+        failures: the episodes that ended because a number was not finite.
+    """
+
+    run: RunDirectory
+    checkpoint: Path
+    folder: Path
+    recording: Path | None
+    figures: StandFigures
+    motion: MotionFigures
+    failures: FailureCount
+
+
+def play(
+    run: RunDirectory,
+    checkpoint: Path | None,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    display: Display,
+) -> Played:
+    """Play the mean of a run's policy for one episode of each environment, with the task's own events.
+
+    Args:
+        run: the run.
+        checkpoint: which of its checkpoints; None is the last.
+        overrides: changes to the run's parameters, for this play alone.
+        command: the command line, for the manifest.
+        display: receives progress.
+
+    Raises:
+        WheellegError: the run, the checkpoint or an override is wrong, or one of these holds a key or a token.
+    """
+    prepared = prepare_policy(run, checkpoint, overrides, command, display)
+    tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env
+    settle_s = float(tree["play"]["settle_s"])
+    meter, motion = StandMeter(env, settle_s), MotionMeter(env, settle_s)
+    env.observers += [meter.observe, motion.observe]
+    failures = FailureCount(env.num_envs, tree["agent"])
+    content = {**prepared.about, "seed": tree["seed"], "overrides": list(overrides)}
+    folder = create_exclusively(run.play, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
+    try:
+        with while_running():
+            recording = prepared.recording(folder, command) if tree["recording"]["enabled"] else None
+            if recording is not None:
+                recording.warn(display.note)
+            with recording or nullcontext():
+                _roll(adapter, prepared.policy, meter, failures, display)
+                content |= meter.figures().as_dict() | motion.figures().as_dict()
+                if recording is not None:
+                    recording.figures(content)
+            dataset = close_dataset(folder / "dataset", env)
+            write_json(folder / "figures.json", content)
+            files = [*dataset, folder / "figures.json", *([recording.path] if recording else [])]
+            run.manifest().add("play", files, content, command=command)
+    except BaseException:  # an interrupted play leaves nothing that looks like one
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    path = recording.path if recording else None
+    return Played(run, prepared.checkpoint, folder, path, meter.figures(), motion.figures(), failures)
+
+
+@ending_as(SimulationFailure)
+@torch.inference_mode()
+def _roll(adapter: RslRlVecEnv, policy: Any, meter: StandMeter, failures: FailureCount, display: Display) -> None:
+    """Step until every environment has finished its first episode."""
+    env = adapter.env
+    for step in range(env.max_episode_length):
+        actions = policy(adapter.get_observations())
+        require_finite_actions(env, actions)
+        *_, extras = adapter.step(actions)
+        failures.take(extras)
+        display.steps(step + 1, env.max_episode_length)
+        if not meter.running.any():
+            break

@@ -1,0 +1,412 @@
+"""Replay a run: restore its source, train again from its snapshot alone, and compare with the original.
+
+Only a run that has ended and whose snapshot is what its manifest recorded can be replayed.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError, WheellegError
+from wheelleg_exp.files import for_people, read_text, sha256
+from wheelleg_exp.jobs.job_display import Display
+from wheelleg_exp.jobs.processes import Event
+from wheelleg_exp.jobs.replay.restored_source import RestoredSource, describe_code, restore_all
+from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, Request
+from wheelleg_exp.jobs.replay.training_process import TrainingProcess
+from wheelleg_exp.jobs.train.source_roots import require_variables, shorten
+from wheelleg_exp.rl.trainer import Iteration
+from wheelleg_exp.run.environment import hardware, replay_environ, requested_variables, variables, versions
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.iteration_log import read_log
+from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
+from wheelleg_exp.run.run_config import OVERRIDES
+from wheelleg_exp.run.run_directory import NEEDED, REPLAYS, RunDirectory
+from wheelleg_exp.run.run_lock import is_alive
+from wheelleg_exp.run.start_run import refuse_secrets
+from wheelleg_exp.stop_request import StopRequest
+from wheelleg_exp.verify import Comparison, FactDifference, compare_runs, environment_differences
+from wheelleg_exp.verify.run_parts import measure
+
+_SNAPSHOT_FILES = (*NEEDED, OVERRIDES, "source/git.json")
+
+
+def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | None) -> int:
+    """Return how many iterations a replay trains: those that the run has, or fewer.
+
+    Raises:
+        RunDirectoryError: the run still goes on, has none, or has fewer than are wanted.
+    """
+    if manifest.status == "running" and is_alive(manifest.data.get("process") or {}):
+        raise RunDirectoryError(f"run '{run.id}' is still running", expected="a run that has ended")
+    log = read_log(run.iterations)
+    there = len(log.lines)
+    if not there:
+        raise RunDirectoryError(f"run '{run.id}' has no whole iteration to compare with", where=str(run.iterations))
+    if wanted is None:
+        return there
+    if not 1 <= wanted <= there:
+        raise RunDirectoryError(f"is {wanted}", key="--iterations", expected=f"from 1 to the {there} that the run has")
+    return wanted
+
+
+def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
+    """Refuse a snapshot that is not, byte for byte, what the manifest recorded.
+
+    Raises:
+        RunDirectoryError: a file of it is missing, changed, or not the run's own; the manifest itself was changed; or
+            several processes have trained the run.
+    """
+    if manifest.seal_holds() is False:
+        raise RunDirectoryError(
+            "the manifest is not what the run wrote", where=str(run.path / MANIFEST_NAME), expected="an unchanged run"
+        )
+    processes = int((manifest.data.get("ranks") or {}).get("world_size", 1))
+    if processes > 1:
+        raise RunDirectoryError(
+            f"run '{run.id}' was trained by {processes} processes, and a replay trains with one",
+            expected="'wheelleg train' again with the recorded command under torchrun, and 'wheelleg verify A B'",
+        )
+    recorded = {name: entry for name, entry in manifest.data["files"].items() if name.startswith(SNAPSHOT)}
+    absent = next((name for name in _SNAPSHOT_FILES if name not in recorded), None)
+    if absent is not None:
+        raise RunDirectoryError(
+            f"the snapshot of run '{run.id}' is not whole: its manifest names no {absent}",
+            expected="a run that got as far as its first iteration",
+        )
+    for name, entry in recorded.items():
+        path = run.inside(name)
+        if not path.is_file():
+            raise RunDirectoryError(f"{name} is missing", where=str(path), expected="a run with its whole snapshot")
+        if sha256(path) != entry["sha256"]:
+            raise RunDirectoryError(
+                f"{name} is not what the manifest recorded", where=str(path), expected="a snapshot nobody has changed"
+            )
+    for path in _snapshot_files(run):
+        name = path.relative_to(run.path).as_posix()
+        if name not in recorded:
+            raise RunDirectoryError(f"{name} is not in the manifest", where=str(path), expected="the run's own files")
+
+
+def _snapshot_files(run: RunDirectory) -> Iterator[Path]:
+    for folder in (run.hydra, run.params, run.source, run.asset):
+        yield from (path for path in sorted(folder.rglob("*")) if not path.is_dir())
+
+
+KIND = "replay"
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What a replay made and found.
+
+    Attributes:
+        original: the run.
+        run: the new run.
+        iterations: how many iterations were trained, and compared.
+        whole: whether these are all that the original has.
+        source: how the source was restored.
+        machine: how this machine differs from the original's.
+        composed: whether the recorded overrides compose to the snapshot with the restored configs: ``equal`` and
+            ``difference``.
+        asset: whether the robot was ``converted`` again, and a ``note`` when it was not.
+        notes: what else has to be told, one line each.
+        kept: the folder of the restored source, None when it was removed.
+        comparison: the original and the new run held against each other.
+    """
+
+    original: RunDirectory
+    run: RunDirectory
+    iterations: int
+    whole: bool
+    source: RestoredSource
+    machine: list[FactDifference]
+    composed: Event
+    asset: Event
+    notes: list[str]
+    kept: Path | None
+    comparison: Comparison
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as one JSON document."""
+        return {
+            "run": str(self.original.path),
+            "replay": str(self.run.path),
+            "verdict": self.comparison.verdict,
+            "iterations": self.iterations,
+            "all_iterations": self.whole,
+            "source": self.source.facts(),
+            "machine": [vars(difference) for difference in self.machine],
+            "composed": self.composed,
+            "asset": self.asset,
+            "notes": self.notes,
+            "kept": None if self.kept is None else str(self.kept),
+            "comparison": self.comparison.as_dict(),
+        }
+
+
+def replay(
+    run: RunDirectory,
+    command: Sequence[str],
+    display: Display,
+    stop: StopRequest,
+    *,
+    root: Path,
+    repositories: Sequence[Path] = (),
+    iterations: int | None = None,
+    keep: bool = False,
+) -> Replayed:
+    """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare.
+
+    The run, the user's repositories and the working tree are read, never written.
+
+    Args:
+        run: the run.
+        command: the command line, for the new manifest.
+        display: receives progress.
+        stop: asks to stop.
+        root: the folder of runs below which the new run is made.
+        repositories: clones that may hold the run's commits.
+        iterations: how many iterations to train; None is all that the run has.
+        keep: whether the restored source stays.
+
+    Raises:
+        ConfigError: the command line holds a key or a token.
+        RunDirectoryError: the run's snapshot is damaged or incomplete, its source cannot be restored, or its config
+            asks for a variable that is not known.
+        SimulationFailure: the training failed, or the disk is full.
+        KeyboardInterrupt: it was stopped.
+    """
+    refuse_secrets(command)
+    manifest = run.manifest()
+    require_whole_snapshot(run, manifest)
+    require_variables(run, _recorded_variables(manifest))
+    total = iterations_to_train(run, manifest, iterations)
+    display.note(describe_code(run))
+    with _workplace(keep) as workplace:
+        stop.check()
+        source = _restored(run, workplace, repositories, stop)
+        notes, environ = [*_damage_notes(run), *_resume_notes(manifest), *source.notes], _environ(run, manifest)
+        machine = _differences(manifest, environ)
+        _report(display, source, machine, notes)
+        stop.check()
+        request = _request(run, manifest, total, root, workplace, source, command)
+        folder = _working_folder(manifest, source, workplace)
+        told = _train(request, source, environ, folder, display, stop)
+    new = RunDirectory.open(told["run"]["path"], root)
+    comparison = compare_runs(run, new, iterations=total)
+    results = {"of": _id(run, manifest), "verdict": comparison.verdict, "iterations": total}
+    new.manifest().add(KIND, results=results, command=command)
+    return Replayed(
+        original=run,
+        run=new,
+        iterations=total,
+        whole=total == len(read_log(run.iterations).lines),
+        source=source,
+        machine=machine,
+        composed=_facts(told.get("composed", {})),
+        asset=_facts(told.get("asset", {})),
+        notes=notes,
+        kept=workplace / "source" if keep else None,
+        comparison=comparison,
+    )
+
+
+# --- before ---
+
+
+def _restored(run: RunDirectory, workplace: Path, repositories: Sequence[Path], stop: StopRequest) -> RestoredSource:
+    try:
+        return restore_all(run, workplace, repositories)
+    except WheellegError:
+        stop.check()  # Ctrl-C reaches git as well, which then fails
+        raise
+
+
+def _damage_notes(run: RunDirectory) -> list[str]:
+    """Tell before the training what no replay can be equal to."""
+    return [f"{name} {what}: what is damaged is never identical" for name, what in measure(run).damage.items()]
+
+
+def _resume_notes(manifest: Manifest) -> list[str]:
+    """Tell what of a resumed run a straight training cannot repeat."""
+    entries = manifest.data["resumes"]
+    notes = []
+    if entries:
+        notes.append(f"the run was stopped and resumed {_times(len(entries))}; the replay trains straight through")
+    for entry in entries:
+        if entry.get("exact", not entry.get("overrides")):
+            continue
+        at = f" before iteration {entry['iteration']}" if entry.get("iteration") is not None else ""
+        why = "; ".join(map(str, entry.get("why") or ())) or " ".join(map(str, entry.get("overrides") or ()))
+        notes.append(
+            f"a resume{at} was not exact ({why}): the replay has the last config from the start, so that equal numbers "
+            "are not to be expected"
+        )
+    return notes
+
+
+def _times(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")
+
+
+def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
+    recorded = _recorded_variables(manifest)
+    asked_for = requested_variables([read_text(run.hydra / "config.yaml")])
+    environ = replay_environ(recorded, also=asked_for)
+    if manifest.data.get("config_variables") is None:
+        return environ
+    # What the config asked for in vain was not set, but for what no manifest keeps.
+    in_vain = set(variables(environ, also=asked_for)) & set(asked_for) - set(recorded)
+    return {name: value for name, value in environ.items() if name not in in_vain}
+
+
+def _recorded_variables(manifest: Manifest) -> dict[str, str]:
+    """Return the environment variables that a run has kept."""
+    kept = manifest.data.get("environment_variables"), manifest.data.get("config_variables")
+    return {name: value for known in kept for name, value in (known or {}).items()}
+
+
+def _differences(manifest: Manifest, environ: Mapping[str, str]) -> list[FactDifference]:
+    now = {"versions": versions(), "hardware": hardware(), "environment_variables": variables(environ)}
+    unknown = ("torch_cpu_capability",)  # as long as torch is not imported
+    return [d for d in environment_differences(manifest.data, now) if d.name not in unknown]
+
+
+def _report(display: Display, source: RestoredSource, machine: list[FactDifference], notes: list[str]) -> None:
+    for tree in source.trees:
+        if tree.tree is not None:
+            commit = f"commit {tree.commit[:12]} from {tree.origin}" if tree.commit else "its patch alone"
+            display.note(f"source: tree {tree.tree[:12]} restored ({commit})")
+        else:
+            display.note(f"source: {tree.root}: {tree.how}")
+    for difference in machine:
+        why = f" ({difference.allows})" if difference.allows else ""
+        display.note(f"differs: {difference.name} was {shorten(difference.a)}, is {shorten(difference.b)}{why}")
+    if not machine:
+        display.note("versions, hardware and variables are those of the run")
+    for note in notes:
+        display.note(f"note: {note}")
+
+
+# --- training ---
+
+
+@contextmanager
+def _workplace(keep: bool) -> Iterator[Path]:
+    """Yield a new folder; it is removed in the end, unless the source is to be kept and was used to the end."""
+    with for_people(Path(tempfile.gettempdir())):
+        folder = Path(tempfile.mkdtemp(prefix="wheelleg-replay-")).resolve()
+    kept = False
+    try:
+        (folder / "here").mkdir()
+        yield folder
+        kept = keep
+    finally:
+        for path in folder.iterdir() if kept else [folder]:
+            if path.name != "source":
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _id(run: RunDirectory, manifest: Manifest) -> str:
+    """Return the run's id, which a copy may have lost from its folder's name."""
+    return str(manifest.data.get("id") or run.id)
+
+
+def _request(
+    run: RunDirectory,
+    manifest: Manifest,
+    until: int,
+    root: Path,
+    workplace: Path,
+    source: RestoredSource,
+    command: Sequence[str],
+) -> Request:
+    options = require_variables(run, _recorded_variables(manifest))["run"]
+    name = options.get("name") if isinstance(options, Mapping) else None
+    facts = {
+        "replay_of": _id(run, manifest),
+        "replay": {
+            "manifest_sha256": sha256(run.path / MANIFEST_NAME),
+            "snapshot": {k: v["sha256"] for k, v in manifest.data["files"].items() if k.startswith(SNAPSHOT)},
+            "iterations": until,
+            "source": source.facts(),
+        },
+    }
+    return Request(
+        protocol=PROTOCOL,
+        run=str(run.path),
+        until=until,
+        root=str((root / REPLAYS).absolute()),
+        name=f"{name}_{KIND}" if name else KIND,
+        workplace=str(workplace),
+        config_dirs=[str(folder) for folder in source.config_dirs],
+        projects=[str(folder) for folder in source.projects],
+        source_roots=[str(folder) for folder in source.source_roots],
+        moved={before: str(after) for before, after in source.moved.items()},
+        command=list(command),
+        facts=facts,
+    )
+
+
+def _working_folder(manifest: Manifest, source: RestoredSource, workplace: Path) -> Path:
+    """Return the folder that the run was started in, restored; an empty one when it was no part of the source."""
+    now = source.now(str(manifest.data.get("working_directory") or "/"))
+    return now if now.is_dir() and now.is_relative_to(workplace) else workplace / "here"
+
+
+def _train(
+    request: Request,
+    source: RestoredSource,
+    environ: Mapping[str, str],
+    folder: Path,
+    display: Display,
+    stop: StopRequest,
+) -> dict[str, Event]:
+    """Train in another process; return the last event of each kind."""
+    told: dict[str, Event] = {}
+    with TrainingProcess(request, source.places, environ, folder, stop) as process:
+        for event in process.events():
+            told[event["event"]] = event
+            _show(event, source, display)
+    return told
+
+
+def _show(event: Event, source: RestoredSource, display: Display) -> None:
+    kind = event["event"]
+    if kind == "began":
+        _require_restored_code(Path(event["package"]), source)
+    elif kind == "note":
+        display.note(event["text"])
+    elif kind == "composed":
+        same = "compose to the snapshot's config with the restored files"
+        display.note(
+            f"config: the recorded overrides {same}"
+            if event["equal"]
+            else f"config: the recorded overrides do not {same}: {event['difference']}"
+        )
+    elif kind == "asset":
+        display.note(f"robot: {event['note'] or 'converted again from the restored source, to the same MJCF'}")
+    elif kind == "run":
+        display.note(f"run directory: {event['path']}")
+    elif kind == "iteration":
+        display.iteration(Iteration(event["done"] - 1, event["scalars"], 0), event["total"])
+
+
+def _require_restored_code(package: Path, source: RestoredSource) -> None:
+    expected = (source.places["wheelleg_exp"] / "wheelleg_exp").resolve()
+    if package.resolve() != expected:
+        raise RunDirectoryError(f"the training imported '{package}'", expected=f"the restored '{expected}'")
+
+
+# --- after ---
+
+
+def _facts(event: Event) -> Event:
+    return {key: value for key, value in event.items() if key != "event"}

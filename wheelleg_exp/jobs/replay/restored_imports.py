@@ -1,0 +1,61 @@
+"""Start a training in a process that imports packages from restored source trees.
+
+This file runs as a script, before anything of this package is imported. Its last argument is JSON: the folder of
+each top-level package or module. A module of this package that is missing there is not searched elsewhere, because
+another version of it may be installed there.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from types import ModuleType
+
+_OWN = "wheelleg_exp"
+# Where the package begins a training of a snapshot: now, and in the sources of older runs.
+ENTRIES = ("jobs/replay/snapshot_training", "jobs/snapshot_training")
+
+
+class RestoredFinder:
+    """Finds the modules of restored packages in their restored folders.
+
+    Args:
+        places: folder by top-level name.
+    """
+
+    def __init__(self, places: dict[str, str]) -> None:
+        self._places = places
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a module; None leaves it to the others.
+
+        Raises:
+            ModuleNotFoundError: the module belongs to this package and is not in its restored folder.
+        """
+        top = fullname.partition(".")[0]
+        if top not in self._places:
+            return None
+        spec = PathFinder.find_spec(fullname, [self._places[top]] if path is None else path, target)
+        if spec is None and top == _OWN:
+            raise ModuleNotFoundError(f"the restored source holds no module {fullname}", name=fullname)
+        return spec
+
+
+def main() -> int:
+    """Take the imports over and train."""
+    places = json.loads(sys.argv.pop())
+    sys.meta_path.insert(0, RestoredFinder(places))
+    own = Path(places[_OWN]) / _OWN
+    entry = next(entry for entry in ENTRIES if own.joinpath(f"{entry}.py").is_file())
+    module = import_module(f"{_OWN}.{entry.replace('/', '.')}")
+    return int(module.main())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

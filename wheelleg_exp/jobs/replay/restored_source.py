@@ -1,0 +1,248 @@
+"""Restore the source of a run for a replay: every recorded tree in its own folder, and which packages each provides."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import for_people, read_yaml
+from wheelleg_exp.jobs.replay.restored_imports import ENTRIES
+from wheelleg_exp.packages import CONFIGS, is_there, read_project
+from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.source_restore import find_origin, restore_source, source_records
+from wheelleg_exp.run.source_snapshot import content_digest, is_installed
+
+PACKAGE = "wheelleg_exp"
+_UNSAFE = re.compile(r"[^\w.-]")
+
+
+@dataclass(frozen=True)
+class RestoredTree:
+    """One recorded source folder and where its content comes from now.
+
+    Attributes:
+        root: the recorded folder.
+        how: ``restored`` (from commit and patch), ``installed`` (what is installed now), ``in place`` (the recorded
+            folder, unchanged), or ``missing``.
+        commit: the recorded commit.
+        tree: the restored tree's id.
+        origin: the repository that the commit was read from.
+    """
+
+    root: str
+    how: str
+    commit: str | None = None
+    tree: str | None = None
+    origin: str | None = None
+
+
+@dataclass
+class RestoredSource:
+    """All sources of a run, restored.
+
+    Attributes:
+        trees: one for each recorded folder, the package's own first.
+        places: the folder in which each top-level package or module is found.
+        config_dirs: the user's config folders.
+        projects: the user's projects.
+        source_roots: the folders, beside the package's own, whose source a new run keeps.
+        moved: the restored folder of each recorded one.
+        notes: what is not as it was, one line each.
+    """
+
+    trees: list[RestoredTree] = field(default_factory=list)
+    places: dict[str, Path] = field(default_factory=dict)
+    config_dirs: list[Path] = field(default_factory=list)
+    projects: list[Path] = field(default_factory=list)
+    source_roots: list[Path] = field(default_factory=list)
+    moved: dict[str, Path] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def now(self, path: str) -> Path:
+        """Return where a recorded path is now: in a restored folder, or where it was."""
+        found = [root for root in self.moved if Path(path).is_relative_to(root)]
+        if not found:
+            return Path(path)
+        root = max(found, key=len)
+        return self.moved[root] / Path(path).relative_to(root)
+
+    def facts(self) -> list[dict[str, Any]]:
+        """Return the trees as plain mappings."""
+        return [asdict(tree) for tree in self.trees]
+
+
+def describe_code(run: RunDirectory) -> str:
+    """Return a line that says whose code a replay of a run executes."""
+    main, *others = source_records(run)
+    if main["commit"]:
+        patch = f" plus the run's patch ({main['patch_bytes']} bytes)" if main["patch_bytes"] else ""
+        code = f"the code of commit {main['commit'][:12]}{patch}"
+    elif main["patch"]:
+        code = f"the code that the run has kept ({main['patch_bytes']} bytes)"
+    else:
+        code = f"the installed {PACKAGE}"
+    further = sum(1 for entry in others if entry["patch"])
+    more = f", and the code of {further} more source folder{'s' if further > 1 else ''} of it" if further else ""
+    return f"replay runs {code}{more}, with all the rights of this user"
+
+
+def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
+    """Restore every source that a run has kept below ``workplace``.
+
+    Args:
+        run: the run.
+        workplace: an existing folder.
+        repositories: clones to look for commits in, before the recorded folders and the current checkout.
+
+    Raises:
+        RunDirectoryError: the package's own source was not kept, its commit is in no repository, or its code is too
+            old to be trained by another process.
+        SimulationFailure: the disk is full.
+    """
+    source = RestoredSource()
+    for number, record in enumerate(source_records(run)):
+        candidates = [*repositories, Path(record["root"] or "."), configs_dir().parent, Path.cwd()]
+        if record["patch"] is not None:
+            _restore(run, number, record, workplace, candidates, source)
+        elif number == 0:
+            _use_installed(record, source)
+        else:
+            _use_in_place(record, source)
+    recorded = dict.fromkeys(source.now(folder) for folder in _recorded_config_dirs(run))
+    source.config_dirs = [folder for folder in recorded if is_there(folder)]
+    for folder in source.source_roots:
+        _register(folder, source)
+    return source
+
+
+def _restore(
+    run: RunDirectory,
+    number: int,
+    record: dict[str, Any],
+    workplace: Path,
+    candidates: Sequence[Path],
+    source: RestoredSource,
+) -> None:
+    destination = _destination(record["root"], number, workplace, source)
+    try:
+        origin = find_origin(record, candidates)
+    except RunDirectoryError:
+        if number == 0:
+            raise
+        _use_in_place(record, source)
+        return
+    tree = restore_source(run, destination, origin, which=number)
+    source.trees.append(
+        RestoredTree(record["root"], "restored", record["commit"], tree, str(origin) if origin else None)
+    )
+    source.moved[record["root"]] = destination
+    folders = [destination / name for name in record["folders"]]
+    if number == 0:
+        _require_entry(folders[0], record)
+        source.places[PACKAGE] = folders.pop(0)
+    _note_gaps(record, destination, source)
+    source.source_roots += folders
+
+
+def _destination(root: str, number: int, workplace: Path, source: RestoredSource) -> Path:
+    """Return where a tree goes: a submodule's into its superproject, any other into a folder of its own."""
+    inside = source.now(root)
+    if inside != Path(root) and not any(inside.glob("*")):
+        with for_people(inside):
+            inside.parent.mkdir(parents=True, exist_ok=True)
+            if inside.is_dir():
+                inside.rmdir()  # git leaves an empty folder where a submodule belongs
+        return inside
+    name = _UNSAFE.sub("_", Path(root).name).strip(".") or "source"
+    folder = workplace / "source" / str(number)
+    with for_people(folder):
+        folder.mkdir(parents=True)
+    return folder / name
+
+
+def _require_entry(folder: Path, record: dict[str, Any]) -> None:
+    if not any((folder / PACKAGE / f"{entry}.py").is_file() for entry in ENTRIES):
+        version = record["commit"][:12] if record["commit"] else "the run's source"
+        raise RunDirectoryError(
+            f"the code of {version} is from before runs could be replayed (it holds no {PACKAGE}/{ENTRIES[-1]}.py)",
+            expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
+            "and give 'wheelleg train' the overrides in .hydra/overrides.yaml",
+        )
+
+
+def _note_gaps(record: dict[str, Any], folder: Path, source: RestoredSource) -> None:
+    """Tell what a record says was left out of it."""
+    for entry in record["refused"]:
+        now = "is as committed" if os.path.lexists(folder / entry["path"]) else "is not there"
+        source.notes.append(f"'{entry['path']}' was not kept with the run ({entry['reason']}) and {now}")
+    nested = [entry["path"] for entry in record["submodules"]]
+    if nested:
+        source.notes.append(f"submodules are as far restored as the run has kept them: {', '.join(nested)}")
+
+
+def _register(folder: Path, source: RestoredSource) -> None:
+    """Let a restored folder or module be found: as a project, or as a package or module."""
+    if folder.is_file():
+        source.places.setdefault(folder.stem, folder.parent)
+    elif read_project(folder) is not None:
+        source.projects.append(folder)
+    elif folder.name == CONFIGS and read_project(folder.parent) is not None:
+        source.projects.append(folder.parent)
+    elif folder not in source.config_dirs:
+        while (folder.parent / "__init__.py").is_file():
+            folder = folder.parent
+        source.places.setdefault(folder.name, folder.parent)
+
+
+def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
+    if record["status"] != "installed":
+        raise RunDirectoryError(
+            f"the source of the run was not kept ({record['status']}): {record['note']}",
+            expected="a run whose source was kept",
+        )
+    package = configs_dir().parent
+    if not is_installed(package) or content_digest(package) != record["content_sha256"]:
+        source.notes.append(
+            f"the run was made by an installed {PACKAGE} whose files are not those of '{package}', which trains now"
+        )
+    source.trees.append(RestoredTree(record["root"], "installed"))
+    source.places[PACKAGE] = Path(__file__).resolve().parents[3]
+
+
+def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
+    """Use a folder of the user's that was not kept where it is, if it is what it was."""
+    root, status = Path(record["root"] or "."), record["status"]
+    digest = record["content_sha256"]
+    if digest is not None and root.exists() and content_digest(root) == digest:
+        source.trees.append(RestoredTree(str(root), "in place"))
+        source.source_roots.append(root)
+        return
+    if status == "installed":
+        name = record.get("distribution") or str(root)
+        source.notes.append(f"the run used the installed {name}; what is installed here is not known to be the same")
+    else:
+        reason = (
+            f"no repository here holds commit {record['commit'][:12]}; see --repository" if record["patch"] else status
+        )
+        source.notes.append(
+            f"'{root}' cannot be restored ({reason}); what it held is taken from what is installed, if at all"
+        )
+    source.trees.append(RestoredTree(str(root), "installed" if status == "installed" else "missing", record["commit"]))
+
+
+def _recorded_config_dirs(run: RunDirectory) -> list[str]:
+    """Return the folders of the user's configs, as the run recorded them."""
+    known = run.manifest().data.get("config_dirs")
+    if known is not None:
+        return [str(folder) for folder in known]
+    try:
+        sources = read_yaml(run.hydra / "hydra.yaml")["hydra"]["runtime"]["config_sources"]
+        return [str(entry["path"]) for entry in sources if entry["schema"] == "file" and entry["provider"] != "main"]
+    except (KeyError, TypeError):
+        return []

@@ -1,0 +1,185 @@
+"""Reproduce a result: train the runs that its record names, evaluate them, and compare every number to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.checking.find_mistakes import compose_valid
+from wheelleg_exp.config.composing.compose_sweep import digest_of
+from wheelleg_exp.files import json_plain
+from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_reference, evaluate_run
+from wheelleg_exp.jobs.pipeline.child import StepProcess
+from wheelleg_exp.jobs.pipeline.job import Step
+from wheelleg_exp.jobs.result_record import build_record, compare_with_reference, evaluation_numbers, parameters
+from wheelleg_exp.jobs.train.source_roots import shorten
+from wheelleg_exp.run.environment import hardware, versions
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.stop_request import StopRequest
+from wheelleg_exp.verify.run_differences import FactDifference, allowing, environment_differences
+
+_COMMAND = ("wheelleg", "results")
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What came of getting a result again.
+
+    Attributes:
+        differences: in words what came out otherwise; empty when all is equal to the bit.
+        machine: how this machine, its versions and threads differ from those of the result where that may change bits.
+        other_code: whether the runs were trained by other source files.
+    """
+
+    differences: list[str]
+    machine: list[FactDifference]
+    other_code: bool
+
+    @property
+    def verdict(self) -> str:
+        """What it comes to, in words."""
+        if not self.differences:
+            return "reproduced to the bit" + (", on another machine" if self.machine else "")
+        why = ["with other source files"] if self.other_code else []
+        why += [f"where {fact.section} were otherwise ({', '.join(_fact_lines([fact]))})" for fact in self.machine]
+        if not why:
+            return "not reproduced to the bit, with the same source, on the same kind of machine"
+        judged = "equal bits are promised on the same kind of machine with the same versions and source alone"
+        return f"not reproduced to the bit; it was made {'; '.join(why)}, and {judged}"
+
+
+def reproduce(
+    record: Mapping[str, Any],
+    manifests: Sequence[Mapping[str, Any]],
+    root: Path,
+    say: Callable[[str], None],
+    config_dirs: Sequence[Path] = (),
+    trained: dict[str, RunDirectory] | None = None,
+) -> Reproduction:
+    """Train and evaluate what a record names, and compare every number of the record.
+
+    Args:
+        record: of the result.
+        manifests: of its runs.
+        root: a folder for the runs, with those of ``trained`` and no others.
+        say: told what is being done.
+        config_dirs: the user's config folders, that runs or protocol may be of.
+        trained: runs that have been made again, by what they are made of; those that this makes are added.
+
+    Raises:
+        WheellegError: a training ended with an error.
+    """
+    differs = _fact_lines(
+        _machine_differences(manifests[:1], [{"versions": versions(), "hardware": hardware()}], early=True)
+    )
+    for line in differs:
+        say(f"differs: {line}")
+    if differs:
+        say("equal bits are promised on the same kind of machine alone: other numbers say nothing against the page")
+    trained = {} if trained is None else trained
+    runs: list[Evaluated] = []
+    for number, kept in enumerate(record["runs"], start=1):
+        run = _trained_run(kept["train"], root, trained, say, config_dirs)
+        say(f"run {number}: evaluating")
+        runs.append(evaluate_run(run, None, record["words"], _COMMAND, None, config_dirs))
+    reference = None
+    if record["reference"] is not None:
+        say("reference: evaluating")
+        reference = evaluate_reference(runs[0].run, record["words"], _COMMAND, None, config_dirs)
+    made = [run.run.manifest().data for run in runs]
+    trees = [[one["source"].get("tree") for one in side] for side in (manifests, made)]
+    found = list(_differences(record, runs, reference))
+    return Reproduction(found, _machine_differences(manifests, made), trees[0] != trees[1])
+
+
+def evaluation_differences(kept: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
+    """Yield in words what of an evaluation is not as it was."""
+    now = evaluation_numbers(made)
+    for key in ("seed", "scenarios_sha256", "starts_sha256"):
+        if now[key] != kept[key]:
+            yield f"{key} is {now[key]}, and was {kept[key]}"
+    for name in dict.fromkeys([*kept["metrics"], *now["metrics"]]):
+        was, is_now = kept["metrics"].get(name), now["metrics"].get(name)
+        if _value(was) != _value(is_now):
+            yield f"{name} is {_value(is_now)}, and was {_value(was)}"
+        else:
+            yield from _leaf_differences(was, is_now, name)  # what it is, not how much
+
+
+def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
+    """Yield what came out otherwise: networks and evaluations; where these are equal, what was computed from them."""
+    equal = True
+    for number, (kept, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
+        now = parameters(made.run)
+        lines = [f"the networks are {now}, and were {kept['parameters']}"] if now != kept["parameters"] else []
+        for line in (*lines, *evaluation_differences(kept["evaluation"], made)):
+            equal = False
+            yield f"run {number}: {line}"
+    if reference is not None:
+        for line in evaluation_differences(record["reference"], reference):
+            equal = False
+            yield f"reference: {line}"
+    if equal:
+        compared = compare_with_reference(record["name"], runs, reference, _COMMAND)
+        now = json_plain(build_record(record["name"], compared, runs, reference, record["words"]))
+        rest = [key for key in dict.fromkeys([*record, *now]) if key not in ("runs", "reference")]
+        yield from _leaf_differences({key: record.get(key) for key in rest}, {key: now.get(key) for key in rest})
+
+
+def _leaf_differences(was: Any, now: Any, where: str = "") -> Iterator[str]:
+    """Yield every leaf in which two plain values differ."""
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for key in dict.fromkeys([*was, *now]):
+            yield from _leaf_differences(was.get(key), now.get(key), f"{where}.{key}" if where else str(key))
+    elif was != now:
+        yield f"{where} is {shorten(now)}, and was {shorten(was)}"
+
+
+def _machine_differences(
+    was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
+) -> list[FactDifference]:
+    """Return in what runs were made otherwise that may change bits; ``early`` what is not known yet is left out."""
+    facts = [
+        fact for one, other in zip(was, now, strict=True) for fact in allowing(environment_differences(one, other))
+    ]
+    known = [fact for fact in facts if not (early and fact.name == "torch_cpu_capability")]
+    return [fact for number, fact in enumerate(known) if fact not in known[:number]]
+
+
+def _fact_lines(facts: Sequence[FactDifference]) -> list[str]:
+    return [f"{fact.name} was {shorten(fact.a)}, is {shorten(fact.b)}" for fact in facts]
+
+
+def _value(figure: Mapping[str, Any] | None) -> str:
+    return "absent" if figure is None else repr((figure["value"], figure["low"], figure["high"]))
+
+
+def _trained_run(
+    recipe: Mapping[str, Any],
+    root: Path,
+    trained: dict[str, RunDirectory],
+    say: Callable[[str], None],
+    config_dirs: Sequence[Path] = (),
+) -> RunDirectory:
+    """Return the run of a recipe, trained if it has not been yet."""
+    if repr(recipe) in trained:
+        return trained[repr(recipe)]
+    words = list(recipe["overrides"])
+    if recipe["begins_with"] is not None:
+        parent = _trained_run(recipe["begins_with"], root, trained, say, config_dirs)
+        words.append(f"init_from={parent.checkpoint(recipe['iteration'])}")
+    say(f"wheelleg train {' '.join(words)}")
+    path = _train([*words, f"run.root={root}", "recording.enabled=false"], config_dirs)
+    trained[repr(recipe)] = RunDirectory.open(path, root)
+    return trained[repr(recipe)]
+
+
+def _train(words: list[str], config_dirs: Sequence[Path]) -> str:
+    """Train in another process and return the run directory. Recorded words reach it as overrides, never as options."""
+    digest = digest_of(compose_valid(words, config_dirs=config_dirs))
+    step = Step("train", words, [str(folder) for folder in config_dirs], ["wheelleg", "train", *words], digest)
+    with StepProcess(step, StopRequest()) as process:
+        (path,) = [event["path"] for event in process.events() if event["event"] == "run"]
+    return str(path)

@@ -1,0 +1,406 @@
+"""Write a result: the record with all numbers, the page in Markdown, and the manifests of its runs.
+
+The record also names what is needed to reproduce the numbers (see ``reproduce_result``).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import for_people, read_json, read_text, write_json, write_text
+from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated, compare
+from wheelleg_exp.paths import TEACHER
+from wheelleg_exp.plain_data import Unreadable, json_value, yaml_value
+from wheelleg_exp.run.run_config import require_overrides
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.verify.run_differences import is_the_machine
+
+_MARK = "¹"
+_FOOTNOTE = (
+    f"{_MARK} marks verdicts of these runs that other seeds may not show: the 95 % interval of the difference, over"
+    " runs and episodes, holds 0."
+)
+_DEGREES = {"rad": "°", "rad/s": "°/s"}
+
+
+def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> str:
+    """Return a result as Markdown.
+
+    Args:
+        record: what ``record.write_results`` writes.
+        manifests: of its runs.
+    """
+    parts = [f"# {record['name']}\n", *_introduction(record, manifests)]
+    for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
+        parts += [f"## {group}\n", *_table(record, list(names)), ""]
+    parts += ["## How it was made\n", *_commands_and_runs(record, manifests)]
+    return "\n".join(parts) + "\n"
+
+
+def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    about = record["about"]
+    profile = f"robot profile `{about['profile']}`, " if about.get("profile") else ""
+    seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
+    yield (
+        f"Protocol `{record['protocol']}`, scenarios `{record['scenarios_sha256'][:16]}`; training seeds {seeds}; "
+        f"{profile}physics step {about['physics_dt_s']:.6g} s, "
+        f"control step {about['step_dt_s']:.6g} s."
+    )
+    took = [manifest["results"].get("seconds") for manifest in manifests]
+    times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
+    machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
+    yield f"Trained in {times} on {', and on '.join(machines)}.\n"
+    if record["push_verdict"]:
+        yield f"**{record['push_verdict']}**\n"
+    if record["verdict"]:
+        yield f"{record['verdict']}\n"
+    count, differences = len(record["runs"]), record["differences"] or {}
+    if any(_outcome(difference, count).endswith(_MARK) for difference in differences.values()):
+        yield f"{_FOOTNOTE}\n"
+
+
+def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the machines on which a run was trained, the first first; one that was resumed may have several."""
+    for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
+        hardware = process.get("hardware") or {}
+        yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
+
+
+def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
+    count = len(record["runs"])
+    over = ["mean", "95 % interval", "noise floor"] if count > 1 else ["95 % interval"]
+    reference, against = record["reference"], record["differences"]
+    heads = ["metric", "unit", *(f"run {i}" for i in range(1, count + 1)), *over]
+    heads += ["reference"] if reference else []
+    heads += ["against it"] if against else []
+    yield "| " + " | ".join(heads) + " |"
+    yield "|---|---|" + "---:|" * (len(heads) - 2)
+    for name in names:
+        row = record["over_seeds"][name]
+        factor, unit = (180.0 / math.pi if row["unit"] in _DEGREES else 1.0), _DEGREES.get(row["unit"], row["unit"])
+        mean = row["mean"]
+        ends = [_number(mean[end], factor) for end in ("low", "high")]
+        between = ends[0] if ends[0] == "–" else " to ".join(ends)
+        cells = [_number(value, factor) for value in row["values"]]
+        cells += [_number(mean["value"], factor), between, _number(mean["floor"], factor)] if count > 1 else [between]
+        if reference:
+            cells.append(_number(reference["metrics"].get(name, {}).get("value"), factor))
+        if against:
+            cells.append(_outcome(against.get(name, {}), count))
+        yield f"| {name.partition('/')[2]} | {unit} | " + " | ".join(cells) + " |"
+
+
+def _outcome(difference: Mapping[str, Any], count: int) -> str:
+    """Return the verdict; marked where the runs alone bear it out, and their seeds do not."""
+    outcome = str(difference.get("outcome", ""))
+    low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
+    alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
+    return f"{outcome} {_MARK}" if alone else outcome
+
+
+def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    yield "```"
+    for run in record["runs"]:
+        yield from _commands(run["train"])
+    reference = " --reference" if record["reference"] else ""
+    yield f"wheelleg results {record['name']} RUN ...{reference} {shlex.join(record['words'])}".rstrip()
+    yield "```\n"
+    yield "| run | seed | commit | networks |"
+    yield "|---|---|---|---|"
+    for run, manifest in zip(record["runs"], manifests, strict=True):
+        source = manifest["source"]
+        commit = str(source.get("commit"))[:12] + (" and changes" if source.get("dirty") else "")
+        seeds = ", ".join(map(str, manifest.get("seeds") or []))
+        link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
+        yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
+    yield f"\n`nox -s results -- {record['name']}` trains and evaluates them again and compares to the bit."
+
+
+def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
+    before = recipe["begins_with"]
+    if before is not None:
+        yield from _commands(before)
+    tail = " init_from=" + "the-run-above" if before is not None else ""
+    yield f"wheelleg train {shlex.join(recipe['overrides'])}{tail}"
+
+
+def _number(value: float | None, factor: float) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{value * factor:.4g}"
+
+
+FORMAT = 2
+# What a manifest tells of a run, without what belongs to the machine's folders and processes.
+_MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
+_MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
+_MACHINE_KEYS = ("versions", "hardware", "threads")
+_LENGTH = "agent.max_iterations="
+_LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")  # overrides that say where, not what
+
+
+def write_results(
+    name: str,
+    folder: Path,
+    compared: Compared,
+    runs: Sequence[Evaluated],
+    reference: Evaluated | None,
+    words: Sequence[str],
+) -> list[Path]:
+    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the files.
+
+    They take the place of an earlier result of this name, whose runs' manifests go.
+
+    Args:
+        name: what the result is called.
+        folder: where tables stand.
+        compared: the comparison of the runs.
+        runs: the evaluated runs.
+        reference: the evaluated reference controller.
+        words: the overrides that the runs were evaluated with.
+
+    Raises:
+        RunDirectoryError: a run was not trained in one go, or began with another that is not there any more; or what
+            stands under this name is no result.
+    """
+    record = build_record(name, compared, runs, reference, words)
+    manifests = [result_manifest(made.run) for made in runs]
+    files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]
+    earlier = earlier_manifests(name, folder)
+    with for_people(folder, "written to"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for path, manifest in zip(files, manifests, strict=True):
+        write_json(path, manifest)
+    write_json(folder / f"{name}.json", record)
+    write_text(folder / f"{name}.md", result_page(record, manifests))
+    with for_people(folder, "written to"):
+        for path in earlier.difference(files):
+            path.unlink(missing_ok=True)
+    return [folder / f"{name}.md", folder / f"{name}.json", *files]
+
+
+def earlier_manifests(name: str, folder: Path) -> set[Path]:
+    """Return the manifests in ``NAME/`` that an earlier record of this name brought.
+
+    Raises:
+        RunDirectoryError: it is no record: what belongs to it is not known.
+    """
+    path = folder / f"{name}.json"
+    if not path.exists():
+        return set()
+    try:
+        found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
+    except (LookupError, TypeError) as error:
+        expected = "what wheelleg results has written, or no such file"
+        raise RunDirectoryError("names no runs", key=str(path), expected=expected) from error
+    return {path for path in found if path.parent == folder / name and path.is_file()}
+
+
+def compare_with_reference(
+    name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
+) -> Compared:
+    """Return the runs of a result side by side, against the reference where there is one."""
+    return compare(runs, [] if reference is None else [reference], reference, command, name)
+
+
+def build_record(
+    name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
+) -> dict[str, Any]:
+    """Return the record of a result; arguments and errors are those of ``write_results``."""
+    return {
+        "format": FORMAT,
+        "name": name,
+        "words": list(words),
+        "protocol": compared.content["protocol"],
+        "about": dict(runs[0].evaluation.about),
+        "scenarios_sha256": compared.content["scenarios_sha256"],
+        "against": "reference" if compared.differences else None,
+        "runs": [
+            {
+                "id": str(made.run.manifest().data["id"]),
+                "train": recipe(made.run),
+                "parameters": parameters(made.run),
+                "evaluation": evaluation_numbers(made),
+            }
+            for made in runs
+        ],
+        "reference": None if reference is None else evaluation_numbers(reference),
+        "over_seeds": compared.content["over_seeds"],
+        "differences": compared.content["differences"],
+        "verdict": compared.verdict,
+        "push_verdict": compared.push_verdict,
+    }
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return a record that ``write_results`` has written.
+
+    Raises:
+        RunDirectoryError: it is none.
+    """
+    try:
+        with for_people(path, "read"):
+            record = json_value(path.read_bytes())
+    except Unreadable as error:
+        raise RunDirectoryError(f"is damaged: {error.problem}", key=str(path), expected="a result's record") from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise RunDirectoryError("is no result's record", key=str(path), expected="what wheelleg results has written")
+    return record
+
+
+def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
+    """Return the manifests of a record's runs, which stand in a folder of its name.
+
+    Raises:
+        RunDirectoryError: one is missing or damaged.
+    """
+    return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
+
+
+def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return a result's record and the manifests of its runs, which its page agrees with.
+
+    Raises:
+        RunDirectoryError: something is missing or damaged, or not what ``write_results`` has written.
+    """
+    path = folder / f"{name}.json"
+    record = read_record(path)
+    try:
+        if record["name"] != name:
+            raise RunDirectoryError(f"is of '{record['name']}'", key=str(path), expected="a record of its own name")
+        if not record["runs"]:
+            raise RunDirectoryError("names no runs", key=str(path), expected="what wheelleg results has written")
+        require_overrides(
+            [*record["words"], *(word for run in record["runs"] for word in _recipe_overrides(run["train"]))], path
+        )
+        manifests = read_manifests(record, folder)
+        require_matching_page(record, manifests, folder)
+    except (LookupError, TypeError, AttributeError) as error:
+        expected = "what wheelleg results has written"
+        raise RunDirectoryError(f"lacks what a record has: {error}", key=str(path), expected=expected) from error
+    return record, manifests
+
+
+def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
+    """Return the overrides of a recipe and of the recipe of the run that it began with."""
+    return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
+
+
+def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Raise RunDirectoryError unless a record's page says what the record says."""
+    path = folder / f"{record['name']}.md"
+    if read_text(path) != result_page(record, manifests):
+        raise RunDirectoryError(
+            "is not the page of its record",
+            key=str(path),
+            expected="what wheelleg results has written: the page or the record was changed by itself",
+        )
+
+
+def recipe(run: RunDirectory) -> dict[str, Any]:
+    """Return how to train a run again: its overrides, and the recipe of the run that it began with.
+
+    A run that was only resumed exactly, perhaps to go on for longer, is what one training of that length makes. So is
+    one that went on on another machine, as far as the two compute alike: the page names both.
+
+    Raises:
+        RunDirectoryError: no one training makes it, or it began with a run that is not there any more.
+    """
+    data = run.manifest().data
+    longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
+    exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
+    if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
+        raise RunDirectoryError(
+            "was not trained in one go",
+            key=run.id,
+            expected="a finished run, if resumed then with no change but of its length or of the machine",
+        )
+    if (run.asset / TEACHER).is_file():
+        raise RunDirectoryError(
+            "learned from another run's policy", key=run.id, expected="a run whose commands make it again by themselves"
+        )
+    with for_people(run.hydra, "read"):
+        overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
+    if longer:
+        overrides = [*(word for word in overrides if not word.startswith(_LENGTH)), longer[-1]]
+    found: dict[str, Any] = {
+        "overrides": [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)],
+        "begins_with": None,
+        "iteration": None,
+    }
+    began = data.get("init_from")
+    if isinstance(began, Mapping):
+        parent = RunDirectory.open(str(began["run"]), run.root)
+        found |= {"begins_with": recipe(parent), "iteration": began["iteration"]}
+    return found
+
+
+def _changed_machine(entry: Mapping[str, Any]) -> bool:
+    """Return whether another machine is all that made a resume inexact: not other versions, threads or variables."""
+    return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
+
+
+def require_one_method(runs: Sequence[RunDirectory]) -> None:
+    """Raise RunDirectoryError unless the runs were trained alike but for their seed."""
+    first, *others = (_method(recipe(run)) for run in runs)
+    for run, other in zip(runs[1:], others, strict=True):
+        if other != first:
+            raise RunDirectoryError(
+                f"was trained otherwise than {runs[0].id}: {_describe_difference(other, first)}",
+                key=run.id,
+                expected="runs that differ by their seed alone (wheelleg diff names all else)",
+            )
+
+
+def _method(made: Mapping[str, Any]) -> dict[str, Any]:
+    words = sorted(word for word in made["overrides"] if not word.startswith("seed="))
+    return {**made, "overrides": words, "begins_with": made["begins_with"] and _method(made["begins_with"])}
+
+
+def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return in words what the commands of two trainings differ in, or of those that they began with."""
+    words = set(one["overrides"]), set(other["overrides"])
+    told = [
+        f"{side} {word}"
+        for side, mine, its in (("with", *words), ("without", *words[::-1]))
+        for word in sorted(mine - its)
+    ]
+    if told:
+        return ", ".join(told)
+    if one["begins_with"] and other["begins_with"] and one["begins_with"] != other["begins_with"]:
+        return f"what it began with was trained {_describe_difference(one['begins_with'], other['begins_with'])}"
+    return "it began with another checkpoint"
+
+
+def parameters(run: RunDirectory) -> str:
+    """Return the digest of the networks that a run ended with."""
+    with for_people(run.iterations, "read"):
+        last = run.iterations.read_text(encoding="utf-8").splitlines()[-1]
+    return str(json.loads(last)["digests"]["parameters"])
+
+
+def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
+    """Return what has to come out again of an evaluation."""
+    content = made.content
+    return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
+
+
+def result_manifest(run: RunDirectory) -> dict[str, Any]:
+    """Return what a result keeps of a run's manifest."""
+    data = run.manifest().data
+    source = data.get("source") or {}
+    kept = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}
+    kept["source"] = {key: source.get(key) for key in ("commit", "tree", "dirty")}
+    kept["resumes"] = [
+        {
+            **{key: entry.get(key) for key in ("when", "iteration", "exact", "why")},
+            "before": {key: entry["before"].get(key) for key in _MACHINE_KEYS} if entry.get("before") else None,
+        }
+        for entry in data["resumes"]
+    ]
+    return kept

@@ -1,0 +1,312 @@
+"""Figures of a rollout: survival, base height and pitch, contact forces, drift, smoothness, and motor load.
+
+The meters observe an environment after each step, before resets. ``definitions.rollout`` defines each figure.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import torch
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.evaluation.trajectories import EffortMeter
+from wheelleg_exp.sim.rotation import wrap_to_pi
+from wheelleg_exp.sim.sensors import ContactSensor
+
+
+@dataclass(frozen=True)
+class StandFigures:
+    """How a policy stood, over the first episode of each environment; see ``definitions.rollout``.
+
+    Attributes:
+        episodes: number of episodes.
+        unfinished: episodes that had not ended when the rollout did.
+        survival: share of the ended ones that reached the time-out; None when none ended.
+        settle_s: seconds at the start of each episode that height and pitch leave out.
+        settled_episodes: episodes that lasted longer.
+        settled_steps: control steps that height and pitch are of.
+        height_rmse_m: root mean square of base height minus target; None without target.
+        height_mean_m: mean base height.
+        pitch_rms_deg: root mean square of the pitch against upright.
+        pitch_mean_deg: mean pitch: the lean.
+        mean_return: mean of the ended episodes' sums of rewards, of those whose numbers were finite; None without any.
+        ended_by: number of episodes by what ended them; one that two terminations ended counts for both together.
+        non_finite: number of episodes that ended because a number was not finite, by config key.
+    """
+
+    episodes: int
+    unfinished: int
+    survival: float | None
+    settle_s: float
+    settled_episodes: int
+    settled_steps: int
+    height_rmse_m: float | None
+    height_mean_m: float
+    pitch_rms_deg: float
+    pitch_mean_deg: float
+    mean_return: float | None
+    ended_by: dict[str, int]
+    non_finite: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def ended(self) -> int:
+        """How many episodes have ended."""
+        return self.episodes - self.unfinished
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain values."""
+        found = asdict(self)
+        return found if self.non_finite else {key: value for key, value in found.items() if key != "non_finite"}
+
+
+class StandMeter:
+    """Observes an environment over the first episode of each of its N environments.
+
+    Args:
+        env: the environment.
+        settle_s: seconds at the start of each episode that height and pitch leave out.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
+        self._env = env
+        self._settle_s, self._settle_steps = settle_s, settle_s / env.step_dt
+        self._target = target_height(env)
+        self.running = torch.ones(env.num_envs, dtype=torch.bool)
+        self._survived = torch.zeros(env.num_envs, dtype=torch.bool)
+        self._settled = torch.zeros(env.num_envs, dtype=torch.bool)
+        self._return = torch.zeros(env.num_envs)
+        self._ended = Counter({name: 0 for name in env.termination_manager.active_terms})
+        self._failed = torch.zeros(env.num_envs, dtype=torch.bool)
+        self._non_finite: Counter[str] = Counter()
+        self._heights: list[torch.Tensor] = []
+        self._pitches: list[torch.Tensor] = []
+
+    def observe(self) -> None:
+        """Take up one step, before anything is reset."""
+        env, now = self._env, self.running
+        self._note_failures()
+        self._return += env.reward_buf * now
+        settled = now & ~self._failed & (env.episode_length_buf > self._settle_steps)
+        self._settled |= settled
+        data = env.scene.robot.data
+        self._heights.append(data.root_pos_w[settled, 2])
+        self._pitches.append(torch.asin(data.projected_gravity_b[settled, 0].clamp(-1.0, 1.0)))
+        done = env.termination_manager.dones & now
+        self._survived |= done & env.termination_manager.time_outs & ~env.termination_manager.terminated
+        self._ended.update(env.termination_manager.endings(done))
+        self.running = now & ~done
+
+    def _note_failures(self) -> None:
+        for env_id, keys in self._env.extras.get("non_finite", {"keys": {}})["keys"].items():
+            if self.running[env_id]:
+                self._failed[env_id] = True
+                self._non_finite.update(keys)
+
+    def figures(self) -> StandFigures:
+        """Return the figures of the episodes so far."""
+        heights, pitches = torch.cat(self._heights), torch.rad2deg(torch.cat(self._pitches))
+        error = None if self._target is None else heights - self._target
+        ended = ~self.running
+        whole = ended & ~self._failed
+        return StandFigures(
+            episodes=self._env.num_envs,
+            unfinished=int(self.running.sum()),
+            survival=float(self._survived[ended].float().mean()) if ended.any() else None,
+            settle_s=self._settle_s,
+            settled_episodes=int(self._settled.sum()),
+            settled_steps=len(heights),
+            height_rmse_m=None if error is None else _rms(error),
+            height_mean_m=float(heights.mean()) if len(heights) else float("nan"),
+            pitch_rms_deg=_rms(pitches),
+            pitch_mean_deg=float(pitches.mean()) if len(pitches) else float("nan"),
+            mean_return=float(self._return[whole].mean()) if whole.any() else None,
+            ended_by=dict(self._ended),
+            non_finite=dict(self._non_finite),
+        )
+
+
+@dataclass(frozen=True)
+class ContactFigures:
+    """What one link carried: normal force at the end of each step between landing and tipping over.
+
+    Attributes:
+        body: the link.
+        mean_n: mean force, N.
+        max_n: largest force, N.
+        contact_share: share of the steps with contact.
+        steps: number of steps, of all environments.
+    """
+
+    body: str
+    mean_n: float
+    max_n: float
+    contact_share: float
+    steps: int
+
+
+class ContactMeter:
+    """Sums the contact forces of each link while its robot stands.
+
+    A robot stands from ``settle_s`` after its reset on, as long as it is tilted by less than ``upright_rad``.
+
+    Args:
+        env: the environment.
+        sensor: name of the contact sensor.
+        settle_s: seconds after a reset until the robot has landed.
+        upright_rad: tilt from which on it is falling, rad.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, sensor: str, settle_s: float, upright_rad: float) -> None:
+        self._env = env
+        self._sensor: ContactSensor = env.scene[sensor]
+        self._settle_s, self._upright = settle_s, upright_rad
+        bodies = len(self._sensor.body_names)
+        self._sum, self._max, self._touching = torch.zeros(bodies), torch.zeros(bodies), torch.zeros(bodies)
+        self._count = 0
+
+    def observe(self) -> None:
+        """Take up one step, before anything is reset."""
+        env = self._env
+        tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[:, 2]).clamp(-1.0, 1.0))
+        standing = (env.episode_length_buf * env.step_dt >= self._settle_s) & (tilt < self._upright)
+        force = torch.linalg.vector_norm(self._sensor.data.net_forces_w[standing], dim=-1)
+        if len(force):
+            self._sum += force.sum(dim=0)
+            self._max = torch.maximum(self._max, force.amax(dim=0))
+            self._touching += (force > 0).sum(dim=0)
+            self._count += len(force)
+
+    def figures(self) -> list[ContactFigures]:
+        """Return what each link carried, in the sensor's order; empty when no robot stood."""
+        count = self._count
+        if count == 0:
+            return []
+        rows = zip(self._sensor.body_names, self._sum, self._max, self._touching, strict=True)
+        return [ContactFigures(b, float(s) / count, float(m), float(t) / count, count) for b, s, m, t in rows]
+
+
+def target_height(env: ManagerBasedRLEnv) -> float | None:
+    """Return the base height that the task rewards, or None where no reward names one."""
+    for name in env.reward_manager.active_terms:
+        target = env.reward_manager.get_term_cfg(name).params.get("target_height")
+        if target is not None:
+            return float(target)
+    return None
+
+
+def _rms(values: torch.Tensor) -> float:
+    return float(values.square().mean().sqrt()) if len(values) else float("nan")
+
+
+SATURATION = 0.99  # share of the effort limit from which on an actuator is at it
+DEADBAND = 0.001  # share of the effort limit that a torque must pass for its sign to count
+
+
+@dataclass(frozen=True)
+class MotionFigures:
+    """How a policy moved, over the first episode of each environment; see ``definitions.rollout``.
+
+    Attributes:
+        drift_m: largest distance in the plane from where the base was once settled, mean over the settled episodes.
+        yaw_drift_deg: largest turn of the base from its heading once settled, likewise.
+        action_rate_per_s: mean change of an action's component per second.
+        power_net_w: mean mechanical power of all joints, sizes summed, without what swings the armature.
+        torque_rms_nm: root mean square of the torque, by actuator group.
+        at_limit: share of the physics steps at the effort limit, by actuator group.
+        sign_changes_per_s: how often a joint's torque changes its sign, by actuator group.
+    """
+
+    drift_m: float | None
+    yaw_drift_deg: float | None
+    action_rate_per_s: float | None
+    power_net_w: float | None
+    torque_rms_nm: dict[str, float]
+    at_limit: dict[str, float]
+    sign_changes_per_s: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain values."""
+        return asdict(self)
+
+
+class MotionMeter:
+    """Observes an environment over the first episode of each of its N environments.
+
+    Args:
+        env: the environment.
+        settle_s: seconds at the start of each episode that nothing here counts.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
+        self._env, self._settle_steps = env, settle_s / env.step_dt
+        self._effort = EffortMeter(env, SATURATION, DEADBAND, env.physics_dt)
+        self._effort.begin(counted=False)
+        robot, device, n = env.scene.robot, env.device, env.num_envs
+        self._groups = {name: actuator.joint_ids for name, actuator in robot.actuators.items()}
+        joints = robot.data.joint_pos.shape[1]
+
+        def row(*shape: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+            return torch.zeros(n, *shape, dtype=dtype, device=device)
+
+        self._running = torch.ones(n, dtype=torch.bool, device=device)
+        self._settled, self._before = torch.zeros_like(self._running), torch.zeros_like(self._running)
+        self._place, self._heading, self._turned = row(2), row(), row()
+        self._drift, self._yaw = row(), row()
+        self._steps, self._pairs, self._changed, self._work = row(), row(), row(), row()
+        self._squares, self._limit, self._flips = (row(joints) for _ in range(3))
+
+    def observe(self) -> None:
+        """Take up one step, before anything is reset."""
+        env, data = self._env, self._env.scene.robot.data
+        numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
+        now = self._running & numbers & (env.episode_length_buf > self._settle_steps)
+        self._stray(now)
+        self._bear(now)
+        both = now & self._before
+        action = env.action_manager
+        jump = (action.action - action.prev_action).abs().mean(dim=1)
+        self._changed += torch.where(both, jump, 0.0)
+        self._pairs += both
+        self._steps += now
+        self._before, self._settled = now, self._settled | now
+        self._running = self._running & ~env.termination_manager.dones
+        self._effort.begin(now)
+
+    def _stray(self, now: torch.Tensor) -> None:
+        data = self._env.scene.robot.data
+        place, heading = data.root_pos_w[:, :2].double(), data.heading_w.double()
+        first = now & ~self._settled
+        self._place = torch.where(first.unsqueeze(1), place, self._place)
+        self._turned = torch.where(first, 0.0, self._turned + wrap_to_pi(heading - self._heading))
+        self._heading = heading
+        away = torch.linalg.vector_norm(place - self._place, dim=1)
+        self._drift = torch.where(now, torch.maximum(self._drift, away), self._drift)
+        self._yaw = torch.where(now, torch.maximum(self._yaw, self._turned.abs()), self._yaw)
+
+    def _bear(self, now: torch.Tensor) -> None:
+        mask = now.unsqueeze(1)
+        self._squares += torch.where(mask, self._effort.torque_rms().double().square(), 0.0)
+        self._limit += torch.where(mask, self._effort.shares().double(), 0.0)
+        self._flips += torch.where(mask, self._effort.sign_changes.double(), 0.0)
+        self._work += torch.where(now, self._effort.net.double(), 0.0)
+
+    def figures(self) -> MotionFigures:
+        """Return the figures of the episodes so far."""
+        dt, steps, pairs = self._env.step_dt, float(self._steps.sum()), float(self._pairs.sum())
+        none = {} if steps == 0.0 else self._groups
+
+        def share(total: torch.Tensor, ids: torch.Tensor) -> float:
+            return float(total[:, ids].sum()) / (steps * max(1, total[:, ids].shape[1]))
+
+        return MotionFigures(
+            drift_m=float(self._drift[self._settled].mean()) if steps else None,
+            yaw_drift_deg=float(torch.rad2deg(self._yaw[self._settled].mean())) if steps else None,
+            action_rate_per_s=float(self._changed.sum()) / (pairs * dt) if pairs else None,
+            power_net_w=float(self._work.sum()) / (steps * dt) if steps else None,
+            torque_rms_nm={name: share(self._squares, ids) ** 0.5 for name, ids in none.items()},
+            at_limit={name: share(self._limit, ids) for name, ids in none.items()},
+            sign_changes_per_s={name: share(self._flips, ids) / dt for name, ids in none.items()},
+        )

@@ -1,0 +1,252 @@
+"""Files that a job writes about its rollouts: the recording, the texts inside the recording, and the dataset.
+
+``EpisodeRecording`` records a play or an agent as one segment. A dataset holds the episodes that recorder terms
+noted, as ``.npz`` archives (`docs/datasets.md`).
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import shlex
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import dump_json, read_text, write_bytes
+from wheelleg_exp.managers.recorder_manager import Arrays
+from wheelleg_exp.plain_data import dump_yaml, json_value
+from wheelleg_exp.recording.blueprint import FIGURES, Purpose
+from wheelleg_exp.recording.writing.live_view import LiveView
+from wheelleg_exp.recording.writing.recorder import Recorder
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.run_config import CONFIG
+from wheelleg_exp.run.run_directory import RunDirectory
+
+_MAX_CHARACTERS = 400_000  # characters of a text: a viewer is to show it
+
+
+def fenced(text: str, language: str) -> str:
+    """Return a text as a markdown block."""
+    if len(text) > _MAX_CHARACTERS:
+        text = f"{text[:_MAX_CHARACTERS]}\n… ({len(text)} characters in all)"
+    return f"```{language}\n{text.rstrip()}\n```"
+
+
+def run_documents(directory: RunDirectory) -> dict[str, str]:
+    """Return the texts that a run directory tells of its training: manifest, source state, command line.
+
+    A file that is missing or cannot be read has no text.
+    """
+    found = {}
+    manifest = _read_text_or_none(directory, MANIFEST_NAME)
+    if manifest is not None:
+        found["manifest"] = fenced(manifest, "json")
+        found |= command_document(_command(manifest))
+    source = _read_text_or_none(directory, "source/git.json")
+    if source is not None:
+        found["git"] = fenced(source, "json")
+    config = _read_text_or_none(directory, CONFIG)
+    if config is not None:
+        found["config"] = fenced(config, "yaml")
+    return found
+
+
+def command_document(command: Sequence[str]) -> dict[str, str]:
+    """Return the command line as a text, none for an empty one."""
+    return {"command": fenced(shlex.join(command), "sh")} if command else {}
+
+
+def config_document(config: Mapping[str, Any]) -> dict[str, str]:
+    """Return a composed config as a text."""
+    return {"config": fenced(dump_yaml(dict(config)), "yaml")}
+
+
+def json_document(name: str, value: Any) -> dict[str, str]:
+    """Return a value as a text of JSON."""
+    return {name: fenced(dump_json(value), "json")}
+
+
+def _read_text_or_none(directory: RunDirectory, name: str) -> str | None:
+    try:
+        return read_text(directory.path / name)
+    except RunDirectoryError:
+        return None
+
+
+def _command(manifest: str) -> list[str]:
+    try:
+        return [str(word) for word in json_value(manifest)["command"]]
+    except (ValueError, LookupError, TypeError):
+        return []
+
+
+class ObservingRecording:
+    """Captures every control step from entering to leaving, and shows it meanwhile where that is asked for.
+
+    Args:
+        env: the environment.
+        recorder: writes the file; it is closed on leaving.
+        live: whether a viewer is opened.
+
+    Attributes:
+        notes: what people should know of the recording before it begins.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv, recorder: Recorder, *, live: bool) -> None:
+        self._env, self._recorder, self._is_live = env, recorder, live
+        self._live: LiveView | None = None
+        self.notes: Sequence[str] = ()
+
+    def __enter__(self) -> Self:
+        self._env.observers.append(self._recorder.capture)
+        self._begin_recording()
+        self._recorder.flush()
+        if self._is_live:
+            self._live = LiveView(self._recorder)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._env.observers.remove(self._recorder.capture)
+        try:
+            self._recorder.close()
+        finally:
+            if self._live is not None:
+                self._live.close()
+
+    def warn(self, tell: Callable[[str], None]) -> None:
+        """Tell the notes, one line each."""
+        for note in self.notes:
+            tell(f"warning: {note}")
+
+    def _begin_recording(self) -> None:
+        """Begin the first segment."""
+        raise NotImplementedError
+
+
+class EpisodeRecording(ObservingRecording):
+    """Records every control step from entering to leaving, as far as the bound on the size allows.
+
+    Each simulated second is in the file as soon as it is over.
+
+    Args:
+        path: the file.
+        env: the environment.
+        options: ``env_ids``, ``max_mb`` and ``live`` of the config's ``recording``.
+        purpose: decides what the layout shows.
+        name: the recording's identity and what the viewer shows.
+        about: what the recording says of itself besides what the environment tells.
+        documents: texts that go into the recording, by name.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        env: ManagerBasedRLEnv,
+        options: Mapping[str, Any],
+        *,
+        purpose: Purpose,
+        name: str,
+        about: Mapping[str, Any],
+        documents: Mapping[str, str],
+    ) -> None:
+        recorder = Recorder(
+            path,
+            env,
+            recording_id=name,
+            name=name,
+            env_ids=options["env_ids"],
+            purpose=purpose,
+            about=about,
+            flush_every=max(round(1.0 / env.step_dt), 1),
+        )
+        for title, text in {**documents, FIGURES: "None yet: the episode is not over."}.items():
+            recorder.document(title, text)
+        super().__init__(env, recorder, live=options["live"])
+        self._bound = float(options["max_mb"])
+        self._frames = recorder.frames_within(self._bound)
+        if self._frames < env.max_episode_length:
+            self.notes = (self._warning(),)
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._recorder.path
+
+    def figures(self, value: Any) -> None:
+        """Put what was found at the end into the recording."""
+        for name, text in json_document(FIGURES, value).items():
+            self._recorder.document(name, text)
+
+    def _begin_recording(self) -> None:
+        words = f"the bound of {self._bound:g} MB is reached; what follows is not recorded"
+        self._recorder.start(steps=self._frames, last_words=words)
+        if not self._frames:
+            self._recorder.say(words)
+
+    def _warning(self) -> str:
+        room = f"{self._frames} steps surely fit" if self._frames else "no step surely fits"
+        return (
+            f"the bound of {self._bound:g} MB is small: {room} beside shapes and texts; "
+            f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
+        )
+
+
+_DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
+
+
+def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[Path]:
+    """Write the episodes that have ended since the last call, a file for each group; return the files.
+
+    Args:
+        folder: the dataset's folder; groups other than ``episodes`` stand in folders of their own below it.
+        env: the environment.
+        iteration: number of the file.
+    """
+    return _write_groups(folder, env, f"{iteration:06d}.npz")
+
+
+def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
+    """Write what is left, and the episodes under way where ``env.dataset.export_in_close`` asks for it.
+
+    Args:
+        folder: the dataset's folder.
+        env: the environment.
+        iteration: the last one; None where nothing was written before: the file is ``episodes.npz``.
+    """
+    env.recorder_manager.close()
+    return _write_groups(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
+
+
+def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
+    """Return the files of ``iteration`` and later ones, and those of episodes that go on after a resume."""
+    found = ((path, _DATASET_NAME.fullmatch(path.name)) for path in folder.rglob("*.npz"))
+    return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
+
+
+def _write_groups(folder: Path, env: ManagerBasedRLEnv, name: str) -> list[Path]:
+    paths = []
+    for group, arrays in env.recorder_manager.take().items():
+        path = (folder if group == "episodes" else folder / group) / name
+        write_bytes(path, _archive(arrays))
+        paths.append(path)
+    return paths
+
+
+def _archive(arrays: Arrays) -> bytes:
+    """Return an ``.npz``: as numpy's own, but the same arrays give the same bytes at any time."""
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as file:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, array, allow_pickle=False)
+            file.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
+    return archive.getvalue()

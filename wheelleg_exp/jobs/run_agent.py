@@ -1,0 +1,145 @@
+"""Run an agent without a policy: zero or random actions, to inspect a task before training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.checking.check_terms import require_recorded
+from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.files import while_running, write_json, write_yaml
+from wheelleg_exp.jobs.job_display import Display
+from wheelleg_exp.jobs.rollout_figures import ContactFigures, ContactMeter, StandFigures, StandMeter
+from wheelleg_exp.jobs.rollout_files import EpisodeRecording, close_dataset, config_document
+from wheelleg_exp.rl.rollout_log import FailureCount
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.start_run import refuse_secrets
+from wheelleg_exp.sim.sensors import ContactSensor
+from wheelleg_exp.user_exceptions import ending_as
+
+AgentKind = Literal["zero", "random"]
+
+# From landing (a drop of 15 mm takes 0.06 s) to the tilt at which a wheeled biped without control is falling.
+SETTLE_S = 0.2
+UPRIGHT_RAD = 0.2
+
+
+@dataclass(frozen=True)
+class AgentRun:
+    """What an agent's run made.
+
+    Attributes:
+        folder: where the recording and the figures are.
+        recording: the recording, or None.
+        contacts: what each link carried while the robot stood, by sensor.
+        figures: how long the first episodes lasted and how they ended.
+        failures: the episodes that ended because a number was not finite.
+    """
+
+    folder: Path
+    recording: Path | None
+    contacts: dict[str, list[ContactFigures]]
+    figures: StandFigures
+    failures: FailureCount
+
+
+def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
+    """Run zero or random actions and record environment by environment what happens.
+
+    Args:
+        kind: ``zero``: all actions 0; ``random``: uniform in [-1, 1].
+        composed: the composed task.
+        steps: control steps; None is one episode.
+        display: receives progress.
+
+    Raises:
+        WheellegError: the config is wrong, or holds a key or a token; nothing has been made.
+    """
+    config = composed.config
+    with composed.placing():
+        require_recorded(config)
+        refuse_secrets((), composed.hydra_files(), config)
+        env = build_env(config, composed.asset_roots)
+    display.environment(env.describe())
+    run, task, seed = config["run"], config["task"]["name"], config["seed"]
+    name = "_".join(part for part in (kind, run.get("name")) if part)
+    directory = RunDirectory.create(run["root"], task, seed, name=name, section="agents")
+    with while_running():
+        return _run(kind, config, env, directory, steps, display)
+
+
+def _run(
+    kind: AgentKind,
+    config: dict[str, Any],
+    env: ManagerBasedRLEnv,
+    directory: RunDirectory,
+    steps: int | None,
+    display: Display,
+) -> AgentRun:
+    write_yaml(directory.path / "config.yaml", config)
+    sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
+    meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
+    stand = StandMeter(env, settle_s=0.0)
+    env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
+    options = config["recording"]
+    recording = _recording(directory, kind, env, config) if options["enabled"] else None
+    if recording is not None:
+        recording.warn(display.note)
+    with recording or nullcontext():
+        failures = _roll(env, _actor(kind, env), steps or env.max_episode_length, config["agent"], display)
+        contacts = {name: meter.figures() for name, meter in meters.items()}
+        content = {"agent": kind, "figures": stand.figures().as_dict()}
+        content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
+        if recording is not None:
+            recording.figures(content)
+    close_dataset(directory.dataset, env)
+    write_json(directory.path / "figures.json", content)
+    return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures(), failures)
+
+
+def _recording(
+    directory: RunDirectory, kind: AgentKind, env: ManagerBasedRLEnv, config: dict[str, Any]
+) -> EpisodeRecording:
+    return EpisodeRecording(
+        directory.recording,
+        env,
+        config["recording"],
+        purpose="play",
+        name=f"{directory.id} {kind} agent",
+        about={"run_id": directory.id, "task": config["task"]["name"], "agent": kind},
+        documents=config_document(config),
+    )
+
+
+def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor]:
+    shape = (env.num_envs, env.action_manager.total_action_dim)
+    if kind == "zero":
+        return lambda: torch.zeros(shape)
+    generator = env.streams.get("agent.random")
+    return lambda: 2.0 * torch.rand(shape, generator=generator) - 1.0
+
+
+@ending_as(SimulationFailure)
+@torch.inference_mode()
+def _roll(
+    env: ManagerBasedRLEnv,
+    actor: Callable[[], torch.Tensor],
+    steps: int,
+    agent: Mapping[str, Any],
+    display: Display,
+) -> FailureCount:
+    env.reset()
+    failures = FailureCount(env.num_envs, agent)
+    for step in range(steps):
+        *_, extras = env.step(actor())
+        failures.take(extras)
+        display.steps(step + 1, steps)
+    return failures

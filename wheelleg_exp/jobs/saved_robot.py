@@ -1,0 +1,129 @@
+"""Save the simulated robot in a run directory, and load it from there.
+
+The folder ``asset/`` holds the MJCF, its meshes, networks of other runs, and the conversion report. ``asset.json``
+names the source files and the digest of the compiled model.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from wheelleg_exp.asset import CachedConversion
+from wheelleg_exp.asset.cache import MODEL
+from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import for_people, read_bytes, read_text, write_json, write_text
+from wheelleg_exp.paths import INITIAL, TEACHER
+from wheelleg_exp.run.file_inventory import is_inside
+from wheelleg_exp.run.run_config import ROBOT, recorded_robot
+from wheelleg_exp.run.run_directory import RunDirectory
+
+MJCF = "robot.xml"
+REPORT = "report.json"
+_FORBIDDEN_TAGS = {
+    *("include", "model", "attach", "extension", "plugin"),
+    *("replicate", "composite", "flexcomp", "hfield", "texture", "skin", "size"),
+}
+_FOLDERS = ("assetdir", "meshdir", "texturedir")
+
+
+def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, model_sha256: str) -> None:
+    """Copy the converted robot into ``asset/`` and write what it was made from.
+
+    Args:
+        directory: the run directory.
+        asset: the conversion.
+        source: the robot's file as the config names it.
+        model_sha256: digest of the compiled scene, the identity of all that physics reads.
+    """
+    directory.asset.mkdir(parents=True, exist_ok=True)
+    for part in (*asset.meshes, *asset.beside):
+        target = directory.asset / part.relative_to(asset.output.parent)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(part, target)
+    write_text(directory.asset / MJCF, asset.output.read_text(encoding="utf-8"))
+    write_text(directory.asset / REPORT, asset.report.to_json())
+    identity: dict[str, Any] = {"source": source, "sources": asset.sources, "model_sha256": model_sha256}
+    write_json(directory.path / ROBOT, identity)
+
+
+def saved_mjcf(directory: RunDirectory) -> Path:
+    """Return the run's MJCF.
+
+    Raises:
+        RunDirectoryError: it is missing, or holds what no conversion writes: what would make MuJoCo read other files,
+            load libraries, or take any amount of memory.
+    """
+    path = directory.asset / MJCF
+    if not path.is_file():
+        raise RunDirectoryError("the run has no robot", key=str(path), expected="the MJCF that it was trained on")
+    try:
+        elements = list(ElementTree.fromstring(read_bytes(path)).iter())
+    except ElementTree.ParseError as error:
+        raise RunDirectoryError(f"is no MJCF: {error}", key=str(path)) from error
+    for element in elements:
+        if element.tag in _FORBIDDEN_TAGS:
+            raise RunDirectoryError(f"holds <{element.tag}>, which no conversion writes", key=str(path))
+        for name, value in element.items():
+            if (name.startswith("file") or name in _FOLDERS) and not is_inside(value):
+                raise RunDirectoryError(
+                    f"names {value!r}, outside its folder", key=str(path), expected="files that lie beside it"
+                )
+    return path
+
+
+def saved_model_digest(directory: RunDirectory) -> str:
+    """Return the digest of the scene that the run compiled (RunDirectoryError when it is not kept)."""
+    return str(recorded_robot(directory)["model_sha256"])
+
+
+def saved_sources(directory: RunDirectory) -> dict[str, str]:
+    """Return the sha256 of each file that the run's robot was made of, as seen from its source's folder.
+
+    Raises:
+        RunDirectoryError: they are not kept.
+    """
+    return dict(recorded_robot(directory)["sources"])
+
+
+def saved_networks(directory: RunDirectory) -> dict[str, Path]:
+    """Return the networks of other runs that a run has kept, by their paths beside its robot."""
+    named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
+    return {name: path for name, path in named.items() if path.is_file()}
+
+
+def _report(path: Path) -> Report:
+    try:
+        return Report.from_json(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise RunDirectoryError(f"is no report of a conversion: {error}", key=str(path)) from error
+
+
+def load_saved_robot(directory: RunDirectory) -> CachedConversion:
+    """Return the run's own conversion where it stands, in the run directory.
+
+    Raises:
+        RunDirectoryError: a part of it is missing.
+    """
+    report = _report(directory.asset / REPORT)
+    return CachedConversion(saved_mjcf(directory), report, saved_sources(directory), key="", fresh=False)
+
+
+def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
+    """Return the run's own conversion, copied into a new folder, as if it had just been made.
+
+    Raises:
+        RunDirectoryError: a part of it is missing.
+        SimulationFailure: the disk is full.
+    """
+    mjcf = saved_mjcf(directory)
+    with for_people(folder):
+        shutil.copytree(directory.asset, folder)
+    output = folder / MODEL
+    with for_people(output):
+        (folder / mjcf.name).rename(output)
+    report = _report(output.with_name(REPORT))
+    return CachedConversion(output, report, saved_sources(directory), key="", fresh=False)

@@ -1,0 +1,210 @@
+"""Set the number of torch's threads, and describe the threads and the arithmetic that a run records."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.machine import prepare_threads
+from wheelleg_exp.rl.checkpoint import ROLES
+from wheelleg_exp.rl.determinism import SPLIT_ABOVE
+from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
+
+# MKL's own numbers for its code branches (mkl_types.h, MKL_CBWR_*).
+_BRANCHES = {
+    1: "off",
+    2: "auto",
+    3: "compatible",
+    4: "sse2",
+    6: "ssse3",
+    7: "sse4_1",
+    8: "sse4_2",
+    9: "avx",
+    10: "avx2",
+    11: "avx512_mic",
+    12: "avx512",
+    13: "avx512_mic_e1",
+    14: "avx512_e1",
+}
+_in_time: list[bool] = []  # what each call to prepare_threads said: once late is late for this process
+
+_STRICT = 0x10000
+_EVERYTHING = -1
+_VECTOR_STEP = 32  # numbers of one step of torch's vector loops: two vectors of sixteen, with AVX-512
+# With these the number of threads changes matrix products, strict or not.
+_THREADED_BRANCHES = ("off", "compatible")
+
+
+def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
+    """Set torch's threads from ``agent.torch_threads`` and return what a run records of threads and arithmetic.
+
+    Args:
+        agent: the composed ``agent`` section, plain.
+        physics_threads: threads of the physics.
+        samples: environment steps of one rollout, where a training does rollouts.
+
+    Returns:
+        ``torch``, ``interop`` and ``physics`` threads; ``cpu_capability`` and ``device`` of torch; whether the
+        variables of ``prepare_threads`` stood before torch was imported; ``mkl`` as it is in force; ``matmul``, what
+        ``agent.matmul`` comes to; ``numerics``; and whether the results are ``independent`` of torch's threads, else
+        ``dependent_because``.
+
+    Raises:
+        ConfigError: the number is not a whole number of at least 1, or products cannot be what they shall be.
+    """
+    wanted = agent["torch_threads"]
+    if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
+        raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
+    _in_time.append(prepare_threads())  # MKL heeds its variable up to its first use, OpenMP up to torch's import
+    torch.set_num_threads(wanted)
+    mkl, device = mkl_in_force(), str(agent["device"])
+    reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples)) + _uneven_activations(
+        agent, samples, wanted
+    )
+    return {
+        "torch": torch.get_num_threads(),
+        "interop": torch.get_num_interop_threads(),
+        "physics": physics_threads,
+        "cpu_capability": torch.backends.cpu.get_cpu_capability(),
+        "device": device,
+        "variables_in_time": all(_in_time),
+        "mkl": mkl,
+        "matmul": chosen_matmul(agent),
+        "numerics": numerics(),
+        "independent": not reasons,
+        "dependent_because": reasons,
+    }
+
+
+def dependent_products(
+    networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what changes in the record of threads where products in bfloat16 depend on their number; else nothing.
+
+    Args:
+        networks: those that are trained.
+        agent: the composed ``agent`` section, plain.
+        samples: environment steps of one rollout.
+        threads: what ``set_threads`` returned.
+    """
+    rows = max(1, _largest_mean(agent, samples))
+    if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
+        return {}
+    reason = "oneDNN splits sums of bfloat16 products among threads on this CPU; agent.matmul=float32 does not"
+    return {"independent": False, "dependent_because": [*threads["dependent_because"], reason]}
+
+
+def thread_notes(threads: Mapping[str, Any]) -> list[str]:
+    """Return what people should know of a run's threads, one line each; none where all is as it should be."""
+    count = threads["torch"]
+    reasons = threads.get("dependent_because") or []
+    notes = [f"warning: the number of torch's threads ({count}) is part of this result: {reason}" for reason in reasons]
+    if count > 1 and not threads.get("variables_in_time", True):
+        notes.append("warning: torch was imported before OMP_WAIT_POLICY was set: its threads spin on a busy machine")
+    return notes
+
+
+def mkl_in_force() -> dict[str, Any] | None:
+    """Return MKL's code branch and whether it is strict, as MKL itself says; None where torch has no MKL.
+
+    Both are None where MKL does not answer. Asking settles it: variables that are set later change nothing.
+    """
+    if not torch.backends.mkl.is_available():
+        return None
+    library = Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"
+    try:
+        code = int(ctypes.CDLL(str(library)).mkl_serv_cbwr_get(ctypes.c_int(_EVERYTHING)))
+    except (OSError, AttributeError):
+        return {"branch": None, "strict": None}
+    return {"branch": _BRANCHES.get(code & ~_STRICT, str(code & ~_STRICT)), "strict": bool(code & _STRICT)}
+
+
+def numerics() -> dict[str, Any]:
+    """Return the settings of torch and of the processor that change floating-point results."""
+    tiny, one = np.float64(2.0**-1070), np.float64(1.0)
+    with np.errstate(all="ignore"):
+        to_nearest = one + 2.0**-53 == one and -one - 2.0**-53 == -one and one + 2.0**-52 * 0.75 > one
+        keeps_tiny = tiny * one > 0.0
+    return {
+        "libraries": _libraries(),
+        "mkldnn": torch.backends.mkldnn.is_available() and torch.backends.mkldnn.enabled,
+        "matmul_precision": torch.get_float32_matmul_precision(),
+        "default_dtype": str(torch.get_default_dtype()).removeprefix("torch."),
+        "deterministic_algorithms": torch.are_deterministic_algorithms_enabled(),
+        "rounds_to_nearest": bool(to_nearest),
+        "keeps_denormals": bool(keeps_tiny) and (torch.tensor(1e-40) * 1.0).item() > 0.0,
+    }
+
+
+def _libraries() -> list[str]:
+    """Return the versions of what torch was built with: MKL, oneDNN, OpenMP, BLAS."""
+    lines = [line.strip(" -") for line in torch.__config__.show().splitlines()]
+    words = ("Math Kernel Library", "MKL-DNN", "oneDNN", "OpenMP", "LAPACK", "OpenBLAS", "Compute Library")
+    return [line for line in lines if any(word in line for word in words) and not line.startswith("Build settings")]
+
+
+def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
+    """Return over how many numbers the update takes a mean."""
+    algorithm = agent.get("algorithm") or {}
+    return (samples or 0) // max(1, int(algorithm.get("num_mini_batches", 1)))
+
+
+def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
+    """Return which of the networks' ELU depend on the threads.
+
+    torch gives each thread a part of the numbers; what remains of a part after the last whole step of its vector loop
+    is computed by other code than the rest, and rounded otherwise.
+    """
+    if samples is None or str(agent["device"]) != "cpu":
+        return []
+    batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}
+    layers = {
+        int(width)
+        for role in ROLES
+        for section in [agent.get(role) or {}]
+        if str(section.get("activation", "elu")) == "elu"
+        for width in section.get("hidden_dims") or ()
+    }
+    uneven = [
+        f"{rows} x {width}" for rows in sorted(batches) for width in sorted(layers) if _splits(rows * width, threads)
+    ]
+    if not uneven:
+        return []
+    return [
+        f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end within a vector; "
+        "1, 2, 4 or 8 threads and a multiple of 32 environments do not"
+    ]
+
+
+def _splits(numbers: int, threads: int) -> bool:
+    """Return whether torch's threads part so many numbers at a place that is not a whole step of its vector loop."""
+    parts = min(threads, -(-numbers // SPLIT_ABOVE))
+    return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
+
+
+def _thread_dependence(mkl: Mapping[str, Any] | None, device: str, largest_mean: int) -> list[str]:
+    reasons = []
+    if device != "cpu":
+        reasons.append(f"the networks are on {device}")
+    if mkl is None:
+        reasons.append("this torch has no MKL, and other libraries make no promise about threads")
+    elif not mkl["strict"] or mkl["branch"] in _THREADED_BRANCHES:
+        variable = os.environ.get("MKL_CBWR", "not set")
+        state = f"{mkl['branch']}{', strict' if mkl['strict'] else ', not strict'}"
+        reasons.append(
+            f"MKL is not in its repeatable mode (it is {state}; MKL_CBWR is {variable}; it must be AVX2,STRICT or the "
+            "like before torch multiplies its first matrices)"
+        )
+    if largest_mean > SPLIT_ABOVE:
+        reasons.append(
+            f"torch adds up more than {SPLIT_ABOVE} numbers in parts, one a thread, and a minibatch has {largest_mean} "
+            "samples; a higher agent.algorithm.num_mini_batches makes it smaller"
+        )
+    return reasons

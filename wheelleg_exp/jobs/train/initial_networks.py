@@ -1,0 +1,333 @@
+"""Networks of another run with which a training starts: the initial policy of ``init_from``, and a teacher.
+
+The run directory keeps a copy of these networks beside the robot, so that the run can be trained again without the
+other run. ``fit`` compares the observations, actions, and network sizes of both tasks.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.asset import CachedConversion
+from wheelleg_exp.config.config_errors import raise_all
+from wheelleg_exp.config.explaining.config_diff import ABSENT, Change, changes, same
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.files import sha256
+from wheelleg_exp.paths import INITIAL, TEACHER
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.network_loading import Initial
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.run_config import load_params, upgrade_env_params
+from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_iteration
+
+# Of an observation group: what its vector's layout follows from, beside its terms.
+_LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
+_TERM_KEYS = ("_target_", "history_length", "flatten_history_dim")  # of a term: what is another term, or another width
+_IGNORED_KEYS = ("noise",)  # of an observation term: what a policy may meet anew
+_MAX_SHOWN = 60
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How what a policy was trained with differs from what it is to begin with.
+
+    Attributes:
+        mistakes: why it cannot begin there.
+        suspects: other joints, bodies or sensors of a term, which may or may not change its width.
+        notes: what keeps its place in the vectors and means something else; the suspects in words among them.
+    """
+
+    mistakes: list[ConfigError]
+    suspects: list[ConfigError]
+    notes: list[str]
+
+
+def fit(
+    was: tuple[Mapping[str, Any], Mapping[str, Any]],
+    now: tuple[Mapping[str, Any], Mapping[str, Any]],
+    roles: Sequence[str],
+    of: str,
+) -> Fit:
+    """Hold the settings of a policy's training against those of another.
+
+    Whether a changed parameter of a term changes its width, such as other joints, is told by the networks alone: it is
+    among the notes, which explain a network that does not fit.
+
+    Args:
+        was: the ``env`` and ``agent`` sections that it was trained with, plain.
+        now: those that it is to begin with.
+        roles: which networks are taken over, of ``actor`` and ``critic``.
+        of: whose policy it is, for the messages.
+    """
+    found = Fit([], [], [])
+    (old_env, old_agent), (env, agent) = was, now
+    for role in roles:
+        _compare_networks(found, old_agent.get(role), agent.get(role), f"agent.{role}", of)
+        groups = [list((part.get("obs_groups") or {}).get(role) or []) for part in (old_agent, agent)]
+        if groups[0] != groups[1]:
+            _refuse(found, f"agent.obs_groups.{role}", f"{of} has {groups[0]} and this has {groups[1]}")
+        for name in (name for name in groups[1] if name in groups[0]):
+            pair = [(part.get("observations") or {}).get(name) or {} for part in (old_env, env)]
+            _compare_group(found, pair[0], pair[1], f"env.observations.{name}", of)
+    pair = [part.get("actions") or {} for part in (old_env, env)]
+    _compare_terms(found, pair[0], pair[1], "env.actions", of, ("_target_",), ())
+    orders = [(part.get("robot") or {}).get("joint_order") for part in (old_env, env)]
+    if orders[0] != orders[1]:
+        _refuse(found, "env.robot.joint_order", f"{of} has {orders[0]} and this has {orders[1]}")
+    if old_env.get("decimation") != env.get("decimation"):
+        found.notes.append(_describe_change("env.decimation", old_env.get("decimation"), env.get("decimation")))
+    mistakes = {(error.key, error.message): error for error in found.mistakes}
+    return Fit(list(mistakes.values()), found.suspects, list(dict.fromkeys(found.notes)))
+
+
+def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
+    for change in _changes(was or {}, now or {}):
+        if change.keys != ("distribution_cfg", "init_std"):  # what has been learned stands in its place
+            _refuse(
+                found, f"{key}.{'.'.join(change.keys)}", f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"
+            )
+
+
+def _compare_group(found: Fit, was: Mapping[str, Any], now: Mapping[str, Any], key: str, of: str) -> None:
+    for name in _LAYOUT_KEYS:
+        if was.get(name) != now.get(name):
+            _refuse(found, f"{key}.{name}", f"{of} has {was.get(name)} and this {now.get(name)}")
+    _compare_terms(found, was.get("terms") or {}, now.get("terms") or {}, f"{key}.terms", of, _TERM_KEYS, _IGNORED_KEYS)
+
+
+def _compare_terms(
+    found: Fit,
+    was: Mapping[str, Any],
+    now: Mapping[str, Any],
+    key: str,
+    of: str,
+    fixed: Sequence[str],
+    free: Sequence[str],
+) -> None:
+    for name in now:
+        if name not in was:
+            _refuse(found, f"{key}.{name}", f"is new: {of} does not have it")
+    for name in was:
+        if name not in now:
+            _refuse(found, f"{key}.{name}", f"is missing: {of} has it")
+    if set(was) == set(now) and list(was) != list(now):
+        _refuse(found, key, f"{of} has them in the order {', '.join(was)}")
+    for name in (name for name in now if name in was):
+        for change in _changes(was[name] or {}, now[name] or {}):
+            path = f"{key}.{name}.{'.'.join(change.keys)}"
+            if change.keys[0] in fixed:
+                _refuse(found, path, f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}")
+            elif change.keys[0] not in free:
+                if change.keys[0].endswith("_cfg") or change.keys[0] == "joint_names":
+                    found.suspects.append(_error(path, f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"))
+                found.notes.append(_describe_change(path, change.a, change.b))
+
+
+def _refuse(found: Fit, key: str, message: str) -> None:
+    found.mistakes.append(_error(key, message))
+
+
+def _error(key: str, message: str) -> ConfigError:
+    expected = "the observations, actions and networks that it was trained with, or init_from=null"
+    return ConfigError(message, key=key, expected=expected)
+
+
+def _changes(was: Any, now: Any) -> Iterator[Change]:
+    return changes(was, now, same)
+
+
+def _describe_change(key: str, was: Any, now: Any) -> str:
+    return f"{key} was {_shorten(was)} and is {_shorten(now)}"
+
+
+def _shorten(value: Any) -> str:
+    text = "nothing" if value is ABSENT else str(value)
+    return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN - 3]}..."
+
+
+KEY, WHAT = "init_from", "init_from_what"
+# What is taken over, by the value of `init_from_what`: parts of a checkpoint.
+PARTS = {
+    "networks": ("actor", "critic"),
+    "policy": ("actor",),
+    "learning": ("actor", "critic", "optimizer"),
+}
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The checkpoint that a training begins with, and the run that it is of; a file alone has none."""
+
+    path: Path
+    run: RunDirectory | None
+
+    @property
+    def label(self) -> str:
+        return str(self.path) if self.run is None else f"{self.run.path.parent.name}/{self.run.id}"
+
+
+@contextmanager
+def initial_file(
+    config: Mapping[str, Any], note: Callable[[str], None]
+) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
+    """Yield the file of what a training begins with by its name beside the robot, and whose it is; both may be empty.
+
+    The file does not say whose it is: the same networks of two runs are one file.
+
+    Args:
+        config: the composed tree, plain.
+        note: is told what the policy reads otherwise than it was trained to.
+
+    Raises:
+        ConfigError: there is no such run or checkpoint, it is damaged, or it does not fit the observations, actions
+            and networks of the config; it names those that do not.
+    """
+    if config.get(KEY) is None:
+        yield {}, {}
+        return
+    with _name_init_from():
+        source = _find(str(config[KEY]), config["run"]["root"])
+        state = checkpoint.load(source.path)
+        kept = _selected_part(source, state, config)
+    _require_fit(source, config, list(PARTS[_parts_name(config)])[:2], note)
+    with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
+        path = Path(folder) / Path(INITIAL).name
+        path.write_bytes(checkpoint.serialize(kept))
+        yield {INITIAL: path}, _source_run(source)
+
+
+def saved_initial(config: Mapping[str, Any], asset: CachedConversion) -> Initial | None:
+    """Return what a training begins with, as it lies beside its robot; None where it begins from nothing.
+
+    Raises:
+        RunDirectoryError: the config names a run, and nothing is kept of it.
+    """
+    if config.get(KEY) is None:
+        return None
+    path = asset.output.parent / INITIAL
+    if not path.is_file():
+        raise RunDirectoryError(
+            f"is missing: the training began with the policy of '{config[KEY]}'",
+            key=str(path),
+            expected="the networks that the run has kept; without them it cannot be trained again from its beginning",
+        )
+    state = checkpoint.load(path)
+    facts = state.get("init_from")
+    if not isinstance(facts, Mapping):
+        raise RunDirectoryError("does not say whose it is", key=str(path), expected="the file that the run has kept")
+    parts = [str(part) for part in facts.get("parts") or ()]
+    return Initial(
+        state, tuple(parts), {**facts, "named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
+    )
+
+
+def _selected_part(source: _Source, state: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the part of a checkpoint that is taken over, in the form of a checkpoint, and where it is from."""
+    what = _parts_name(config)
+    parts = PARTS[what]
+    if "actor" not in config["agent"]:
+        raise ConfigError("a student learns from its teacher alone", key=KEY, expected="null, or another agent")
+    absent = [part for part in parts[1:] if f"{part}_state_dict" not in state]
+    if absent:
+        raise ConfigError(
+            f"'{source.label}' has no {absent[0]} to begin with",
+            key=WHAT,
+            expected="policy, which takes the actor alone",
+        )
+    facts = {
+        "checkpoint": source.path.name,
+        "iteration": int(state["iter"]),
+        "sha256": sha256(source.path),
+        "what": what,
+        "parts": list(parts),
+    }
+    # A checkpoint has two networks; of the one that is not taken over nothing is read.
+    networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
+    networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
+    return {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
+
+
+def _source_run(source: _Source) -> dict[str, Any]:
+    run = source.run
+    return {} if run is None else {"run": run.id, "task": str(run.manifest().data["task"])}
+
+
+def _parts_name(config: Mapping[str, Any]) -> str:
+    return str(config.get(WHAT) or "networks")
+
+
+def _find(named: str, root: str) -> _Source:
+    path = Path(named)
+    if not path.is_file():
+        if CHECKPOINT.fullmatch(path.name) and (path.parent / MANIFEST_NAME).is_file():
+            RunDirectory.open(path.parent, root).checkpoint(checkpoint_iteration(path))  # tells the nearest there is
+        run = RunDirectory.open(named, root)
+        return _require_recorded(_Source(run.latest_checkpoint(), run))
+    folder = path.resolve().parent
+    run_there = RunDirectory.open(folder, root) if (folder / MANIFEST_NAME).is_file() else None
+    return _require_recorded(_Source(path, run_there))
+
+
+def _require_recorded(source: _Source) -> _Source:
+    """Refuse a checkpoint that is not what its run has recorded."""
+    if source.run is not None and not source.run.manifest().vouches_for(source.path):
+        raise RunDirectoryError(
+            "is not what its run recorded", key=str(source.path), expected="a checkpoint nobody has changed"
+        )
+    return source
+
+
+def _require_fit(source: _Source, config: Mapping[str, Any], roles: list[str], note: Callable[[str], None]) -> None:
+    if source.run is None:
+        return
+    env, agent = load_params(source.run)
+    if "actor" not in agent:  # a student's networks go by other names
+        return
+    found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
+    if found.mistakes:
+        raise_all(found.mistakes)
+    for line in found.notes:
+        note(f"note: {line}; the policy of '{source.label}' was trained with the former")
+
+
+@contextmanager
+def _name_init_from() -> Iterator[None]:
+    try:
+        yield
+    except RunDirectoryError as error:
+        message = error.message if error.key is None else f"'{error.key}' {error.message}"
+        raise ConfigError(message, key=KEY, expected=error.expected, nearest=error.nearest) from error
+
+
+_TEACHER_KEY = "agent.teacher_checkpoint"
+
+
+def find_teacher(config: Mapping[str, Any]) -> dict[str, Path]:
+    """Return the file of the teacher's checkpoint by its name beside the robot; nothing where none is named.
+
+    Raises:
+        ConfigError: there is no such run or checkpoint, or it is damaged.
+    """
+    named = config["agent"].get("teacher_checkpoint")
+    if named is None:
+        return {}
+    try:
+        path = Path(named)
+        if not path.is_file():
+            path = RunDirectory.open(named, config["run"]["root"]).latest_checkpoint()
+        checkpoint.load(path)
+    except RunDirectoryError as error:
+        message = error.message if error.key is None else f"'{error.key}' {error.message}"
+        raise ConfigError(message, key=_TEACHER_KEY, expected=error.expected, nearest=error.nearest) from error
+    return {TEACHER: path}
+
+
+def saved_teacher(asset: CachedConversion) -> dict[str, Any] | None:
+    """Return the teacher's checkpoint that lies beside a robot; None where none does."""
+    path = asset.output.parent / TEACHER
+    return checkpoint.load(path) if path.is_file() else None

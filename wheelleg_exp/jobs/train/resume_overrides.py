@@ -1,0 +1,194 @@
+"""Overrides of a resume: which settings can change while a run continues, and which snapshot files they rewrite."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from wheelleg_exp.config import schema
+from wheelleg_exp.config.checking.find_mistakes import check_tree
+from wheelleg_exp.config.composing.compose import apply_overrides, placing
+from wheelleg_exp.config.config_errors import raise_all
+from wheelleg_exp.config.explaining.config_diff import ABSENT, Change, changes
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.plain_data import dump_yaml
+from wheelleg_exp.run.run_config import (
+    CONFIG,
+    OVERRIDES,
+    PARTS,
+    load_config,
+    load_params,
+    recorded_config,
+    recorded_overrides,
+    require_resolved,
+    upgrade_env_params,
+)
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.terms.key_syntax import Keys
+from wheelleg_exp.terms.term_binding import RESERVED
+from wheelleg_exp.verify.run_differences import decides
+
+# What the saved state was made with, and why it must stay.
+_FIXED: dict[Keys, str] = {
+    ("seed",): "the random streams go on where they stood",
+    ("task",): "the run is a run of its task",
+    ("init_from",): "the run has begun from where it has begun",
+    ("init_from_what",): "the run has begun from where it has begun",
+    ("run",): "the run directory stands where it stands",
+    ("env", "num_envs"): "the saved state has a row for each environment",
+    ("env", "decimation"): "it is the clock of all that is saved",
+    ("env", "sim"): "it is part of the simulated model",
+    ("env", "scene"): "it is part of the simulated model",
+    ("env", "robot"): "the saved state is that of the run's robot",
+    ("env", "actions"): "the networks were trained with these actions",
+    ("agent", "actor"): "the checkpoint holds networks of this shape",
+    ("agent", "critic"): "the checkpoint holds networks of this shape",
+    ("agent", "student"): "the checkpoint holds networks of this shape",
+    ("agent", "teacher"): "the checkpoint holds networks of this shape",
+    ("agent", "teacher_checkpoint"): "the run's teacher stays who it is",
+    ("agent", "obs_groups"): "the checkpoint holds networks of this shape",
+    ("agent", "algorithm", "class_name"): "the checkpoint holds this algorithm's state",
+    ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
+    ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
+}
+_CHANGEABLE = (("env", "sim", "graph_step"),)  # below what is fixed, and yet no part of it
+_NEW_KEYS = ("init_from", "init_from_what")  # keys that the configs of earlier runs lack
+# Of an observation term or group, what may change without changing the width or the meaning of the vector.
+_OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
+
+
+def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Return a run's composed tree from its snapshot alone.
+
+    Args:
+        run: the run.
+        variables: environment variables that its config named, as they were.
+
+    Raises:
+        RunDirectoryError: a part of the snapshot is missing or damaged, or asks for another variable.
+    """
+    env, agent = load_params(run)
+    tree = recorded_config(run, variables or {})
+    for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
+        if not isinstance(tree[key], kind):
+            raise RunDirectoryError(
+                f"its '{key}' is missing or wrong", key=str(run.path / CONFIG), expected="the config of the run"
+            )
+    earlier = {key: value for key, value in tree.items() if value is not None or key not in _NEW_KEYS}
+    return {**earlier, "env": upgrade_env_params(env), "agent": agent}
+
+
+def change_settings(kept: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
+    """Return the tree with overrides applied, and what they change in it.
+
+    Raises:
+        ConfigError: an override cannot be read, is wrong, or changes what must stay while a run goes on; or the run's
+            own settings are wrong.
+    """
+    tree = apply_overrides(kept, overrides)
+    require_resolved({part: tree.get(part) for part in PARTS})
+    found = list(changes(kept, tree, _same_value))
+    with placing(overrides):
+        for change in found:
+            _require_changeable(change, kept, tree)
+        errors = check_tree(tree, schema.Root)
+        if errors:
+            raise_all(errors)
+    return tree, found
+
+
+def _same_value(was: Any, now: Any) -> bool:
+    return type(was) is type(now) and bool(was == now)
+
+
+def _begins(keys: Keys, prefix: Keys) -> bool:
+    return keys[: len(prefix)] == prefix or prefix[: len(keys)] == keys
+
+
+def change_entry(change: Change) -> dict[str, Any]:
+    """Return what the manifest records of a change: None where the key was or is absent."""
+    was, now = (None if value is ABSENT else value for value in (change.a, change.b))
+    return {"key": change.key, "was": was, "now": now}
+
+
+def _require_changeable(change: Change, kept: Mapping[str, Any], tree: Mapping[str, Any]) -> None:
+    if not decides(change.keys) or change.keys in _CHANGEABLE:
+        return
+    for prefix, why in _FIXED.items():
+        if _begins(change.keys, prefix):
+            raise _refusal(change, why)
+    if change.keys[:2] == ("env", "observations") and not set(change.keys[3:]) & set(_OBSERVATION_CHANGEABLE):
+        raise _refusal(change, "the networks were trained with this observation")
+    section = change.keys[1] if change.keys[0] == "env" and len(change.keys) > 1 else ""
+    if section in RESERVED and section != "observations":
+        _require_same_terms(change, kept["env"][section], tree["env"].get(section))
+
+
+def _require_same_terms(change: Change, kept: Mapping[str, Any], now: Any) -> None:
+    if not isinstance(now, Mapping) or list(now) != list(kept):
+        raise _refusal(change, "the saved state has a place for each term of the run; a weight of 0 turns a reward off")
+    if change.keys[3:] in ((), ("_target_",), ("mode",)):
+        raise _refusal(change, "the saved state is that of the run's own terms")
+
+
+def _refusal(change: Change, why: str) -> ConfigError:
+    return ConfigError(
+        f"cannot change while a run goes on: {why}",
+        key=change.key,
+        expected="the run's own value; a new run may have another",
+    )
+
+
+# --- the snapshot ---
+
+
+def rewritten_files(
+    run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
+) -> dict[str, str]:
+    """Return the files of the snapshot that the changes rewrite, by relative name: what is in force stands there."""
+    if not found:
+        return {}
+    config = load_config(run)
+    for change in found:
+        _apply(config, change, tree)
+    return {
+        "params/env.yaml": dump_yaml(tree["env"]),
+        "params/agent.yaml": dump_yaml(tree["agent"]),
+        CONFIG: OmegaConf.to_yaml(OmegaConf.create(config)),
+        OVERRIDES: OmegaConf.to_yaml(OmegaConf.create(_joined(recorded_overrides(run), overrides))),
+    }
+
+
+def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
+    """Write a change into the config as it was written; what was one interpolation is written out."""
+    node: Any = config
+    for key in change.keys[:-1]:
+        tree = tree.get(key) or {}
+        if isinstance(node.get(key), str):
+            node[key] = copy.deepcopy(dict(tree))
+        elif node.get(key) is None:
+            node[key] = {}
+        node = node[key]
+    if change.b is ABSENT:
+        node.pop(change.keys[-1], None)
+    else:
+        node[change.keys[-1]] = change.b
+
+
+def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
+    """Return the overrides of the run and of the resume; of two for one key the later stands, in the first's place."""
+    joined = {_key(word): word for word in words}
+    return list({**joined, **{_key(word): word for word in overrides}}.values())
+
+
+def _key(word: str) -> str:
+    try:
+        override = OverridesParser.create().parse_override(word)
+    except (HydraException, RecursionError):  # what was recorded may be anything
+        return word
+    return f"{override.key_or_group}@{override.package or ''}"

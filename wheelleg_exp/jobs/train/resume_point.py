@@ -1,0 +1,182 @@
+"""Find the last whole checkpoint of a run, and drop what its files hold past that checkpoint.
+
+The digests of a checkpoint must equal those that the log of iterations holds.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import cut, for_people, temporaries
+from wheelleg_exp.jobs.rollout_files import dataset_files_from
+from wheelleg_exp.jobs.train.scalar_logs import cut_events
+from wheelleg_exp.jobs.train.training_recording import films_from
+from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.iteration_log import IterationLog, Line, read_log
+from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
+from wheelleg_exp.run.run_directory import CHECKPOINT, FAILURE, RunDirectory, checkpoint_iteration
+from wheelleg_exp.run.run_list import effective_status
+from wheelleg_exp.verify.check_files import Subject, damage
+
+_CONTINUED_FILES = ("iterations.jsonl", "recording.rrd")
+
+
+@dataclass(frozen=True)
+class ResumePoint:
+    """The end of the last iteration that is known entirely.
+
+    Attributes:
+        iteration: the first iteration that is to be computed.
+        checkpoint: the checkpoint of the one before; None at the beginning of the run.
+        state: its content.
+        lines: the whole lines of the log, those past the checkpoint included.
+        damaged: newer checkpoints that cannot be used, each with the reason.
+    """
+
+    iteration: int
+    checkpoint: Path | None
+    state: Mapping[str, Any] | None
+    lines: Sequence[Line]
+    damaged: Mapping[Path, str]
+
+    @property
+    def kept(self) -> list[Mapping[str, Any]]:
+        """The log's content up to the checkpoint."""
+        return [line.content for line in self.lines[: self.iteration]]
+
+    @property
+    def dropped(self) -> dict[int, Mapping[str, str]]:
+        """Digests of the iterations past the checkpoint, which are computed again."""
+        later = (line.content for line in self.lines[self.iteration :])
+        return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
+
+    @property
+    def log_size(self) -> int:
+        """Bytes of the log that stay."""
+        return self.lines[self.iteration - 1].end if self.iteration else 0
+
+
+def find_point(run: RunDirectory) -> ResumePoint:
+    """Find the last whole checkpoint of a run.
+
+    Raises:
+        RunDirectoryError: the log does not reach that far, or tells of another state; or the checkpoint is of a
+            version that cannot be resumed.
+    """
+    lines = read_log(run.iterations).lines
+    damaged: dict[Path, str] = {}
+    foreign: RunDirectoryError | None = None
+    for path in reversed(run.checkpoints()):
+        try:
+            state = _load(path)
+        except RunDirectoryError as error:
+            damaged[path] = error.message
+            continue
+        checkpoint.require_resumable(state)
+        point = ResumePoint(checkpoint_iteration(path) + 1, path, state, lines, damaged)
+        _require_line(run, point)
+        wrong = _wrong_digests(point)
+        if not wrong:
+            return point
+        damaged[path] = f"{_differ_phrase(wrong)} from the digests that iteration {point.iteration - 1} left"
+        foreign = foreign or RunDirectoryError(
+            f"no checkpoint is of the training that {run.iterations.name} tells of: {damaged[path]}",
+            key=str(path),
+            expected="the run's own checkpoints and log",
+        )
+    if foreign is not None:  # beginning anew would throw away what may be right
+        raise foreign
+    return ResumePoint(0, None, None, lines, damaged)
+
+
+def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
+    """Return what is wrong with the files that a resume goes on with; what it makes anew does not count."""
+    subject = Subject(run, manifest, effective_status(manifest), IterationLog())
+    return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
+
+
+def _lasts(name: str, start: int) -> bool:
+    """Return whether a file is as it was behind a resume from the iteration ``start``, at least where it begins."""
+    checkpoint = CHECKPOINT.fullmatch(name)
+    if checkpoint is not None:
+        return int(checkpoint[1]) < start
+    return name == MANIFEST_NAME or name.startswith(SNAPSHOT) or (start > 0 and name in _CONTINUED_FILES)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    state = checkpoint.load(path, finite=False)  # training itself stops at numbers that are not finite
+    if state["iter"] != checkpoint_iteration(path):
+        raise RunDirectoryError(f"holds iteration {state['iter']}", key=str(path))
+    return state
+
+
+def _require_line(run: RunDirectory, point: ResumePoint) -> None:
+    if len(point.lines) < point.iteration:
+        assert point.checkpoint is not None
+        raise RunDirectoryError(
+            f"{run.iterations.name} has no whole line of iteration {len(point.lines)}, but {point.checkpoint.name} is "
+            "there, so the log would have a gap",
+            key=str(run.iterations),
+            expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
+            f"model_{len(point.lines)}.pt on, to go on from before",
+        )
+
+
+def _wrong_digests(point: ResumePoint) -> list[str]:
+    """Return which digests of the checkpoint are not those in the log; a flipped byte does not show in the file."""
+    line = point.lines[point.iteration - 1].content
+    if line.get("digest_format") != digests.FORMAT or point.state is None:
+        return []
+    found = digests.of_state(point.state)
+    return [name for name, digest in line["digests"].items() if found.get(name, digest) != digest]
+
+
+def _differ_phrase(names: Sequence[str]) -> str:
+    plural = len(names) > 1 or names[0].endswith("s")
+    return f"{', '.join(names)} {'differ' if plural else 'differs'}"
+
+
+_DAMAGED = ".damaged"
+
+
+def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
+    """Drop from the run's files what stands past the checkpoint, and what a kill left unfinished.
+
+    Without ``events`` the run writes none, and those of earlier days stay as they are.
+    """
+    for path in point.damaged:
+        with for_people(path):
+            path.replace(path.with_name(path.name + _DAMAGED))
+    with for_people(run.path):
+        for folder in (run.hydra, run.params, run.source, run.asset, run.videos, run.dataset):
+            _remove(temporaries(folder, deep=True))
+        _remove(temporaries(run.path))
+        _remove(films_from(run.videos, point.iteration))
+        _remove(dataset_files_from(run.dataset, point.iteration))
+        _remove_exported(run.exported)
+        (run.path / FAILURE).unlink(missing_ok=True)  # what it says stands in the manifest
+        if point.iteration == 0:
+            run.recording.unlink(missing_ok=True)
+    cut(run.iterations, point.log_size)
+    if events:
+        cut_events(run.path, point.kept)
+
+
+def _remove_exported(folder: Path) -> None:
+    """Remove the policy's files, which would tell of one that is trained further; bundles say whose they are."""
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.is_file():
+            path.unlink()
+        elif path in temporaries(folder):  # of an export that was killed
+            shutil.rmtree(path)
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,364 @@
+"""Resume a run that was stopped, killed, or needs more iterations, as if it had never stopped.
+
+All ranks of a run must resume together. Rank 0 reads the run and broadcasts its state to the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.config_errors import join, parts
+from wheelleg_exp.config.explaining.config_diff import Change
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.files import read_text, sha256
+from wheelleg_exp.jobs.job_display import Display
+from wheelleg_exp.jobs.saved_robot import load_saved_robot, saved_model_digest
+from wheelleg_exp.jobs.torch_threads import thread_notes
+from wheelleg_exp.jobs.train import run_training
+from wheelleg_exp.jobs.train.resume_overrides import change_entry, change_settings, recorded_tree, rewritten_files
+from wheelleg_exp.jobs.train.resume_point import ResumePoint, drop_past_checkpoint, find_point, lasting_damage
+from wheelleg_exp.jobs.train.run_training import Recipe, RecomputedCheck, Training
+from wheelleg_exp.jobs.train.source_roots import differences_now, shorten
+from wheelleg_exp.packages import join_recorded, left_out, read_project
+from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.rl import checkpoint, digests, policy_average
+from wheelleg_exp.rl.ranks import ALONE, Ranks, state_of_rank
+from wheelleg_exp.rl.trainer import Trainer
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.run_config import CONFIG
+from wheelleg_exp.run.run_directory import NEEDED, RunDirectory
+from wheelleg_exp.run.run_lock import RunLock, is_alive, this_process
+from wheelleg_exp.run.start_run import complete_snapshot, refuse_secrets
+from wheelleg_exp.terms.term_binding import NotAllowed
+from wheelleg_exp.verify.run_differences import decides
+
+
+def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
+    """Return what a training that goes on is made from.
+
+    Args:
+        run: the run.
+        tree: its config, with the changes of the resume.
+        text: the same as it is kept.
+        folders: the user's config folders.
+    """
+    return Recipe(
+        config=tree,
+        hydra_files={"config.yaml": text},
+        source_roots=(),
+        asset=load_saved_robot(run),
+        config_dirs=folders,
+        matmul=(run.manifest().data.get("threads") or {}).get("matmul"),
+    )
+
+
+def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
+    """Give a training the state of a checkpoint; return what of it is not what was saved, in words.
+
+    Args:
+        trainer: of the same networks and environment; of several processes it takes its own part.
+        state: the checkpoint's tree.
+        learning_rate: what the resume has changed it to, which acts in place of the checkpoint's.
+    """
+    own = state_of_rank(state, trainer.ranks.rank)
+    trainer.load_state_dict(own)
+    if learning_rate is not None:
+        trainer.set_learning_rate(learning_rate)
+    wanted = digests.of_state(own if trainer.average.is_on else policy_average.without_average(own))
+    found = digests.of_state(trainer.state_dict())
+    lost = [name for name in wanted if wanted[name] != found.get(name)]
+    return [f"the {', '.join(lost)} after loading are not what was saved"] if lost else []
+
+
+def learning_rate_of(changes: Sequence[Change]) -> float | None:
+    """Return the learning rate that a resume sets; None where it changes none."""
+    found = [change.b for change in changes if change.keys == ("agent", "algorithm", "learning_rate")]
+    return float(found[-1]) if found else None
+
+
+def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
+    """Refuse to go on with another number of processes: environments and random streams belong to each of them.
+
+    Raises:
+        RunDirectoryError: the run was trained by more processes, or by fewer.
+    """
+    trained = int((manifest.data.get("ranks") or {}).get("world_size", 1))
+    if trained == ranks.size:
+        return
+    command = f"wheelleg resume {manifest.directory.name}"
+    raise RunDirectoryError(
+        f"was trained by {_processes(trained)} and cannot go on with {_processes(ranks.size)}: each has environments "
+        "and random numbers of its own",
+        key=str(manifest.directory),
+        expected=f"torchrun --nproc-per-node {trained} --no-python {command}" if trained > 1 else f"'{command}' alone",
+    )
+
+
+def broadcast_resume(
+    ranks: Ranks,
+    run: RunDirectory,
+    tree: Mapping[str, Any],
+    recorded: Sequence[str],
+    point: ResumePoint,
+    learning_rate: float | None,
+) -> None:
+    """Tell the other processes what they go on with (``follow``)."""
+    ranks.said_by_first(
+        {
+            "run": str(run.path),
+            "tree": tree,
+            "recorded": [str(folder) for folder in recorded],
+            "checkpoint": None if point.checkpoint is None else str(point.checkpoint),
+            "learning_rate": learning_rate,
+        }
+    )
+
+
+def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str, Any]]:
+    """Do what ``resume.prepare`` does in the first process, and return the training and its ``agent`` section.
+
+    Raises:
+        WheellegError: the first process says why it cannot go on.
+    """
+    with ranks.agreed():
+        pass  # the first one reads the run
+    told = ranks.said_by_first(None)
+    run = RunDirectory(Path(told["run"]))
+    with ranks.agreed():
+        recipe = resume_recipe(run, told["tree"], "", join_recorded(config_dirs, told["recorded"]))
+        trainer, _ = run_training.build(recipe, ranks)
+    why: list[str] = []
+    with ranks.agreed():
+        if told["checkpoint"] is not None:
+            why = load_state(trainer, checkpoint.load(Path(told["checkpoint"]), finite=False), told["learning_rate"])
+    ranks.tell_all([f"in process {ranks.rank}, {reason}" for reason in why])
+    return trainer, told["tree"]["agent"]
+
+
+def _processes(count: int) -> str:
+    return "one process" if count == 1 else f"{count} processes"
+
+
+def prepare_resume(
+    run: RunDirectory,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    display: Display,
+    config_dirs: Sequence[Path] = (),
+    ranks: Ranks = ALONE,
+) -> Training:
+    """Bring a run back to its last whole checkpoint, ready for ``training.run``.
+
+    The run's lock is taken here, and given back by ``training.run``.
+
+    Args:
+        run: the run.
+        overrides: changes to its settings from here on.
+        command: the command line, for the manifest.
+        display: receives progress.
+        config_dirs: the user's config folders; those that the run was made with where none are given.
+        ranks: the processes that go on with it; the others do what ``follow`` says.
+
+    Raises:
+        WheellegError: the run is being written, is damaged or finished, or an override is wrong. Nothing of the run
+            has changed then.
+    """
+    refuse_secrets(command, {"the overrides": "\n".join(overrides)})
+    lock = RunLock(run)
+    try:
+        return _prepare(run, overrides, command, display, config_dirs, lock, ranks)
+    except BaseException:
+        lock.release()
+        raise
+
+
+def _prepare(
+    run: RunDirectory,
+    overrides: Sequence[str],
+    command: Sequence[str],
+    display: Display,
+    config_dirs: Sequence[Path],
+    lock: RunLock,
+    ranks: Ranks,
+) -> Training:
+    with ranks.agreed():
+        lock.acquire()
+        manifest = run.manifest()
+        _require_ended(manifest, display)
+        manifest.settle()
+        _require_snapshot(run, manifest)
+        require_same_world_size(manifest, ranks)
+        recorded = manifest.data.get("config_dirs") or _config_dirs_of_command(manifest)
+        folders = join_recorded(config_dirs, recorded)
+        others = left_out(recorded, folders)
+        kept = recorded_tree(run, manifest.data.get("config_variables") or {})
+        with _naming_unused_folders(others):
+            tree, changes = change_settings(kept, overrides)
+        refuse_secrets((), {}, tree, kept)
+        point = find_point(run)
+        _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
+        texts = rewritten_files(run, tree, changes, overrides)
+        recipe = resume_recipe(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
+    if ranks.together:
+        broadcast_resume(ranks, run, tree, recorded, point, learning_rate_of(changes))
+    with _naming_unused_folders(others), ranks.agreed():
+        trainer, threads = run_training.build(recipe, ranks)
+    if not manifest.data["source"]:  # killed before the first step, while its source was being kept
+        roots = [configs_dir().parent, *folders]
+        complete_snapshot(run, manifest, roots, threads, tree["run"].get("max_patch_mb"))
+    with ranks.agreed():
+        why = _load(run, trainer, point, changes)
+    why += [reason for reasons in ranks.tell_all([])[1:] for reason in reasons]
+    why += lasting_damage(run, manifest, point)
+    differences = differences_now(run, threads, folders)
+    why += [d.note or f"{d.section} {d.name} was {shorten(d.a)} and is {shorten(d.b)}" for d in differences]
+    if not (engine := trainer.env.env.scene.sim.promise())["exact"]:
+        why.append(f"the engine {engine['name']} on {engine['device']} does not repeat to the bit: {engine['because']}")
+    exact = not why
+    notes = [f"{path.name} cannot be used: {reason}" for path, reason in point.damaged.items()]
+    manifest.restart(
+        command=command,
+        threads=threads,
+        texts=texts,
+        iteration=point.iteration,
+        checkpoint=None if point.checkpoint is None else point.checkpoint.name,
+        overrides=list(overrides),
+        changes=[change_entry(change) for change in changes],
+        exact=exact,
+        why=why,
+        differences=[{"section": d.section, "name": d.name, "was": d.a, "now": d.b} for d in differences],
+        notes=notes,
+    )
+    with manifest.failing():
+        drop_past_checkpoint(run, point, events=tree["agent"].get("logger") is not None)
+    _report(display, point, why, [*notes, *thread_notes(threads)])
+    proof = _recomputed_check(manifest, point, display) if exact else RecomputedCheck()
+    return Training(recipe, trainer, run, manifest, lock, point.kept, proof)
+
+
+# --- what must be so ---
+
+
+def _require_ended(manifest: Manifest, display: Display) -> None:
+    """Refuse a run whose process lives; the lock tells that already where the file system knows locks."""
+    process = manifest.data.get("process") or {}
+    if manifest.status != "running":
+        return
+    alive = is_alive(process)
+    if alive and process != this_process():
+        raise RunDirectoryError(
+            f"is still being written by process {process['pid']}",
+            key=str(manifest.directory),
+            expected="a run that has ended: wait for it, or end that process first",
+        )
+    if alive is None:
+        display.note(
+            f"note: the run's process {process.get('pid')} on {process.get('host')} cannot be seen from here; "
+            "it is taken for dead"
+        )
+
+
+def _require_snapshot(run: RunDirectory, manifest: Manifest) -> None:
+    """Refuse a snapshot that is not whole, or not what the run was started with."""
+    recorded = manifest.data["files"]
+    for name in NEEDED:
+        path = run.path / name
+        if not path.is_file():
+            raise RunDirectoryError(
+                "is missing: the run ended before its snapshot was whole, or the file was removed",
+                key=str(path),
+                expected="the snapshot that every run begins with; without it, train again",
+            )
+        if name in recorded and sha256(path) != recorded[name]["sha256"]:
+            raise RunDirectoryError(
+                "was changed since the run began",
+                key=str(path),
+                expected="the file as it was; settings change by overrides, 'wheelleg resume RUN key=value'",
+            )
+
+
+def _config_dirs_of_command(manifest: Manifest) -> list[str]:
+    """Return the config folders that the command line names, for a run that was killed before they were recorded."""
+    words = [str(word) for word in manifest.data.get("command") or ()]
+    named = [after for word, after in pairwise(words) if word == "--config-dir"]
+    named += [word.partition("=")[2] for word in words if word.startswith("--config-dir=")]
+    place = Path(str(manifest.data.get("working_directory") or "."))
+    projects = (read_project(folder) for folder in (place / name for name in named))
+    return [str(project.configs if project else place / name) for project, name in zip(projects, named, strict=True)]
+
+
+def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
+    done = point.iteration
+    if total < done or (total == done and manifest.status == "finished"):
+        raise ConfigError(
+            f"is {total}, and the run has done {done} iterations",
+            key="agent.max_iterations",
+            expected=f"more than {done}: 'wheelleg resume {manifest.directory.name} agent.max_iterations=N'",
+        )
+
+
+@contextmanager
+def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
+    """Let errors about targets that are not found name the recorded config folders that are not used, and why."""
+    try:
+        yield
+    except ConfigError as error:
+        errors = parts(error)
+        for part in errors if folders else ():
+            if isinstance(part, NotAllowed):
+                for why in dict.fromkeys(folders.values()):
+                    names = ", ".join(folder for folder, reason in folders.items() if reason == why)
+                    part.message += f", and what the run was made with {why}: {names}"
+                part.expected = "--config-dir with the place where that folder is now, if it is yours"
+        raise join(errors) from error.__cause__
+
+
+# --- loading ---
+
+
+def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequence[Change]) -> list[str]:
+    """Load the checkpoint; return why what follows is not exactly what would have followed."""
+    deciding = [change_entry(change) for change in changes if decides(change.keys)]
+    if trainer.env.env.scene.model_digest() != saved_model_digest(run):
+        raise RunDirectoryError(
+            "the robot compiles to another model than the run's, so that its state means something else",
+            key=str(run.asset),
+            expected="the MuJoCo version that the run was made with (environment.txt)",
+        )
+    why = [f"{change['key']} was {shorten(change['was'])} and is {shorten(change['now'])}" for change in deciding]
+    if point.state is None:
+        return why
+    lost = load_state(trainer, point.state, learning_rate_of(changes))
+    return why if deciding else [*why, *lost]
+
+
+# --- telling ---
+
+
+def _recomputed_check(manifest: Manifest, point: ResumePoint, display: Display) -> RecomputedCheck:
+    def differs(iteration: int, names: list[str]) -> None:
+        reason = f"iteration {iteration} is not what it was before the stop: {', '.join(names)} differ"
+        display.note(f"warning: {reason}; some state of the run is in no checkpoint")
+        manifest.amend_resume(exact=False, why=[reason])
+
+    def holds(first: int, last: int) -> None:
+        manifest.amend_resume(proved=[first, last])
+
+    return RecomputedCheck(point.dropped, differs, holds)
+
+
+def _report(display: Display, point: ResumePoint, why: Sequence[str], notes: Sequence[str]) -> None:
+    for note in notes:
+        display.note(note if note.startswith("warning") else f"note: {note}")
+    where = "the beginning" if point.checkpoint is None else point.checkpoint.name
+    display.note(f"resuming from {where}, iteration {point.iteration}")
+    if point.dropped:
+        display.note(f"{len(point.dropped)} later iterations are computed again and held against the log")
+    if why:
+        display.note("not exact: what follows may differ from a run that was never stopped")
+        for reason in why:
+            display.note(f"  {reason}")

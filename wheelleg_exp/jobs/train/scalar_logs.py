@@ -1,0 +1,199 @@
+"""Log scalars to TensorBoard's event files and to Weights & Biases.
+
+An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content.
+The content is an ``Event`` message: first the file's version, then scalars by step. Event files are cut behind a
+checkpoint, so that a resumed run has each step once.
+
+Weights & Biases gets the run's name, its composed config, and its scalars, and nothing else. rsl_rl's own writer is
+not used: it also sends the local path and a git diff, takes the account from ``WANDB_USERNAME`` for a team, and
+uploads every film.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+from tensorboard.compat.proto.event_pb2 import Event  # type: ignore[import-untyped]
+from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import masked_crc32c  # type: ignore[import-untyped]
+from torch.utils.tensorboard import SummaryWriter
+
+from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.files import cut, for_people, read_bytes
+from wheelleg_exp.run.run_directory import RunDirectory
+
+EVENT_FILES = "events.out.tfevents.*"
+_HEADER, _FOOTER = 12, 4
+
+
+def event_files(folder: Path) -> list[Path]:
+    """Return the event files of a run, the oldest first."""
+    return sorted(folder.glob(EVENT_FILES))
+
+
+def open_events(folder: Path) -> SummaryWriter:
+    """Return the writer of a new event file, which TensorBoard reads after those that are there.
+
+    It reads them by name: the second in which one was begun, then process and number as text. So two never begin in
+    one second.
+    """
+    seconds = {path.name.removeprefix(EVENT_FILES[:-1])[:10] for path in event_files(folder)}
+    if f"{int(time.time()):010d}" in seconds:
+        time.sleep(1.0)
+    return SummaryWriter(log_dir=str(folder))
+
+
+def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
+    """Let the event files hold the scalars of ``lines`` and nothing else.
+
+    What stands past them is dropped. Files that lack some of them, as after a loss of data, are written anew.
+
+    Args:
+        folder: the run directory.
+        lines: the iterations that stay, as the log of iterations has them.
+
+    Raises:
+        SimulationFailure: the disk is full.
+    """
+    found: dict[int, set[str]] = defaultdict(set)
+    for path in event_files(folder):
+        _cut_file(path, len(lines), found)
+    if any(not set(line["scalars"]) <= found[index] for index, line in enumerate(lines)):
+        _rewrite(folder, lines)
+
+
+def _cut_file(path: Path, steps: int, found: dict[int, set[str]]) -> None:
+    """Drop everything from the first record past ``steps`` on; note the tags that stay, by step."""
+    end, kept = 0, 0
+    for event, stop in _events(path):
+        tags = [value.tag for value in event.summary.value]
+        if tags and not 0 <= event.step < steps:
+            break
+        if tags:
+            found[event.step].update(tags)
+            kept += 1
+        end = stop
+    if kept:
+        cut(path, end)
+    else:
+        with for_people(path):
+            path.unlink()
+
+
+def _events(path: Path) -> Iterator[tuple[Event, int]]:
+    """Yield the whole records of a file with the positions at which they end."""
+    data = read_bytes(path)
+    start = 0
+    while start + _HEADER <= len(data):
+        length, checksum = struct.unpack_from("<QI", data, start)
+        stop = start + _HEADER + length + _FOOTER
+        if checksum != masked_crc32c(data[start : start + 8]) or stop > len(data):
+            return
+        event = Event()
+        try:
+            event.ParseFromString(data[start + _HEADER : stop - _FOOTER])
+        except DecodeError:
+            return
+        yield event, stop
+        start = stop
+
+
+def _rewrite(folder: Path, lines: Collection[Mapping[str, Any]]) -> None:
+    for path in event_files(folder):
+        with for_people(path):
+            path.unlink()
+    with for_people(folder), open_events(folder) as writer:
+        for line in lines:
+            for key, value in line["scalars"].items():
+                writer.add_scalar(key, float(value), line["iteration"])
+
+
+_LOGGER_KEY, _WANDB = "agent.logger", "wandb"
+_WANDB_PROJECT = "wheelleg_exp"
+# What the library would send of its own accord: the machine, the program, the packages, the console, the source.
+_WANDB_SETTINGS = {
+    "console": "off",
+    "disable_code": True,
+    "disable_git": True,
+    "disable_job_creation": True,
+    "host": "",
+    "save_code": False,
+    "silent": True,
+    "x_disable_machine_info": True,
+    "x_disable_meta": True,
+    "x_disable_stats": True,
+    "x_save_requirements": False,
+}
+
+
+def require_wandb(logger: str | None) -> None:
+    """Refuse a logger whose package is not installed.
+
+    Raises:
+        ConfigError: with how to install it.
+    """
+    if logger == _WANDB and find_spec(_WANDB) is None:
+        raise ConfigError(
+            "the package wandb is not installed",
+            key=_LOGGER_KEY,
+            expected="pip install wheelleg_exp[wandb], or tensorboard",
+        )
+
+
+class WandbLog:
+    """Sends an iteration's scalars, from entering to leaving, where wandb's variables say (``WANDB_MODE``, ...).
+
+    A run that is gone on with goes on there as well, under the same id.
+
+    Args:
+        directory: the run directory; its name is the run's.
+        config: the composed config.
+    """
+
+    def __init__(self, directory: RunDirectory, config: Mapping[str, Any]) -> None:
+        self._directory, self._config = directory, config
+
+    def __enter__(self) -> WandbLog:
+        import wandb
+
+        task, moment = self._directory.path.parent.name, self._directory.manifest().started
+        try:
+            self._run = wandb.init(
+                project=os.environ.get("WANDB_PROJECT", _WANDB_PROJECT),
+                name=f"{task}/{self._directory.id}",
+                id=f"{task}-{self._directory.id}-{moment:%f}",  # seeds may start in one second on many machines
+                resume="allow",
+                dir=os.environ.get("WANDB_DIR", str(self._directory.root)),
+                config=dict(self._config),
+                force=True,  # a question for a key would wait for an answer
+                settings=wandb.Settings(**_WANDB_SETTINGS),
+            )
+        except wandb.Error as error:
+            raise WheellegError(
+                f"Weights & Biases cannot be reached: {str(error).splitlines()[0]}",
+                key=_LOGGER_KEY,
+                expected="a login ('wandb login'), or WANDB_MODE=offline in the environment",
+            ) from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._run.finish(exit_code=0 if kind is None else 1)
+
+    @property
+    def place(self) -> str:
+        """Where it goes: the run's page, or the folder that ``wandb sync`` sends later."""
+        return str(Path(self._run.dir).parent if self._run.offline else self._run.url)
+
+    def write(self, scalars: Mapping[str, float], iteration: int) -> None:
+        """Send one iteration's scalars; an iteration that was sent before stays as it is."""
+        self._run.log(dict(scalars), step=iteration)

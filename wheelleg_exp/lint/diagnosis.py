@@ -1,0 +1,379 @@
+"""The diagnosis of ``doctor``: a robot's findings in order of urgency, and facts that are not faults.
+
+The robot is that of a task, or a file alone with its own pose, drives, and limits on level ground. A task is also
+run for a short trial under random actions.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import tempfile
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
+from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, Drive, at_default, compiled_robot
+from wheelleg_exp.anatomy.stance import weight_over_axle
+from wheelleg_exp.asset import Conversion, convert
+from wheelleg_exp.asset.robot_description import Dof
+from wheelleg_exp.asset.robot_values import effort_of
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.errors import AssetError
+from wheelleg_exp.lint.physics_check import RULES, examine, facts_rows
+from wheelleg_exp.lint.rule import Case, Finding
+from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.project.survey import default_position, provisional_robot
+
+_ENVS, _SECONDS = 32, 2.0
+
+
+def random_rewards(composed: Composed) -> Mapping[str, float]:
+    """Return the mean of each reward term while the actions are standard normal, by name, per second.
+
+    Args:
+        composed: a config without mistakes. It is run with 32 environments for two seconds.
+
+    Raises:
+        WheellegError: the environment cannot be built.
+    """
+    config = copy.deepcopy(composed.config)
+    config["env"]["num_envs"] = _ENVS
+    env = build_env(config, composed.asset_roots)
+    stream = torch.Generator(device=env.device).manual_seed(int(config["seed"]))
+    env.reset()
+    steps = max(1, round(_SECONDS / env.step_dt))
+    total = torch.zeros(len(env.reward_manager.active_terms), device=env.device)
+    for _ in range(steps):
+        shape = (_ENVS, env.action_manager.total_action_dim)
+        env.step(torch.randn(shape, generator=stream, device=env.device))
+        total += env.reward_manager.step_reward.mean(dim=1)
+    return dict(zip(env.reward_manager.active_terms, (total / steps).tolist(), strict=True))
+
+
+_MJCF = (".xml", ".mjcf")
+_ENDLESS = 1e6  # from here on a limit is none
+_TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
+
+
+def case_of_file(source: Path) -> Case:
+    """Return a robot's file as rules look at it, with its own default pose and drives, standing on level ground.
+
+    Args:
+        source: a USD, URDF or MJCF file.
+
+    Raises:
+        AssetError: the file cannot be read, or holds no robot with joints.
+    """
+    stock = compose(["task=stand"]).config["env"]
+    env = {**stock, **{name: {} for name in _TERMS}, "scene": {**stock["scene"], "sensors": {}}}
+    with tempfile.TemporaryDirectory(prefix="wheelleg-doctor-") as folder:
+        if source.suffix.lower() in _MJCF:
+            model = _model(source)
+            drives = _drives_of_mjcf(model)
+            return _looked_at(source, env, source, _robot_of_mjcf(source, model), None, drives, list(drives))
+        conversion = convert(source, Path(folder) / "model.xml", base="floating")
+        positions = {dof.name: default_position(dof) for dof in conversion.description.dofs if dof.kind != "ball"}
+        described = conversion.description
+        robot = provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
+        drives = {dof.name: _drive(dof) for dof in described.dofs}
+        return _looked_at(source, env, conversion.output, robot, conversion, drives, described.driven)
+
+
+def _looked_at(
+    source: Path,
+    env: Mapping[str, Any],
+    mjcf: Path,
+    robot: dict[str, Any],
+    conversion: Conversion | None,
+    drives: Mapping[str, Drive | None],
+    driven: Collection[str],
+) -> Case:
+    config = {"env": {**env, "robot": robot}}
+    scene = SceneManager(config["env"], mjcf, 1).scene
+    if not scene.robot.joint_names:
+        expected = "a robot with joints to drive"
+        raise AssetError("the robot has no joints", where=str(source), expected=expected)
+    model = scene.spec.compile()
+    bodies = [model.body(name).id for name in scene.robot.body_names]
+    lowest = lowest_point(model, at_default(model, scene.robot), bodies)
+    if math.isfinite(lowest) and scene.robot.floating:
+        scene.robot.layout.default_root_pos[2] -= lowest
+    found, facts = compiled_robot(model, scene.robot, conversion.report if conversion is not None else None, driven)
+    wheels = set(facts.wheels)
+    joints = {
+        name: replace(joint, drive=_grouped(drives.get(name), wheels, name)) for name, joint in facts.joints.items()
+    }
+    return Case(config, replace(facts, joints=joints), found)
+
+
+def _grouped(drive: Drive | None, wheels: set[str], name: str) -> Drive | None:
+    return None if drive is None else replace(drive, group="wheels" if name in wheels else "legs")
+
+
+def _drive(dof: Dof) -> Drive | None:
+    """Return a joint's drive as its file gives it; what the file leaves out limits nothing."""
+    effort = effort_of(dof)
+    if dof.drive is None and effort is None and dof.max_velocity is None:
+        return None
+    return Drive(
+        "",
+        dof.drive.stiffness if dof.drive is not None else 0.0,
+        dof.drive.damping if dof.drive is not None else 0.0,
+        _limit(effort),
+        _limit(dof.max_velocity),
+    )
+
+
+def _limit(value: float | None) -> float:
+    return value if value is not None and value < _ENDLESS else math.inf
+
+
+def _model(source: Path) -> mujoco.MjModel:
+    if not source.is_file():
+        raise AssetError("there is no such file", where=str(source))
+    try:
+        return mujoco.MjModel.from_xml_path(str(source))
+    except ValueError as error:
+        raise AssetError(f"MuJoCo cannot read it: {' '.join(str(error).split())}", where=str(source)) from None
+
+
+def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
+    """Return an ``env.robot`` section for an MJCF in its first saved state, or its own zero."""
+    qpos = model.key_qpos[0] if model.nkey else model.qpos0
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    scalar = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
+    positions: dict[str, float] = {}
+    for joint in np.flatnonzero(scalar).tolist():
+        name = model.joint(joint).name
+        if not name:
+            raise AssetError("a joint has no name", where=str(source), expected="a name for every joint and body")
+        low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.inf, math.inf)
+        positions[name] = float(min(max(qpos[model.jnt_qposadr[joint]], low), high))
+    start = int(model.jnt_qposadr[free[0]]) + 3 if len(free) else None
+    rotation = qpos[start : start + 4].tolist() if start is not None else [1.0, 0.0, 0.0, 0.0]
+    return provisional_robot(source.stem, rotation, positions)
+
+
+def _drives_of_mjcf(model: mujoco.MjModel) -> dict[str, Drive | None]:
+    """Return the drives of joints with actuators of their own: these add up, and the joint may limit their sum."""
+    drives: dict[str, Drive | None] = {}
+    for joint in range(model.njnt):
+        own = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
+        parts = [_actuator(model, index) for index in np.flatnonzero(own).tolist()]
+        if not parts:
+            continue
+        stiffness, damping, effort = (sum(values) for values in zip(*parts, strict=True))
+        damping += float(model.dof_damping[model.jnt_dofadr[joint]])
+        if model.jnt_actfrclimited[joint]:
+            effort = min(effort, float(np.abs(model.jnt_actfrcrange[joint]).max()))
+        drives[model.joint(joint).name] = Drive("", stiffness, damping, effort, math.inf)
+    return drives
+
+
+def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
+    """Return an actuator's stiffness, N·m/rad, damping, N·m·s/rad, and largest torque, N·m, at its joint."""
+    gear = abs(float(model.actuator_gear[index, 0]))
+    limits = [math.inf]
+    if model.actuator_forcelimited[index]:
+        limits.append(gear * float(np.abs(model.actuator_forcerange[index]).max()))
+    bias = model.actuator_biasprm[index]
+    if model.actuator_ctrllimited[index] and not bias.any():  # a motor's control is its torque
+        gain = gear * float(model.actuator_gainprm[index, 0])
+        limits.append(gain * float(np.abs(model.actuator_ctrlrange[index]).max()))
+    return gear**2 * -float(bias[1]) + 0.0, gear**2 * -float(bias[2]) + 0.0, min(limits)
+
+
+# What is to be mended first stands first: nothing that follows means much before it.
+OF_ROBOT = (
+    "no_colliders",
+    "missing_files",
+    "lost_in_conversion",
+    "assumed_masses",
+    "robot_size",
+    "link_masses",
+    "wheels_that_do_not_roll",
+    "rolling_direction",
+    "overlapping_bodies",
+    "mirror_images",
+    "wheel_senses",
+    "joint_limits",
+    "balance_pose",
+    "placeholder_limits",
+    "effort_against_load",
+    "weak_wheels",
+    "gains_against_time_step",
+    "armature_ratio",
+)
+OF_TASK = (
+    *OF_ROBOT,
+    "effort_against_traction",
+    "lopsided_pose",
+    "contact_at_start",
+    "spawn_height",
+    "reset_into_ground",
+    "episode_end",
+    "target_height",
+    "contact_threshold",
+    "action_scale",
+    "command_reach",
+    "drive_bandwidth",
+    "control_rate",
+    "falling_pays",
+    "reward_outweighs",
+)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found.
+
+    Attributes:
+        subject: the file or the task.
+        case: what was looked at.
+        findings: the most urgent first; those that the task silences are left out.
+        silenced: findings that the task silences, with its reasons.
+        notes: what is no fault and good to know.
+    """
+
+    subject: str
+    case: Case
+    findings: tuple[Finding, ...]
+    silenced: tuple[tuple[Finding, str], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def first(self) -> str:
+        """The one line to act on first."""
+        if not self.findings:
+            return f"{self.subject}: nothing to mend"
+        finding = self.findings[0]
+        return f"first: {finding.message}; {finding.hint}"
+
+    def facts(self) -> list[tuple[str, str, str]]:
+        """Return the robot's facts: name, value, unit."""
+        return facts_rows(self.case.facts)
+
+    def document(self) -> dict[str, Any]:
+        """Return all of it for scripts."""
+        robot = self.case.robot
+        return {
+            "subject": self.subject,
+            "findings": [{**asdict(finding), "known_by": known_by(finding)} for finding in self.findings],
+            "silenced": [{**asdict(finding), "reason": reason} for finding, reason in self.silenced],
+            "notes": list(self.notes),
+            "first": self.first,
+            "facts": asdict(self.case.facts),
+            "anatomy": asdict(robot.anatomy) if robot is not None else None,
+        }
+
+
+def diagnose_file(source: Path) -> Diagnosis:
+    """Look at a robot's file.
+
+    Args:
+        source: a USD, URDF or MJCF file.
+
+    Raises:
+        AssetError: the file cannot be read, or holds no robot with joints.
+    """
+    return diagnose_case(str(source), case_of_file(source))
+
+
+def diagnose_case(subject: str, case: Case) -> Diagnosis:
+    """Look at a robot without a task; see ``case_of_file``."""
+    found = [finding for name in OF_ROBOT for finding in RULES[name](case)]
+    return Diagnosis(subject, case, tuple(found), (), tuple(notes_on(case)))
+
+
+def diagnose_task(composed: Composed) -> Diagnosis:
+    """Look at a task's robot, its start and its drives.
+
+    Args:
+        composed: a config without mistakes.
+
+    Raises:
+        WheellegError: the robot cannot be read, or the scene cannot be built.
+    """
+    report = examine(composed)
+    case = replace(report.case, trial=random_rewards(composed))
+    tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]
+    order = {name: place for place, name in enumerate(OF_TASK)}
+    ours = sorted((f for f in (*report.findings, *tried) if f.rule in order), key=lambda finding: order[finding.rule])
+    silenced = tuple((finding, report.reasons[finding.rule]) for finding in ours if finding.rule in report.reasons)
+    found = tuple(finding for finding in ours if finding.rule not in report.reasons)
+    subject = f"task={report.case.config['task']['name']}"
+    return Diagnosis(subject, report.case, found, silenced, tuple(notes_on(report.case)))
+
+
+def known_by(finding: Finding) -> str:
+    """Return what a rule's finding rests on: the source that its text names."""
+    _, _, source = RULES[finding.rule].text.partition("Source: ")
+    return " ".join(source.split()).rstrip(".")
+
+
+def notes_on(case: Case) -> list[str]:
+    """Return what is no fault and good to know of a robot."""
+    robot = case.robot
+    if robot is None:
+        return []
+    anatomy = robot.anatomy
+    notes = [_way(robot)]
+    notes += [f"{w.joint}: a wheel, {w.side}, because it {w.why}" for w in anatomy.wheels]
+    loops = sum(len(leg.loops) for leg in anatomy.legs)
+    if loops:
+        notes.append(f"{loops} closed loops in the legs: their joints share the load, and move together")
+    if anatomy.forward is not None and anatomy.one_axle:
+        weight = weight_over_axle(robot)
+        notes.append(
+            f"the centre of mass above the wheels: {1e3 * weight.ahead:+.1f} mm along forwards, "
+            f"{1e3 * weight.above:.4g} mm over the axle, a lean of {math.degrees(weight.lean):+.1f}°"
+        )
+    notes += _opposite(robot)
+    return notes + _self_collisions(robot)
+
+
+def _way(robot: CompiledRobot) -> str:
+    anatomy = robot.anatomy
+    if not anatomy.wheels:
+        return "no wheels: no hinge without limits turns something round about a level axis, low and last of its chain"
+    count = f"{len(anatomy.wheels)} {'wheel' if len(anatomy.wheels) == 1 else 'wheels'}"
+    if anatomy.forward is None:
+        return f"{count}, which roll along no common line"
+    x, y, z = anatomy.forward
+    return f"{count}; forwards is ({x:.3g}, {y:.3g}, {z:.3g}) of the base '{anatomy.base}'"
+
+
+def _opposite(robot: CompiledRobot) -> list[str]:
+    signs = {wheel.joint: wheel.sign for wheel in robot.drawn.wheels if wheel.sign}
+    backwards = [name for name, sign in signs.items() if sign < 0]
+    if backwards and len(backwards) < len(signs):
+        return [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight on"]
+    return []
+
+
+def _self_collisions(robot: CompiledRobot) -> list[str]:
+    pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
+    hidden = [pair for pair in pairs if not pair.acts and not pair.neighbours]
+    if not hidden:
+        return []
+    one, other = hidden[0].bodies
+    count = "1 pair of bodies" if len(hidden) == 1 else f"{len(hidden)} pairs of bodies"
+    return [
+        f"self_collisions: true would begin with {count} inside one another, the deepest '{one}' and '{other}' by "
+        f"{1e3 * hidden[0].depth:.3g} mm"
+    ]
+
+
+def rows_of(findings: Sequence[Finding], reasons: Mapping[str, str] | None = None) -> list[tuple[str, ...]]:
+    """Return findings in words: rule, key, place, what, what to write, how it is known (or why it is silenced)."""
+    return [
+        (f.rule, f.key, f.where or "", f.message, f.hint, (reasons or {}).get(f.rule) or known_by(f)) for f in findings
+    ]

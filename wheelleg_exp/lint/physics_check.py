@@ -1,0 +1,200 @@
+"""The report of ``check --physics``: facts of the robot, value of each reward, findings, and which are silenced."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, RobotFacts, compiled_robot
+from wheelleg_exp.asset.cache import REPORT
+from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.config.checking.check_robot_names import converted
+from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.config.schema import PHYSICS_RULES
+from wheelleg_exp.lint import (
+    rules_drives,
+    rules_episode,
+    rules_interface,
+    rules_learning,
+    rules_links,
+    rules_shape,
+)
+from wheelleg_exp.lint import (
+    rules_learning as rules_curriculum,
+)
+from wheelleg_exp.lint import (
+    rules_learning as rules_rewards,
+)
+from wheelleg_exp.lint import (
+    rules_links as rules_conversion,
+)
+from wheelleg_exp.lint import (
+    rules_shape as rules_balance,
+)
+from wheelleg_exp.lint import (
+    rules_shape as rules_symmetry,
+)
+from wheelleg_exp.lint.reward_tolerances import Contribution, contributions, earned_per_second
+from wheelleg_exp.lint.rule import RULES as _RULES
+from wheelleg_exp.lint.rule import Case, Finding, Rule
+from wheelleg_exp.managers import SceneManager
+
+_MODULES = (
+    rules_episode,
+    rules_interface,
+    rules_rewards,
+    rules_drives,
+    rules_interface,
+    rules_episode,
+    rules_episode,
+    rules_learning,
+    rules_curriculum,
+    rules_balance,
+    rules_conversion,
+    rules_links,
+    rules_episode,
+    rules_shape,
+    rules_symmetry,
+)
+
+# In the order of their names, as the schema lists them.
+RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
+
+
+@dataclass(frozen=True)
+class PhysicsReport:
+    """What ``check --physics`` says.
+
+    Attributes:
+        case: the config and the robot's facts.
+        findings: all findings, by rule.
+        reasons: why a rule is silenced, by rule.
+    """
+
+    case: Case
+    findings: tuple[Finding, ...]
+    reasons: Mapping[str, str]
+
+    @property
+    def open(self) -> list[Finding]:
+        """The findings that are not silenced."""
+        return [finding for finding in self.findings if finding.rule not in self.reasons]
+
+    @property
+    def silenced(self) -> list[Finding]:
+        """The findings that are silenced."""
+        return [finding for finding in self.findings if finding.rule in self.reasons]
+
+    @property
+    def unused(self) -> list[str]:
+        """The silences that silence nothing."""
+        found = {finding.rule for finding in self.findings}
+        return [name for name in self.reasons if name not in found]
+
+    def facts_table(self) -> list[tuple[str, str, str]]:
+        """Return the robot's facts in words: name, value, unit."""
+        return facts_rows(self.case.facts)
+
+    def rewards_table(self) -> list[tuple[str, str, str, str, str, str]]:
+        """Return each reward: name, weight, tolerance, per step, per episode, share of what a perfect robot earns."""
+        found = contributions(self.case)
+        best = earned_per_second(found) * self.case.episode_s
+        return [_reward_row(self.case, item, best) for item in found]
+
+    def document(self) -> dict[str, Any]:
+        """Return the report for scripts."""
+        return {
+            "findings": [asdict(finding) for finding in self.open],
+            "silenced": [{**asdict(finding), "reason": self.reasons[finding.rule]} for finding in self.silenced],
+            "unused_silences": self.unused,
+            "facts": asdict(self.case.facts),
+            "rewards": [_reward_document(self.case, item) for item in contributions(self.case)],
+        }
+
+
+def examine(composed: Composed) -> PhysicsReport:
+    """Convert and compile the robot, measure it, and run every rule.
+
+    Args:
+        composed: a config without mistakes.
+
+    Raises:
+        WheellegError: the robot cannot be read, or the scene cannot be built.
+    """
+    with composed.placing():
+        robot, facts = task_robot(composed)
+        case = Case(composed.config, facts, robot)
+    found = [finding for rule in RULES.values() for finding in rule(case)]
+    placed = [replace(finding, where=composed.provenance.where(finding.key)) for finding in found]
+    silences = (composed.config.get("check") or {}).get("silence") or {}
+    reasons = {name: reason for name, reason in silences.items() if reason is not None}
+    return PhysicsReport(case, tuple(placed), reasons)
+
+
+def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
+    """Return a config's robot, compiled as for training, and its facts."""
+    env = composed.config["env"]
+    env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}  # a model is looked at, not stepped
+    mjcf = converted(env, composed.asset_roots)
+    scene = SceneManager(env, mjcf, num_envs=1).scene
+    return compiled_robot(scene.spec.compile(), scene.robot, _report(mjcf))
+
+
+def _report(mjcf: Path) -> Report | None:
+    """Return the report of a conversion in the cache."""
+    try:
+        return Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def robot_facts(composed: Composed) -> RobotFacts:
+    """Return the facts of a config's robot, compiled as for training."""
+    return task_robot(composed)[1]
+
+
+def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
+    """Return a robot's facts: name, value, unit."""
+    rows = [
+        ("mass", f"{facts.mass:.4g}", "kg"),
+        ("weight on each wheel", f"{facts.wheel_load:.3g}", "N"),
+        ("wheels", ", ".join(facts.wheels) or "none", ""),
+        ("wheel radius", f"{1e3 * facts.wheel_radius:.4g}", "mm"),
+        ("track", f"{1e3 * facts.track:.4g}", "mm"),
+        ("standing height", f"{1e3 * facts.standing_height:.4g}", "mm"),
+        ("start above the ground", f"{1e3 * facts.clearance:.3g}", "mm"),
+        ("friction before it is drawn", f"{facts.friction:.3g}", ""),
+        ("slips at", f"{facts.friction * facts.wheel_load * facts.wheel_radius:.3g}", "N·m"),
+        ("top speed", f"{facts.top_speed:.3g}", "m/s"),
+    ]
+    if facts.balance is not None:
+        rows += [
+            ("mass on the axle", f"{facts.balance.mass:.4g}", "kg"),
+            ("its height over the axle", f"{1e3 * facts.balance.height:.4g}", "mm"),
+            ("its inertia about the axle", f"{facts.balance.inertia:.3g}", "kg·m²"),
+            ("falls in (time constant)", f"{1 / facts.balance.pole:.3g}", "s"),
+        ]
+    return rows
+
+
+def _reward_row(case: Case, item: Contribution, best: float) -> tuple[str, str, str, str, str, str]:
+    if item.value is None:
+        return item.term.name, f"{item.weight:g}", "not known", "", "", ""
+    episode = item.per_episode(case)
+    share = f"{100 * episode / best:.3g} %" if best > 0 else ""
+    step = f"{item.per_step(case.step_dt):.2g}"
+    return item.term.name, f"{item.weight:g}", item.tolerance, step, f"{episode:.3g}", share
+
+
+def _reward_document(case: Case, item: Contribution) -> dict[str, Any]:
+    known = item.value is not None
+    return {
+        "term": item.term.path,
+        "weight": item.weight,
+        "tolerance": item.tolerance or None,
+        "value": item.value,
+        "per_step": item.per_step(case.step_dt) if known else None,
+        "per_episode": item.per_episode(case) if known else None,
+    }

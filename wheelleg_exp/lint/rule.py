@@ -1,0 +1,213 @@
+"""What a rule inspects and what it finds: the case, the finding, the registry of rules, and rounding of advice."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from typing import Any
+
+from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, Joint, RobotFacts
+from wheelleg_exp.config.checking.check_terms import term_nodes
+from wheelleg_exp.config.schema import PHYSICS_RULES
+from wheelleg_exp.sim.names import match_names, values_by_name
+from wheelleg_exp.terms.term_binding import TARGET, resolve_target
+
+_LIBRARY = "wheelleg_exp.mdp."
+
+
+@dataclass(frozen=True)
+class TermView:
+    """A term of the config.
+
+    Attributes:
+        name: its name.
+        path: its key.
+        kind: its target below the library's ``mdp``, such as ``rewards.is_alive`` whatever alias the config uses;
+            another package's target keeps its full name.
+        node: its settings.
+    """
+
+    name: str
+    path: str
+    kind: str
+    node: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A config and its robot.
+
+    Attributes:
+        config: the composed tree, plain and free of mistakes.
+        facts: the robot's facts.
+        robot: the robot itself; None where only its facts are at hand.
+        trial: the mean of each reward under random actions, by name, per second; None where nobody tried.
+    """
+
+    config: Mapping[str, Any]
+    facts: RobotFacts
+    robot: CompiledRobot | None = None
+    trial: Mapping[str, float] | None = None
+
+    @property
+    def env(self) -> Mapping[str, Any]:
+        """The ``env`` section."""
+        section: Mapping[str, Any] = self.config["env"]
+        return section
+
+    @property
+    def agent(self) -> Mapping[str, Any]:
+        """The ``agent`` section."""
+        section: Mapping[str, Any] = self.config["agent"]
+        return section
+
+    @property
+    def physics_dt(self) -> float:
+        """Physics step, s."""
+        return float(self.env["sim"]["dt"])
+
+    @property
+    def step_dt(self) -> float:
+        """Control step, s."""
+        return self.physics_dt * int(self.env["decimation"])
+
+    @property
+    def episode_s(self) -> float:
+        """Longest episode, s."""
+        return float(self.env["episode_length_s"])
+
+    @property
+    def episode_steps(self) -> int:
+        """Longest episode, control steps."""
+        return math.ceil(round(self.episode_s / self.step_dt, 9))
+
+    def terms(self, section: str, *kinds: str) -> Iterator[TermView]:
+        """Yield the terms of a section, of all kinds or of some."""
+        for found, path, node in term_nodes(self.config):
+            if found != section:
+                continue
+            view = TermView(path.rsplit(".", 1)[-1], path, kind_of(str(node[TARGET]), path), node)
+            if not kinds or view.kind in kinds:
+                yield view
+
+    def joints(self, node: Mapping[str, Any], name: str = "asset_cfg") -> dict[str, Joint]:
+        """Return the joints that a term looks at: those of its entity, or those of its ``joint_names``, or all."""
+        entity = node.get(name)
+        expressions = entity.get("joint_names") if isinstance(entity, Mapping) else node.get("joint_names")
+        joints = self.facts.joints
+        if expressions is None:
+            return joints
+        found = match_names(expressions, list(joints), key=name, what="joint")[1]
+        return {joint: joints[joint] for joint in found}
+
+    def by_joint(self, values: Any, names: Sequence[str], default: Any) -> dict[str, Any]:
+        """Spread a number, or a mapping of joint expressions to values, over joints."""
+        spread = values_by_name(values, list(names), default, key="values", what="joint")
+        return dict(zip(names, spread, strict=True))
+
+
+def kind_of(target: str, path: str) -> str:
+    """Return a target by its own name, whatever alias names it, without the library's prefix and inner modules."""
+    found = resolve_target(target, path)
+    module, name = inspect.unwrap(found).__module__, getattr(found, "__qualname__", "")
+    if module.startswith(_LIBRARY):
+        module = module.removeprefix(_LIBRARY).partition(".")[0]
+    return f"{module}.{name}"
+
+
+def largest(pair: Any) -> float:
+    """Return the largest size of a number in [low, high]; 0 when there is no range."""
+    return max((abs(float(value)) for value in pair), default=0.0) if pair is not None else 0.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding.
+
+    Attributes:
+        key: the config key that it speaks of.
+        message: what is the matter, with the figures.
+        hint: what to do.
+        figures: the figures by name, SI units.
+        advice: settings, values by config key, each of which ends the finding; empty where the hint names no number.
+        rule: the rule's name, filled in by the registry.
+        where: the file and line, or the override, that set the key.
+    """
+
+    key: str
+    message: str
+    hint: str
+    figures: dict[str, float] = field(default_factory=dict)
+    advice: tuple[Mapping[str, Any], ...] = ()
+    rule: str = ""
+    where: str | None = None
+
+    def line(self) -> str:
+        """Return the finding on one line, with its place and how to silence it."""
+        place = f" ({self.where})" if self.where else ""
+        return f"{self.key}: {self.message}{place}; check.silence.{self.rule} silences it"
+
+
+RuleFunction = Callable[[Case], Iterator[Finding]]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule: its name and what it finds, the first line of its docstring; ``text`` is the whole of it."""
+
+    name: str
+    summary: str
+    text: str
+    function: RuleFunction
+
+    def __call__(self, case: Case) -> list[Finding]:
+        """Return the rule's findings."""
+        return [replace(finding, rule=self.name) for finding in self.function(case)]
+
+
+RULES: dict[str, Rule] = {}
+
+
+def rule(function: RuleFunction) -> RuleFunction:
+    """Register a rule under its function's name, by which ``check.silence`` silences it."""
+    name = function.__name__
+    if name not in PHYSICS_RULES:
+        raise ValueError(f"the rule '{name}' is missing in wheelleg_exp.config.schema.PHYSICS_RULES")
+    text = inspect.getdoc(function) or name.replace("_", " ")  # Python may run without docstrings
+    RULES[name] = Rule(name, text.splitlines()[0].rstrip("."), text, function)
+    return function
+
+
+DIGITS = 2
+
+
+def at_least(value: float, digits: int = DIGITS) -> float:
+    """Return the smallest number of so many digits that is not below ``value``."""
+    return float(_rounded(value, digits, ROUND_CEILING))
+
+
+def at_most(value: float, digits: int = DIGITS) -> float:
+    """Return the largest number of so many digits that is not above ``value``."""
+    return float(_rounded(value, digits, ROUND_FLOOR))
+
+
+def above(value: float, digits: int = DIGITS) -> float:
+    """Return the smallest number of so many digits above ``value``, or the next one."""
+    return float(_rounded(value, digits, ROUND_FLOOR) + _last_place(value, digits))
+
+
+def below(value: float, digits: int = DIGITS) -> float:
+    """Return the largest number of so many digits below ``value``, or the next one."""
+    return float(_rounded(value, digits, ROUND_CEILING) - _last_place(value, digits))
+
+
+def _rounded(value: float, digits: int, rounding: str) -> Decimal:
+    exact = Decimal(repr(float(value)))  # 0.03 is three hundredths here, and nothing more
+    return exact.quantize(_last_place(value, digits), rounding=rounding) if exact.is_finite() else exact
+
+
+def _last_place(value: float, digits: int) -> Decimal:
+    return Decimal(1).scaleb(Decimal(repr(float(value))).adjusted() - digits + 1)

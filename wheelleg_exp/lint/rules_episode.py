@@ -1,0 +1,444 @@
+"""Rules about an episode: randomisation without effect, size of pushes and wrenches, how it starts, and how it ends."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.anatomy.collider_shapes import lowest_point
+from wheelleg_exp.anatomy.compiled_robot import Balance, CompiledRobot
+from wheelleg_exp.lint.reward_tolerances import HEIGHTS
+from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, below, largest, rule
+from wheelleg_exp.lint.rules_drives import wheel_friction
+
+_SCALES = ("events.reset_joints_by_scale",)
+_CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
+_MATERIAL = ("events.randomize_rigid_body_material",)
+_REPEATED = ("reset", "interval")
+_FIXED = ("resampling_time_range", "restitution_range")  # a period may well be fixed, and nothing bounces
+
+
+@rule
+def noop_joint_reset(case: Case) -> Iterator[Finding]:
+    """A reset by scale that multiplies zeros.
+
+    The event sets a joint to its default times a drawn factor: where the default is 0, it is 0 whatever is drawn.
+    Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
+    """
+    for term in case.terms("events", *_SCALES):
+        joints = case.joints(term.node)
+        for name, zeros in (
+            ("position_range", [j for j, facts in joints.items() if facts.default == 0.0]),
+            ("velocity_range", [j for j, facts in joints.items() if facts.default_velocity == 0.0]),
+        ):
+            low, high = term.node[name]
+            if low == high or not zeros:
+                continue
+            what = name.removesuffix("_range")
+            which = "every joint" if len(zeros) == len(joints) else ", ".join(zeros)
+            yield Finding(
+                f"{term.path}.{name}",
+                f"the factor U({low:g}, {high:g}) multiplies a default {what} of 0 on {which}: nothing is drawn",
+                "reset_joints_by_offset adds the drawn value instead",
+                {"low": low, "high": high, "joints": len(zeros)},
+            )
+
+
+@rule
+def zero_width_range(case: Case) -> Iterator[Finding]:
+    """A range whose ends are equal, so that every draw is the same.
+
+    Of ranges by axis, at least one axis must have a width. A command that never changes makes its observation a
+    constant, which no policy learns from. Source: arithmetic.
+    """
+    for term in (*case.terms("events"), *case.terms("commands")):
+        for name, value in term.node.items():
+            if name in _FIXED or not _is_range(str(name), value) or _has_width(value):
+                continue
+            shown = next(iter(value.values())) if isinstance(value, Mapping) else value
+            yield Finding(
+                f"{term.path}.{name}",
+                f"every draw is {float(shown[0]):g}: the range has no width",
+                "give it a width, or take the draw out",
+                {"low": float(shown[0]), "high": float(shown[1])},
+            )
+
+
+def _is_range(name: str, value: Any) -> bool:
+    if name == "ranges" or (name.endswith("_range") and isinstance(value, Mapping)):
+        return bool(_pairs(value))
+    ranged = name.endswith("_range") or name == "mass_distribution_params"
+    return ranged and isinstance(value, list) and len(value) == 2
+
+
+def _pairs(value: Mapping[str, Any]) -> list[Any]:
+    return [pair for pair in value.values() if pair is not None]
+
+
+def _has_width(value: Any) -> bool:
+    pairs = _pairs(value) if isinstance(value, Mapping) else [value]
+    return any(pair[0] != pair[1] for pair in pairs)
+
+
+@rule
+def event_never_fires(case: Case) -> Iterator[Finding]:
+    """An interval event that no episode lives long enough to see.
+
+    The timer of each environment is drawn anew at every reset: a shortest interval of at least an episode never
+    runs out. Source: Isaac Lab 2.3.2, ``isaaclab/managers/event_manager.py``, ``reset``.
+    """
+    for term in case.terms("events"):
+        if term.node.get("mode") != "interval" or term.node.get("is_global_time", False):
+            continue
+        shortest = float(term.node["interval_range_s"][0])
+        if shortest >= case.episode_s:
+            key, longest = f"{term.path}.interval_range_s", float(term.node["interval_range_s"][1])
+            yield Finding(
+                key,
+                f"the shortest interval is {shortest:g} s and an episode lasts {case.episode_s:g} s at most; timers "
+                "are redrawn at each reset, so the event never happens",
+                f"an interval below {case.episode_s:g} s, longer episodes, or is_global_time",
+                {"shortest_s": shortest, "episode_s": case.episode_s},
+                ({key: [below(case.episode_s), longest]}, {f"{term.path}.is_global_time": True}),
+            )
+
+
+@rule
+def cumulative_randomisation(case: Case) -> Iterator[Finding]:
+    """A centre of mass that walks away, because each draw adds to the last one.
+
+    After n draws of half-width d the offset has a spread of d sqrt(n / 3), the deviation of a sum of uniform
+    draws. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``randomize_rigid_body_com``.
+    """
+    for term in case.terms("events", *_CUMULATIVE):
+        if term.node.get("mode") not in _REPEATED:
+            continue
+        width = max((abs(float(v)) for pair in term.node["com_range"].values() for v in pair), default=0.0)
+        spread = width * (100 / 3) ** 0.5
+        yield Finding(
+            f"{term.path}.mode",
+            f"offsets of up to {1e3 * width:.3g} mm add up at each {term.node['mode']}: after 100 of them the spread "
+            f"is {1e3 * spread:.3g} mm",
+            "mode: startup draws once",
+            {"width_m": width, "spread_after_100_m": spread},
+            ({f"{term.path}.mode": "startup"},),
+        )
+
+
+@rule
+def noop_restitution(case: Case) -> Iterator[Finding]:
+    """Restitution that is drawn and has no effect.
+
+    MuJoCo's soft contacts have no coefficient of restitution: the drawn value acts on nothing. Source: MuJoCo
+    documentation, Computation, "Contact".
+    """
+    for term in case.terms("events", *_MATERIAL):
+        low, high = term.node["restitution_range"]
+        if low != high:
+            key = f"{term.path}.restitution_range"
+            yield Finding(
+                key,
+                f"restitution U({low:g}, {high:g}) is drawn, but MuJoCo has no coefficient for it to act on",
+                "[0.0, 0.0], or vary the contact softness of the model",
+                {"low": low, "high": high},
+                ({key: [0.0, 0.0]},),
+            )
+
+
+_MARGIN = 1.2  # the pendulum's figure is on the safe side of what a good policy catches
+_WEAK = 0.2  # share of the largest push that still tells policies apart
+_LEAN = math.radians(10.0)
+_PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
+
+
+def largest_push(case: Case, balance: Balance) -> float:
+    """Return the speed that the wheels can still catch, m/s: a/w.
+
+    a is what friction or the drive lets the wheels accelerate with, w = sqrt(m g h / I): the capture point lies
+    v/w ahead, and the wheels must get there with less than a/w². Source: Pratt et al., "Capture point", 2006.
+    """
+    facts = case.facts
+    drives = [(joint.drive, joint) for name in facts.wheels if (joint := facts.joints[name]).drive is not None]
+    spin = min((drive.effort / joint.effective for drive, joint in drives if drive is not None), default=math.inf)
+    return min(wheel_friction(case) * facts.gravity, spin * facts.wheel_radius) / balance.pendulum
+
+
+@rule
+def push_size(case: Case) -> Iterator[Finding]:
+    """A push that the robot cannot take, or that every policy takes.
+
+    The largest push that wheels can catch is a/w: their acceleration, limited by friction or by the drive, over the
+    rate of the pendulum. Well beyond it every policy falls; below a fifth of it no policy is told from another.
+    Pushes to the side are left out where they are drawn in the robot's own axes: wheels catch nothing sideways, and
+    their track holds what comes from there. Those along the world's y axis meet a robot that has turned from the front.
+    Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
+    """
+    balance = case.facts.balance
+    if balance is None:
+        return
+    limit = largest_push(case, balance)
+    for term in case.terms("events", *_PUSHES):
+        ranges, axes = term.node["velocity_range"], "x" if term.node.get("frame") == "yaw" else "xy"
+        pushes = {axis: largest(ranges.get(axis)) for axis in axes}
+        push = max(pushes.values())
+        if push > _MARGIN * limit or 0.0 < push < _WEAK * limit:
+            much = push > limit
+            weak, strong = at_least(_WEAK * limit), at_most(limit)
+            verdict = "more than it can take" if much else f"{100 * push / limit:.0f} % of it: it tests nothing"
+            yield Finding(
+                f"{term.path}.velocity_range",
+                f"pushes of up to {push:.2g} m/s, and the wheels catch {limit:.2g} m/s: {verdict}",
+                f"between {weak:g} and {strong:g} m/s",
+                {"push": push, "limit": limit, "ratio": push / limit},
+                tuple(
+                    {
+                        f"{term.path}.velocity_range.{axis}": [-size, size]
+                        for axis, found in pushes.items()
+                        if found == push or found > limit
+                    }
+                    for size in (weak, strong)
+                ),
+            )
+
+
+@rule
+def wrench_size(case: Case) -> Iterator[Finding]:
+    """A lasting force or torque that leans the robot over.
+
+    A force F at the body leans a balancing robot by atan(F / weight), a torque T by asin(T / (m g h)), for the whole
+    episode. Source: statics of the inverted pendulum.
+    """
+    balance = case.facts.balance
+    if balance is None:
+        return
+    for term in case.terms("events", "events.set_permanent_body_wrench"):
+        force, torque = largest(term.node["force_range"]), largest(term.node["torque_range"])
+        by_force = math.atan(force / case.facts.weight)
+        moment = balance.mass * case.facts.gravity * balance.height
+        by_torque = math.asin(min(1.0, torque / moment))
+        if by_force + by_torque > _LEAN:
+            most = at_most(case.facts.weight * math.tan(_LEAN / 2)), at_most(moment * math.sin(_LEAN / 2))
+            yield Finding(
+                term.path,
+                f"{force:g} N leans the robot by {math.degrees(by_force):.2g}° and {torque:g} N·m by "
+                f"{math.degrees(by_torque):.2g}°, for the whole episode",
+                f"forces within ±{most[0]:g} N and torques within ±{most[1]:g} N·m",
+                {"force_lean_rad": by_force, "torque_lean_rad": by_torque},
+                ({f"{term.path}.{n}_range": [-m, m] for n, m in zip(("force", "torque"), most, strict=True)},),
+            )
+
+
+_DROP = 0.1  # of the standing height
+_GROUND = 1e-4  # m that a spawn may lie inside the ground: contacts are soft
+_HEIGHT = 0.05  # of the standing height, between the reward's target and the default pose
+_FALLS = 5.0  # time constants of the fall that an episode should last
+_UPRIGHT = math.pi
+_LOWEST = ("terminations.root_height_below_minimum", "terminations.root_height_over_ground_below_minimum")
+_TIMES = ("rewards.feet_air_time", "rewards.feet_air_time_positive_biped")  # whose threshold is in seconds
+_ON_WHEELS = (
+    "rewards.no_contact_count",
+    "rewards.no_desired_contact",
+    "rewards.feet_slide",
+    "rewards.wheel_slip",
+    "rewards.wheel_spin_in_air_l1",
+)
+
+
+@rule
+def spawn_height(case: Case) -> Iterator[Finding]:
+    """A robot that begins inside the ground, or well above it.
+
+    The lowest point of the default pose, from the colliding shapes, is held against the ground: inside it the
+    contact throws the robot, above it the robot falls and lands at sqrt(2 g h). Source: kinematics.
+    """
+    facts = case.facts
+    clearance, limit = facts.clearance, _DROP * facts.standing_height
+    if not math.isfinite(clearance) or -_GROUND <= clearance <= limit:
+        return
+    x, y, height = map(float, case.env["robot"]["init_state"]["pos"])
+    right = at_least(round(height - clearance, 9), 4)
+    if clearance < 0:
+        text = f"the lowest point begins {-1e3 * clearance:.3g} mm inside the ground"
+        figures = {"clearance_m": clearance}
+    else:
+        speed = math.sqrt(2 * facts.gravity * clearance)
+        text = f"the robot begins {1e3 * clearance:.3g} mm above the ground and lands at {speed:.2f} m/s"
+        figures = {"clearance_m": clearance, "landing_m_s": speed}
+    key, hint = "env.robot.init_state.pos", f"a height of {right:g} m stands it on the ground"
+    yield Finding(key, text, hint, figures, ({key: [x, y, right]},))
+
+
+@rule
+def target_height(case: Case) -> Iterator[Finding]:
+    """A rewarded height that the default pose does not have.
+
+    The policy would have to leave the pose that its actions and the other rewards start from. Source: kinematics of
+    the default pose.
+    """
+    standing = case.facts.standing_height
+    for term in case.terms("rewards", *HEIGHTS):
+        target = float(term.node["target_height"])
+        if abs(target - standing) > _HEIGHT * standing:
+            key, right = f"{term.path}.target_height", at_least(standing, 3)
+            yield Finding(
+                key,
+                f"{1e3 * target:.4g} mm, and the default pose stands {1e3 * standing:.4g} mm high",
+                f"{right:g} m, or another default pose",
+                {"target_m": target, "standing_m": standing},
+                ({key: right},),
+            )
+
+
+@rule
+def contact_threshold(case: Case) -> Iterator[Finding]:
+    """A contact threshold that is large for the robot's weight.
+
+    1 N is nothing for a robot of 50 kg and a fifth of one that weighs 0.5 kg. Contact of one body is to be noticed
+    at a tenth of the weight; a wheel at less than half of its load. Source: statics.
+    """
+    weight, load = case.facts.weight, case.facts.wheel_load
+    for section in ("terminations", "rewards"):
+        for term in case.terms(section):
+            threshold = term.node.get("threshold")
+            stock = term.kind.startswith(("rewards.", "terminations.")) and term.kind not in _TIMES
+            if not isinstance(threshold, (int, float)) or not stock:
+                continue
+            wheels = term.kind in _ON_WHEELS
+            limit = 0.5 * load if wheels else 0.1 * weight
+            if threshold > limit:
+                key, most = f"{term.path}.threshold", at_most(limit)
+                yield Finding(
+                    key,
+                    f"{threshold:g} N is {100 * threshold / weight:.0f} % of the robot's weight of {weight:.3g} N",
+                    f"at most {most:g} N",
+                    {"threshold": float(threshold), "weight": weight},
+                    ({key: most},),
+                )
+
+
+@rule
+def episode_end(case: Case) -> Iterator[Finding]:
+    """An episode that cannot end rightly, ends at once, or is over before the robot can fall.
+
+    Without a time-out the value of what follows is cut off; a limit that the start already breaks ends every
+    episode in its first step; a robot that falls with a time constant of 1/p needs several of them to fail.
+    Source: the theory of truncation, Pardo et al., "Time limits in reinforcement learning", 2018.
+    """
+    terms = list(case.terms("terminations"))
+    if not any(term.node.get("time_out", False) for term in terms):
+        yield Finding(
+            "env.terminations",
+            "no termination is a time-out: the end of an episode would count as a failure, or never come",
+            "the termination time_out, with time_out: true",
+        )
+    for term in terms:
+        yield from _ends_at_once(case, term)
+    balance = case.facts.balance
+    if balance is not None and case.episode_s < _FALLS / balance.pole:
+        key, shortest = "env.episode_length_s", at_least(_FALLS / balance.pole)
+        yield Finding(
+            key,
+            f"an episode of {case.episode_s:g} s holds {case.episode_s * balance.pole:.2g} time constants of the fall "
+            f"({1 / balance.pole:.3g} s): it may end before anything has gone wrong",
+            f"at least {shortest:g} s",
+            {"episode_s": case.episode_s, "time_constant_s": 1 / balance.pole},
+            ({key: shortest},),
+        )
+
+
+def _ends_at_once(case: Case, term: TermView) -> Iterator[Finding]:
+    if term.kind in _LOWEST:
+        limit, start = float(term.node["minimum_height"]), case.facts.standing_height
+        if limit >= start:
+            key, lower = f"{term.path}.minimum_height", below(start, 3)
+            yield Finding(
+                key,
+                f"the robot stands {1e3 * start:.4g} mm high, below the limit of {1e3 * limit:.4g} mm",
+                f"at most {lower:g} m",
+                {"limit_m": limit, "standing_m": start},
+                ({key: lower},),
+            )
+    if term.kind == "terminations.bad_orientation":
+        limit, tilt = float(term.node["limit_angle"]), _drawn_tilt(case)
+        if limit >= _UPRIGHT or limit <= tilt:
+            key, bounds = f"{term.path}.limit_angle", (above(tilt), below(_UPRIGHT))
+            why = "never acts" if limit >= _UPRIGHT else f"is within the tilt of {tilt:.3g} rad that resets draw"
+            yield Finding(
+                key,
+                f"a limit of {limit:.3g} rad {why}",
+                f"between {bounds[0]:g} and {bounds[1]:g} rad",
+                {"limit_rad": limit, "drawn_rad": tilt},
+                tuple({key: bound} for bound in bounds),
+            )
+
+
+def _drawn_tilt(case: Case) -> float:
+    """Return the largest tilt that resets draw, rad: of roll and pitch together."""
+    ranges = [term.node["pose_range"] for term in case.terms("events", "events.reset_root_state_uniform")]
+    return max((math.hypot(largest(r.get("roll")), largest(r.get("pitch"))) for r in ranges), default=0.0)
+
+
+_DEPTH = 0.01  # of the robot's size: what soft contacts push out without throwing the robot
+
+
+@rule
+def reset_into_ground(case: Case) -> Iterator[Finding]:
+    """Drawn starts whose lowest point lies inside the ground.
+
+    The extremes of the drawn height, roll and pitch, with the extremes of drawn joint positions, are held against the
+    ground: from below it the contact throws the robot. Source: kinematics.
+    """
+    robot = case.robot
+    if robot is None or not robot.anatomy.floating:
+        return
+    joints = list(_drawn_joints(case, robot))
+    for term in case.terms("events", "events.reset_root_state_uniform"):
+        ranges: Mapping[str, Any] = term.node["pose_range"]
+        tilts = [tuple(ranges.get(axis) or (0.0, 0.0)) for axis in ("roll", "pitch")]
+        drop = min(ranges.get("z") or (0.0, 0.0))
+        poses = itertools.product(*tilts, joints)
+        depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
+        start = -case.facts.clearance  # what spawn_height tells of
+        if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
+            height = float(case.env["robot"]["init_state"]["pos"][2])
+            right = at_least(height + depth, 4)
+            yield Finding(
+                f"{term.path}.pose_range",
+                f"drawn starts reach {1e3 * depth:.3g} mm into the ground",
+                f"narrower ranges of z, roll and pitch, or env.robot.init_state.pos with a height of {right:g} m",
+                {"depth_m": depth},
+            )
+
+
+def _drawn_joints(case: Case, robot: CompiledRobot) -> Iterator[dict[str, float]]:
+    """Yield the default joint positions, and the extremes that resets draw."""
+    yield {}
+    for kind in ("scale", "offset"):
+        for term in case.terms("events", f"events.reset_joints_by_{kind}"):
+            for value in map(float, term.node["position_range"]):
+                yield {
+                    name: joint.default * value if kind == "scale" else joint.default + value
+                    for name, joint in case.joints(term.node).items()
+                    if name not in robot.anatomy.wheel_joints
+                }
+
+
+def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str, float]) -> float:
+    model, data = robot.model, mujoco.MjData(robot.model)
+    data.qpos[:] = robot.data.qpos
+    for name, value in joints.items():
+        joint = model.joint(name)
+        low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
+        data.qpos[joint.qposadr[0]] = min(max(value, low), high)
+    turn, quat = np.zeros(4), np.zeros(4)
+    mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # as resets do: about fixed axes
+    start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3
+    mujoco.mju_mulQuat(quat, data.qpos[start : start + 4], turn)
+    data.qpos[start : start + 4] = quat
+    mujoco.mj_kinematics(model, data)
+    return lowest_point(model, data, [model.body(name).id for name in robot.bodies])

@@ -1,0 +1,299 @@
+"""Rules about the policy's interface: scale, bounds, and noise of observations; actions and commands versus drives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
+from wheelleg_exp.lint.rule import Case, Finding, TermView, at_least, at_most, below, kind_of, largest, rule
+from wheelleg_exp.terms.term_binding import TARGET
+
+_POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
+_ABSOLUTE = "actions.JointPositionAction"
+_VELOCITY = ("actions.JointVelocityAction",)
+_TINY = 0.01  # share of a joint's range that one unit of action should move at least
+
+
+@rule
+def action_scale(case: Case) -> Iterator[Finding]:
+    """An action whose unit is too large, too small, or moves nothing.
+
+    A policy begins with actions of about ±1. One unit should stay within the joint's limits, the drive's torque
+    and its speed, move at least a hundredth of the range, and meet a gain that is not 0: a position target on a
+    drive without stiffness, or a speed target on one without damping, does nothing.
+    Source: the drive's law, tau = kp (q* - q) + kd (qd* - qd).
+    """
+    for term in case.terms("actions", *_POSITION, *_VELOCITY):
+        joints = case.joints(term.node)
+        scales = case.by_joint(term.node.get("scale", 1.0), list(joints), 1.0)
+        for name, joint in joints.items():
+            if joint.drive is None:
+                continue
+            unit = abs(float(scales[name]))
+            reason = _reason(term, joint, joint.drive, unit)
+            if reason is not None:
+                key, (message, hint, figures) = f"{term.path}.scale", reason
+                scale = None if hint else _fitting_scale(term, joints.values(), unit)
+                hint = hint or ("a default pose well inside the limits" if scale is None else f"a scale near {scale:g}")
+                advice = () if scale is None else ({key: scale},)
+                yield Finding(key, f"'{name}': {message}", hint, figures, advice)
+                break  # one joint tells of its term
+
+
+def _reason(term: TermView, joint: Joint, drive: Drive, unit: float) -> tuple[str, str, dict[str, float]] | None:
+    """Return what is the matter, what to do (empty: another scale), and the figures."""
+    if term.kind in _VELOCITY:
+        if drive.damping == 0.0:
+            return "a speed target acts by the drive's damping, which is 0", "a damping above 0", {"damping": 0.0}
+        if unit > drive.velocity:
+            text = f"one unit is {unit:g} rad/s, beyond the drive's {drive.velocity:g} rad/s"
+            return text, "", {"unit": unit, "limit": drive.velocity}
+        return None
+    if drive.stiffness == 0.0:
+        return "a position target acts by the drive's stiffness, which is 0", "a stiffness above 0", {"stiffness": 0.0}
+    if unit * drive.stiffness > drive.effort:
+        text = f"one unit is {unit:g} rad or {unit * drive.stiffness:.3g} N·m, beyond the drive's {drive.effort:g} N·m"
+        return text, "", {"torque": unit * drive.stiffness}
+    if term.kind != _ABSOLUTE or not joint.limited:
+        return None
+    room, span = _room(joint), joint.high - joint.low
+    if unit > room:
+        text = f"one unit is {unit:g} rad, and the nearest limit is {room:.3g} rad from the default"
+        return text, "", {"unit": unit, "room": room}
+    if unit < _TINY * span:
+        return f"one unit is {unit:g} rad of a range of {span:.3g} rad", "", {"unit": unit, "span": span}
+    return None
+
+
+def _room(joint: Joint) -> float:
+    return min(joint.high - joint.default, joint.default - joint.low)
+
+
+def _fitting_scale(term: TermView, joints: Iterable[Joint], unit: float) -> float | None:
+    """Return the scale nearest to ``unit`` that fits every joint of a term; None when there is none."""
+    smallest, largest_one = 0.0, math.inf
+    for joint in joints:
+        if joint.drive is None:
+            continue
+        if term.kind in _VELOCITY:
+            largest_one = min(largest_one, joint.drive.velocity)
+            continue
+        if joint.drive.stiffness > 0.0:
+            largest_one = min(largest_one, joint.drive.effort / joint.drive.stiffness)
+        if term.kind == _ABSOLUTE and joint.limited:
+            largest_one = min(largest_one, _room(joint))
+            smallest = max(smallest, _TINY * (joint.high - joint.low))
+    fitting = at_least(smallest) if unit < smallest else at_most(largest_one)
+    return fitting if fitting > 0.0 and smallest <= fitting <= largest_one else None
+
+
+@rule
+def action_clip_never_acts(case: Case) -> Iterator[Finding]:
+    """Bounds of an action's target that lie beyond what the joint can do.
+
+    ``clip`` bounds the target in rad or rad/s, not the raw action; outside the joint's limits or the drive's speed
+    it never limits anything. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/actions/joint_actions.py``: scale,
+    offset, then clip.
+    """
+    for term in case.terms("actions", _ABSOLUTE, *_VELOCITY):
+        joints = case.joints(term.node)
+        clips = case.by_joint(term.node.get("clip") or {}, list(joints), None) if term.node.get("clip") else {}
+        idle = [name for name, clip in clips.items() if clip is not None and _idle(term, joints[name], clip)]
+        if idle:
+            joint, clip = joints[idle[0]], clips[idle[0]]
+            unit = "rad/s" if term.kind in _VELOCITY else "rad"
+            low, high = _reach(term, joint)
+            yield Finding(
+                f"{term.path}.clip",
+                f"targets are clipped to [{clip[0]:g}, {clip[1]:g}] {unit}, and '{idle[0]}' reaches "
+                f"[{low:.3g}, {high:.3g}] {unit}: the clip never acts",
+                "bounds inside the joint's limits, or no clip; agent.clip_actions bounds raw actions",
+                {"clip_low": float(clip[0]), "clip_high": float(clip[1]), "low": low, "high": high},
+            )
+
+
+def _reach(term: TermView, joint: Joint) -> tuple[float, float]:
+    if term.kind in _VELOCITY:
+        speed = joint.drive.velocity if joint.drive is not None else math.inf
+        return -speed, speed
+    return joint.low, joint.high
+
+
+def _idle(term: TermView, joint: Joint, clip: Any) -> bool:
+    low, high = _reach(term, joint)
+    return bool(clip[0] <= low and clip[1] >= high and math.isfinite(low))
+
+
+@rule
+def command_reach(case: Case) -> Iterator[Finding]:
+    """A commanded velocity that the wheels cannot give.
+
+    The top speed is the drive's speed limit times the radius, the top yaw rate twice that over the track; wheels on
+    parallel axles cannot go sideways at all. Source: kinematics of a differential drive.
+    """
+    facts = case.facts
+    if not facts.wheels or facts.top_speed == 0.0:
+        return
+    top = facts.top_speed
+    limits = {"lin_vel_x": top, "lin_vel_y": 0.0, "ang_vel_z": 2 * top / facts.track if facts.track else math.inf}
+    for term in case.terms("commands", "commands.UniformVelocityCommand"):
+        for axis, limit in limits.items():
+            size, unit = largest(term.node["ranges"].get(axis)), "rad/s" if axis == "ang_vel_z" else "m/s"
+            if size > limit:
+                key, most = f"{term.path}.ranges.{axis}", at_most(limit)
+                reach = f"the wheels reach {limit:.3g} {unit}" if limit else "wheels do not go sideways"
+                yield Finding(
+                    key,
+                    f"up to {size:g} {unit} is commanded, and {reach}",
+                    f"a range within ±{most:g}",
+                    {"command": size, "limit": limit},
+                    ({key: [-most, most]},),
+                )
+
+
+_ANGLES = ("observations.joint_pos", "observations.joint_pos_rel")
+# Of the numbers that a network sees: too small to move a unit, or so large that it drowns the others.
+_SMALLEST, _LARGEST = 0.01, 10.0
+_LOUD = 0.5  # noise, as a share of the signal's size
+# What says how large a noise is, with its defaults: half-widths, a standard deviation.
+_NOISES = {"noise.UniformNoise": {"n_min": -1.0, "n_max": 1.0}, "noise.GaussianNoise": {"std": 1.0}}
+
+
+@rule
+def unbounded_observation(case: Case) -> Iterator[Finding]:
+    """An observed angle that grows without end, as that of a wheel does.
+
+    A joint without limits that turns at its top speed for one episode gives the largest angle that training sees;
+    whatever runs longer than an episode leaves that range. Source: arithmetic; several public wheel-legged
+    projects leave wheel angles out of the observation for it.
+    """
+    for term in case.terms("observations", *_ANGLES):
+        endless = {name: joint for name, joint in case.joints(term.node).items() if not joint.limited}
+        if not endless or term.node.get("clip") is not None:
+            continue
+        speed = max((joint.drive.velocity for joint in endless.values() if joint.drive), default=0.0)
+        angle = speed * case.episode_s
+        yield Finding(
+            term.path,
+            f"the angle of {', '.join(endless)} has no bound: {angle:.0f} rad within an episode at the drive's "
+            f"{speed:g} rad/s, and more in anything longer",
+            "asset_cfg without these joints, joint_pos_sin_cos for them, or a clip",
+            {"largest_rad": angle, "speed_rad_s": speed, "episode_s": case.episode_s},
+        )
+
+
+@rule
+def observation_scale(case: Case) -> Iterator[Finding]:
+    """An observation that reaches the network much larger or smaller than 1.
+
+    Networks start with weights for inputs of size 1. The largest value of each component, from the robot's limits
+    and the config's ranges, is held against 0.01 and 10; an actor or critic that normalises its input is exempt.
+    Source: Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021, on input normalisation.
+    """
+    for term in case.terms("observations"):
+        if _is_normalised(case, term.path.split(".")[2]):
+            continue
+        size, scale = signal_size(case, term), largest_scale(term.node.get("scale"))
+        if size is None or size == 0.0 or _SMALLEST <= size * scale <= _LARGEST:
+            continue
+        fitting = at_most(1.0 / size)
+        yield Finding(
+            term.path,
+            f"values of up to {size:.3g} times a scale of {scale:g} reach the network as {size * scale:.3g}",
+            f"a scale near {fitting:g}, so that the largest value is near 1",
+            {"largest": size, "scale": scale, "seen": size * scale},
+            ({f"{term.path}.scale": fitting},),
+        )
+
+
+def largest_scale(scale: Any) -> float:
+    """Return the largest factor of a term's ``scale``; 1 without one."""
+    if scale is None:
+        return 1.0
+    return largest(scale) if isinstance(scale, list) else abs(float(scale))
+
+
+def _is_normalised(case: Case, group: str) -> bool:
+    """Return whether every network that gets a group normalises its input."""
+    networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
+    return bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks)
+
+
+def signal_size(case: Case, term: TermView) -> float | None:
+    """Return the largest size of an observation's components before scale, in its own unit; None when unknown."""
+    drives = [joint.drive for joint in case.joints(term.node).values() if joint.drive is not None]
+    if term.kind in ("observations.projected_gravity", "observations.joint_pos_sin_cos", "observations.last_action"):
+        return 1.0
+    if term.kind in _ANGLES:
+        limited = [joint for joint in case.joints(term.node).values() if joint.limited]
+        return max((max(j.high - j.default, j.default - j.low) for j in limited), default=None)
+    if term.kind in ("observations.joint_vel", "observations.joint_vel_rel"):
+        return max((drive.velocity for drive in drives), default=None)
+    if term.kind == "observations.joint_effort_commanded":
+        return max((drive.effort for drive in drives), default=None)
+    if term.kind in ("observations.base_lin_vel", "observations.root_link_lin_vel"):
+        return case.facts.top_speed or None
+    if term.kind == "observations.base_ang_vel":  # falling through one radian
+        return case.facts.balance.pole if case.facts.balance is not None else None
+    if term.kind == "observations.generated_commands":
+        return _command_size(case, str(term.node["command_name"]))
+    return None
+
+
+def _command_size(case: Case, name: str) -> float | None:
+    ranges = case.env["commands"].get(name, {}).get("ranges")
+    return max((largest(pair) for pair in ranges.values()), default=None) if isinstance(ranges, Mapping) else None
+
+
+@rule
+def noise_against_signal(case: Case) -> Iterator[Finding]:
+    """Observation noise that never acts, or that hides what it is added to.
+
+    Noise acts only in groups with ``enable_corruption``; noise of half the signal's largest size leaves little of
+    it. Source: Isaac Lab 2.3.2, ``isaaclab/managers/observation_manager.py``, on corruption.
+    """
+    for name, group in case.env["observations"].items():
+        path, corrupt = f"env.observations.{name}", bool(group.get("enable_corruption", False))
+        terms = [t for t in case.terms("observations") if t.path.startswith(f"{path}.terms.")]
+        noisy = [term for term in terms if term.node.get("noise") is not None]
+        if corrupt and not noisy:
+            yield Finding(
+                f"{path}.enable_corruption",
+                f"none of the {len(terms)} terms has noise: nothing is corrupted",
+                "a noise for the terms that a sensor measures, or enable_corruption: false",
+                {"terms": len(terms)},
+            )
+        for term in noisy:
+            yield from _noise_findings(case, term, corrupt)
+
+
+def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Finding]:
+    if not corrupt:
+        group = term.path.split(".terms.")[0]
+        yield Finding(
+            f"{term.path}.noise",
+            "the noise never acts, because its group has enable_corruption: false",
+            f"{group}.enable_corruption=true, or no noise",
+        )
+        return
+    sizes = _noise_sizes(term.node["noise"], term.path)
+    size, noise = signal_size(case, term), max(map(abs, sizes.values()), default=0.0)
+    if size and noise >= _LOUD * size:
+        quiet = below(_LOUD * size)
+        yield Finding(
+            f"{term.path}.noise",
+            f"noise of {noise:.3g} on a signal of at most {size:.3g}: {100 * noise / size:.0f} % of it",
+            f"noise of at most {quiet:g}",
+            {"noise": noise, "signal": size, "ratio": noise / size},
+            ({f"{term.path}.noise.{name}": math.copysign(quiet, value) for name, value in sizes.items()},),
+        )
+
+
+def _noise_sizes(noise: Any, path: str) -> dict[str, float]:
+    """Return the parameters that say how large an added noise is; nothing when that is not known."""
+    kind = kind_of(str(noise[TARGET]), f"{path}.noise") if isinstance(noise, Mapping) and TARGET in noise else ""
+    if kind not in _NOISES or noise.get("operation", "add") != "add":
+        return {}
+    return {name: float(noise.get(name, default)) for name, default in _NOISES[kind].items()}

@@ -1,0 +1,317 @@
+"""Rules about the robot's file: what it lacks, what the conversion lost, and numbers that no link or motor has."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.anatomy.collider_shapes import reach
+from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
+from wheelleg_exp.anatomy.limbs import TURNS
+from wheelleg_exp.asset.conversion_report import UNITS, Kind, Report, size_problem
+from wheelleg_exp.asset.conversion_report import Finding as Record
+from wheelleg_exp.lint.rule import Case, Finding, rule
+
+_ASSET = "env.robot.asset"
+_ASSUMED = 0.05  # of the robot's mass that may be assumed without a word
+_WEIGHTY = 0.01  # of the robot's mass: a link whose tensor matters
+_LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
+_LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
+_MOST = 4
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE
+
+
+def records(case: Case, kind: Kind) -> list[Record]:
+    """Return what the conversion found of a kind; nothing where there was none."""
+    report = case.robot.report if case.robot is not None else None
+    return [item for item in report.findings if item.kind == kind] if report is not None else []
+
+
+def missing_colliders(report: Report, model: mujoco.MjModel) -> str:
+    """Return which colliders a robot lacks because files are missing or damaged, and whose wheels they may be.
+
+    Args:
+        report: of the conversion.
+        model: the compiled robot.
+
+    Returns:
+        The message, the same for every command; empty if no collider is known to be missing.
+    """
+    files = {match[1]: match[2] for text in report.warnings if (match := _LOST_MESH.search(text))}
+    bare = [item.subject for item in report.findings if item.kind == "end_without_collider"]
+    if any(item.kind == "no_colliders" for item in report.findings):
+        ends = zip(model.jnt_bodyid, model.jnt_dofadr, strict=True)
+        bare = [model.body(int(body)).name for body, dof in ends if dof not in model.dof_parentid]
+    layers = [item for item in report.findings if item.kind == "layer_not_found" and not item.numbers["looks"]]
+    files |= {item.subject: "the layer is not there" for item in layers if bare}
+    if not files:
+        return ""
+    hinges = [int(model.body(name).jntadr[0]) for name in bare if model.body(name).jntnum[0] == 1]
+    wheels = [repr(model.joint(j).name) for j in hinges if model.jnt_type[j] == _HINGE and not model.jnt_limited[j]]
+    told = [f"{name} ({reason})" for name, reason in files.items()]
+    text = "colliders are missing: " + ", ".join(told[:_MOST]) + (", ..." if len(told) > _MOST else "")
+    return text + (f"; {', '.join(wheels)} turn without limits, as wheels do, and lack a collider" if wheels else "")
+
+
+@rule
+def missing_files(case: Case) -> Iterator[Finding]:
+    """Meshes of colliders, or layers, that the robot's file names and that cannot be read.
+
+    Files are missing, or damaged, or pointers of Git LFS. A wheel without its collider is treated as the joint of a
+    leg. Files of visuals are left out. Source: the conversion report.
+    """
+    report = case.robot.report if case.robot is not None else None
+    if case.robot is None or report is None:
+        return
+    message = missing_colliders(report, case.robot.model)
+    layers = [item.subject for item in records(case, "layer_not_found") if not item.numbers["looks"]]
+    if message or layers:
+        message = message or f"layers that the robot names are not there: {', '.join(layers[:_MOST])}"
+        yield Finding(_ASSET, message, "put the files where the names lead (git lfs pull), or correct the names")
+
+
+@rule
+def no_colliders(case: Case) -> Iterator[Finding]:
+    """A robot without a shape that touches anything.
+
+    It falls through the ground. Source: the compiled model.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    bodies = {robot.model.body(name).id for name in robot.bodies}
+    solid = (robot.model.geom_contype != 0) | (robot.model.geom_conaffinity != 0)
+    if not any(int(body) in bodies for body in robot.model.geom_bodyid[solid]):
+        yield Finding(
+            _ASSET,
+            "no shape of the robot collides: it falls through the ground",
+            "colliders: a cylinder on each wheel and a box on the body are enough to begin with",
+        )
+
+
+@rule
+def assumed_masses(case: Case) -> Iterator[Finding]:
+    """Masses and inertias that the file does not give, so that the converter assumed them.
+
+    They follow from volumes and a density, or are 1 kg: the dynamics are then guessed. Source: the conversion report.
+    """
+    total = case.facts.mass
+    links = [item for item in records(case, "no_inertial") if item.numbers["mass"] > 0]
+    assumed = sum(item.numbers["mass"] for item in links)
+    if assumed > _ASSUMED * total:
+        yield Finding(
+            _ASSET,
+            f"{assumed:.3g} of {total:.4g} kg are assumed ({100 * assumed / total:.0f} %): {len(links)} "
+            f"{'link has' if len(links) == 1 else 'links have'} no mass, such as '{links[0].subject}'",
+            "mass and inertia of these links in the file",
+            {"assumed_kg": assumed, "mass_kg": total},
+        )
+    guessed = [item.subject for item in records(case, "no_inertia") if item.numbers["mass"] > _WEIGHTY * total]
+    if guessed:
+        yield Finding(
+            _ASSET,
+            f"{len(guessed)} {'link has' if len(guessed) == 1 else 'links have'} a mass and no inertia, such as "
+            f"'{guessed[0]}': the tensor is assumed",
+            "inertia of these links in the file",
+            {"links": float(len(guessed))},
+        )
+
+
+@rule
+def lost_in_conversion(case: Case) -> Iterator[Finding]:
+    """Colliders, limits, couplings and drives of the file that the model does not have, or has otherwise.
+
+    Source: the warnings of the conversion report.
+    """
+    report = case.robot.report if case.robot is not None else None
+    lost = [text for text in report.warnings if _LOST.search(text) and not _LOST_MESH.search(text)] if report else []
+    if lost:
+        shown = "; ".join(lost[:_MOST]) + (f"; and {len(lost) - _MOST} more" if len(lost) > _MOST else "")
+        yield Finding(_ASSET, shown, "correct the file: `wheelleg convert` tells all of it", {"lost": float(len(lost))})
+
+
+_LIGHT = 2.0  # kg/m³ of a cube as long as the robot: lighter ones exist, but not on wheels and legs
+_WIDE = 1.5  # times the link's reach: a radius of gyration that no mass inside it gives
+_NARROW = 0.03  # of the link's reach
+_OUTSIDE = 0.5  # of the link's reach: how far beyond its shapes a centre of mass may lie
+_TRIANGLE = 0.01  # by which one moment may exceed the sum of the other two
+_LOCKED = 0.02  # rad of range
+_PLACEHOLDER = 50.0  # times the whole weight on an arm as long as the robot: no limit at all
+_FAST = 200.0  # rad/s of a joint
+
+
+@rule
+def robot_size(case: Case) -> Iterator[Finding]:
+    """A robot whose size and mass do not fit each other, or that no robot has.
+
+    Wrong units are the usual cause. Source: the density of a cube whose edge is the robot's longest.
+    """
+    problem = _size_problem(case)
+    if case.robot is not None and problem:
+        yield Finding(_ASSET, problem, UNITS, {"mass_kg": case.facts.mass, "size_m": case.robot.anatomy.size})
+
+
+def _size_problem(case: Case) -> str:
+    return "" if case.robot is None else size_problem(case.facts.mass, case.robot.anatomy.size, _LIGHT)
+
+
+@rule
+def link_masses(case: Case) -> Iterator[Finding]:
+    """Masses and inertias that no link of its size has.
+
+    A link's radius of gyration
+    sqrt(I / m) cannot exceed the reach of its shapes from its centre of mass, and is not a thirtieth of it; that
+    centre lies in or near the shapes; no moment of inertia exceeds the sum of the other two. Source: mechanics of
+    rigid bodies.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    mass = case.facts.mass
+    if _size_problem(case):
+        return
+    told = [finding for name in robot.bodies for finding in _link(robot, name, mass)]
+    yield from [*_impossible(case), *told][:_MOST]
+
+
+def _impossible(case: Case) -> Iterator[Finding]:
+    """Yield the tensors that the conversion had to cut to what a body can have."""
+    for item in records(case, "impossible_inertia"):
+        a, b, c = (item.numbers[name] for name in "abc")
+        yield _untrue(item.subject, a, b, c)
+
+
+def _untrue(name: str, a: float, b: float, c: float) -> Finding:
+    return Finding(
+        _ASSET,
+        f"'{name}' has the moments of inertia {a:.3g}, {b:.3g}, {c:.3g} kg·m²: one is more than the other two "
+        "together, as no body's is",
+        "the tensor again from CAD, about the centre of mass",
+    )
+
+
+def _link(robot: CompiledRobot, name: str, whole: float) -> Iterator[Finding]:
+    model, body = robot.model, robot.model.body(name).id
+    mass, moments = float(model.body_mass[body]), np.sort(model.body_inertia[body])
+    if mass < _WEIGHTY * whole:
+        return
+    if moments[2] > (1 + _TRIANGLE) * (moments[0] + moments[1]):
+        yield _untrue(name, *moments.tolist())
+    geoms = np.flatnonzero(model.geom_bodyid == body).tolist()
+    if not geoms:
+        return
+    centre, frame = robot.data.xipos[body], robot.data.xmat[body].reshape(3, 3)
+    out = reach(model, robot.data, geoms, centre, np.vstack([frame.T, -frame.T]))
+    extent = float(np.linalg.norm(np.maximum(out[:3], out[3:])))
+    radius = math.sqrt(float(moments[2]) / mass)
+    if radius > _WIDE * extent or radius < _NARROW * extent:
+        word = "more" if radius > extent else "less"
+        yield Finding(
+            _ASSET,
+            f"'{name}' of {mass:.3g} kg has a moment of inertia of {moments[2]:.3g} kg·m², as if its mass were "
+            f"{1e3 * radius:.3g} mm from its centre: {word} than a link that reaches {1e3 * extent:.3g} mm can have",
+            f"the tensor again from CAD, in kg·m²; a solid of its size has about {mass * extent**2 / 5:.2g}",
+            {"gyration_m": radius, "reach_m": extent},
+        )
+    beyond = -float(out.min())
+    if beyond > _OUTSIDE * extent:
+        yield Finding(
+            _ASSET,
+            f"the centre of mass of '{name}' lies {1e3 * beyond:.3g} mm outside its shapes",
+            "the origin of its inertia in the file: metres, in the link's frame",
+            {"outside_m": beyond},
+        )
+
+
+@rule
+def joint_limits(case: Case) -> Iterator[Finding]:
+    """A driven joint of a leg without limits, or with limits that leave it no motion.
+
+    A leg that may turn all round passes through the robot, and its soft limits and their rewards say nothing. Source:
+    Isaac Lab 2.3.2, ``soft_joint_pos_limit_factor``; MuJoCo documentation, XML reference, joint/range.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    legs = [name for leg in robot.anatomy.legs for name in leg.joints if name not in leg.passive]
+    free, locked = [], []
+    for name in [*dict.fromkeys(legs), *robot.anatomy.others]:
+        joint = robot.model.joint(name).id
+        if robot.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        low, high = robot.model.jnt_range[joint]
+        if robot.model.jnt_limited[joint] and high - low < _LOCKED:
+            locked.append(name)
+        elif name in legs and (not robot.model.jnt_limited[joint] or high - low > TURNS):
+            free.append(name)
+    steered = {name for w in robot.anatomy.wheels if w.steered for g in robot.anatomy.legs for name in g.joints
+               if g.wheel == w.joint}  # fmt: skip
+    free = [name for name in free if name not in steered]
+    if free:
+        told = [*records(case, "limits_ignored"), *records(case, "no_limits")]
+        written = [item.numbers for item in told if item.subject in free and "lower" in item.numbers]
+        says = f" (the file writes {written[0]['lower']:g} to {written[0]['upper']:g})" if written else ""
+        yield Finding(
+            _ASSET,
+            f"{_listed(free)} {'has' if len(free) == 1 else 'have'} no limits{says}: a leg may turn all round",
+            'the limits of the real joint (URDF: type="revolute" with lower and upper; USD: physics:lowerLimit)',
+            {"joints": float(len(free))},
+        )
+    if locked:
+        yield Finding(
+            _ASSET,
+            f"the limits of {_listed(locked)} leave no motion",
+            "the limits of the real joint, or a fixed joint; exporters write 0 to 0 where CAD says nothing",
+            {"joints": float(len(locked))},
+        )
+
+
+@rule
+def placeholder_limits(case: Case) -> Iterator[Finding]:
+    """Largest efforts and speeds that no motor has: 0, or so large that they limit nothing.
+
+    A file's effort limit of 0 drives nothing. One that would lift fifty times the robot on an arm as long as the robot
+    is a placeholder, and what a policy learns with it does not transfer. Source: statics.
+    """
+    if case.robot is None:
+        return
+    facts = case.facts
+    most = _PLACEHOLDER * facts.weight * case.robot.anatomy.size
+    strong, fast = [], []
+    weak = _written_as_zero(case)
+    for name, joint in facts.joints.items():
+        if joint.drive is None:
+            continue
+        if most < joint.drive.effort < math.inf:
+            strong.append(name)
+        if _FAST < joint.drive.velocity < math.inf:
+            fast.append(name)
+    for names, what, hint in (
+        (weak, "a largest effort or speed of 0 in the file, as exporters write where CAD says nothing",
+         "the motors' largest torque and speed"),
+        (strong, f"effort limits beyond {most:.3g} N·m, which lift fifty times the robot on an arm of its own size",
+         "the motors' largest torque"),
+        (fast, f"velocity limits above {_FAST:g} rad/s", "the motors' largest speed behind the gear"),
+    ):  # fmt: skip
+        if names:
+            drive = facts.joints[names[0]].drive
+            key = f"env.robot.actuators.{drive.group}" if drive is not None else "env.robot.actuators"
+            yield Finding(key, f"{_listed(names)} {'has' if len(names) == 1 else 'have'} {what}", hint)
+
+
+def _written_as_zero(case: Case) -> list[str]:
+    """Return the joints to which a file that stands alone gives an effort or a speed of 0; a task has its own."""
+    if "task" in case.config or case.robot is None:
+        return []
+    kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
+    written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
+    return [name for name in case.facts.joints if name in written]
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:_MOST])
+    return shown + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")

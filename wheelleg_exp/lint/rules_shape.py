@@ -1,0 +1,439 @@
+"""Rules about the robot's geometry: overlaps, contacts at the start, round wheels, balance, and left-right symmetry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.anatomy.anatomy_parts import MirroredPair
+from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
+from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
+from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
+from wheelleg_exp.lint.rule import Case, Finding, rule
+from wheelleg_exp.sim.names import match_names
+
+_ASSET = "env.robot.asset"
+_TOUCHES = 2e-3  # of the robot's size: a depth that soft contacts hide
+_DEEP = 0.25  # of the robot's size, for neighbours, whose shapes meet at their joint
+_STANDS = 5e-3  # of the robot's size, above its lowest point: a body this low touches the ground
+_BUMP = 0.05  # of a wheel's radius by which its rim may vary
+_UNEQUAL = 0.02  # of the radius, between the wheels of two sides
+_TOLD = 4  # pairs in one message
+
+
+@rule
+def overlapping_bodies(case: Case) -> Iterator[Finding]:
+    """Bodies that begin inside one another, and that the model lets push each other apart.
+
+    The contact's spring throws them apart in the first step. Pairs that a joint connects do not touch in MuJoCo and
+    count only where they overlap by a quarter of the robot. Source: MuJoCo's own collision detection at the default
+    pose; MuJoCo documentation, Computation, "Collision detection", on which pairs are checked.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    size = robot.anatomy.size
+    pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
+    acting = [pair for pair in pairs if pair.acts and not pair.neighbours and pair.depth > _TOUCHES * size]
+    if acting:
+        told = ", ".join(f"'{p.bodies[0]}' and '{p.bodies[1]}' by {1e3 * p.depth:.3g} mm" for p in acting[:_TOLD])
+        more = f", and {len(acting) - _TOLD} more pairs" if len(acting) > _TOLD else ""
+        yield Finding(
+            "env.robot.self_collisions",
+            f"bodies begin inside one another and will be thrown apart: {told}{more}",
+            "env.robot.self_collisions: false lets them pass through each other; or another default pose, smaller "
+            "colliders, or these pairs filtered in the file",
+            {"pairs": float(len(acting)), "depth_m": acting[0].depth},
+        )
+    for pair in pairs:
+        if pair.neighbours and pair.depth > _DEEP * size:
+            yield Finding(
+                _ASSET,
+                f"'{pair.bodies[1]}' lies {1e3 * pair.depth:.3g} mm deep inside '{pair.bodies[0]}', on which it hangs: "
+                f"a quarter of the robot's size of {size:.3g} m",
+                "look at the origin of the joint between them, and at the units and origins of their colliders",
+                {"depth_m": pair.depth, "size_m": size},
+            )
+
+
+@rule
+def contact_at_start(case: Case) -> Iterator[Finding]:
+    """A contact that ends the episode, on a body that touches something as it begins.
+
+    The body is as low as what the robot stands on, or inside another body. Every episode ends within its first
+    steps, and nothing is learnt. Source: kinematics of the default pose.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    size = robot.anatomy.size
+    lows = {name: lowest_point(robot.model, robot.data, [robot.model.body(name).id]) for name in robot.bodies}
+    ground = min(lows.values())
+    pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
+    inside = {name for pair in pairs if pair.acts and pair.depth > _TOUCHES * size for name in pair.bodies}
+    for term in case.terms("terminations", "terminations.illegal_contact"):
+        watched = match_names(term.node["sensor_cfg"]["body_names"], robot.bodies, key=term.path, what="body")[1]
+        touching = [
+            name
+            for name in watched
+            if name in inside or (math.isfinite(ground) and lows[name] < ground + _STANDS * size)
+        ]
+        if touching:
+            yield Finding(
+                f"{term.path}.sensor_cfg.body_names",
+                f"{_listed(touching)} touch something where episodes begin: every episode ends at once",
+                "leave out the bodies that the robot stands on; free those that are inside others",
+                {"bodies": float(len(touching))},
+            )
+
+
+@rule
+def wheels_that_do_not_roll(case: Case) -> Iterator[Finding]:
+    """A wheel that is not round, not as large as that of the other side, held by limits, or without a collider.
+
+    The reach of the colliders across the axle is measured all round: a box or a coarse hull rolls in bumps, and a
+    wheel of another radius lets the robot lean or turn. Source: the support function of the shapes.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    for name, why in robot.anatomy.near.items():
+        yield Finding(
+            _ASSET,
+            f"'{name}' would be a wheel's joint, but {why}",
+            'no limits (URDF: type="continuous")' if "limits" in why else "a cylinder on the joint's axis as collider",
+        )
+    wheels = robot.anatomy.wheels
+    for wheel in wheels:
+        if wheel.roundness < 1.0 - _BUMP:
+            bump = wheel.radius * (1.0 - wheel.roundness)
+            yield Finding(
+                _ASSET,
+                f"the wheel of '{wheel.joint}' is not round about its axle: its colliders reach between "
+                f"{1e3 * (wheel.radius - bump):.4g} and {1e3 * wheel.radius:.4g} mm",
+                f"a cylinder of {1e3 * wheel.radius:.4g} mm radius on the axle",
+                {"radius_m": wheel.radius, "bump_m": bump},
+            )
+    radii = {wheel.joint: wheel.radius for wheel in wheels}
+    for pair in robot.drawn.mirrored:
+        one, other = radii.get(pair.left, 0.0), radii.get(pair.right, 0.0)
+        if one > 0 and other > 0 and abs(one - other) > _UNEQUAL * max(one, other):
+            yield Finding(
+                _ASSET,
+                f"the wheels of '{pair.left}' and '{pair.right}' have radii of {1e3 * one:.4g} and "
+                f"{1e3 * other:.4g} mm",
+                "colliders of one size",
+                {"left_m": one, "right_m": other},
+            )
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:_TOLD])
+    return shown + (f" and {len(names) - _TOLD} more" if len(names) > _TOLD else "")
+
+
+_LEAN = 0.06  # rad: an offset that a policy takes up without a word
+_DRAWN_LEAN = 0.17  # rad: the same of a pose that a file draws, which nobody has chosen
+_EDGE = 0.1  # of the support's length, from its ends
+_AHEAD = math.radians(5)
+_TOE = math.radians(2)
+
+
+@rule
+def balance_pose(case: Case) -> Iterator[Finding]:
+    """A centre of mass that does not lie over the wheels where episodes begin.
+
+    On one axle the robot begins to fall at once, the faster the more it leans: it balances where the mass above the
+    axle stands upright over it. The hint's pose of the legs is solved from the kinematics. On more axles the weight
+    has to lie between the outermost contacts. Source: statics of the inverted pendulum.
+    """
+    robot = case.robot
+    if robot is None or robot.anatomy.forward is None:
+        return
+    weight = weight_over_axle(robot)
+    chosen = "task" in case.config
+    if not robot.anatomy.one_axle:
+        yield from _outside(robot, weight.place, _EDGE if chosen else 0.0)
+        return
+    if abs(weight.lean) <= (_LEAN if chosen else _DRAWN_LEAN):
+        return
+    side = "in front of" if weight.ahead > 0 else "behind"
+    pose = balanced_pose(robot)
+    figures = {"offset_m": weight.ahead, "lean_rad": weight.lean, "height_m": weight.above}
+    if pose is not None:
+        hint = "with the base level, the weight is over the axle at " + ", ".join(
+            f"{name}: {value:g}" for name, value in pose.items()
+        )
+        key = "env.robot.init_state.joint_pos"
+    else:
+        hint = f"begin with the base turned by {-weight.lean:.3g} rad about its left axis, or move the masses"
+        key = "env.robot.init_state.rot"
+    yield Finding(
+        key,
+        f"the centre of mass above the wheels is {1e3 * abs(weight.ahead):.3g} mm {side} the axle and "
+        f"{1e3 * weight.above:.4g} mm above it: the robot leans by {math.degrees(abs(weight.lean)):.2g}° as it begins",
+        hint,
+        figures,
+    )
+
+
+def _outside(robot: CompiledRobot, place: np.ndarray, edge: float) -> Iterator[Finding]:
+    anatomy, base = robot.anatomy, robot.model.body(robot.anatomy.base).id
+    local = robot.data.xmat[base].reshape(3, 3).T @ (place - robot.data.xpos[base])
+    ahead = float(local @ np.array(anatomy.forward))
+    contacts = [float(np.array(wheel.contact) @ np.array(anatomy.forward)) for wheel in anatomy.standing]
+    margin = min(ahead - min(contacts), max(contacts) - ahead)
+    if margin < edge * anatomy.support_length:
+        yield Finding(
+            "env.robot.init_state.joint_pos",
+            f"the centre of mass is {1e3 * abs(margin):.3g} mm {'outside' if margin < 0 else 'inside'} the outermost "
+            f"wheels, which are {1e3 * anatomy.support_length:.4g} mm apart: the robot tips over them",
+            "a pose with the wheels farther apart, or the masses nearer to the middle",
+            {"margin_m": margin, "length_m": anatomy.support_length},
+        )
+
+
+@rule
+def rolling_direction(case: Case) -> Iterator[Finding]:
+    """Wheels that do not roll along the base's x, or not along one line.
+
+    Commands, rewards and observations speak of x as forwards. Source: Isaac Lab's convention, ROS REP 103; the
+    directions of the axles.
+    """
+    robot = case.robot
+    if robot is None or not robot.anatomy.wheels:
+        return
+    anatomy = robot.anatomy
+    if anatomy.forward is None:
+        steered = ", ".join(f"'{wheel.joint}'" for wheel in anatomy.wheels if wheel.steered)
+        yield Finding(
+            "env.robot.asset",
+            f"the wheels of {steered} are steered, and no two axles are parallel here"
+            if steered
+            else "the axles of the wheels cross: they do not roll along one line",
+            "axes, or positions of the joints above, that make the wheels' axles parallel",
+        )
+        return
+    axles = [np.array(wheel.axis) for wheel in anatomy.wheels if not wheel.caster]
+    toe = max(math.asin(min(1.0, abs(float(axis @ np.array(anatomy.forward))))) for axis in axles)
+    if toe > _TOE:
+        yield Finding(
+            "env.robot.asset",
+            f"the axle of a wheel is turned by {math.degrees(toe):.2g}° from the others: it scrubs as it rolls",
+            "axes of the wheels' joints that are parallel",
+            {"toe_rad": toe},
+        )
+    x, y, _ = anatomy.forward
+    angle = math.atan2(y, x)
+    if abs(angle) > _AHEAD:
+        yield Finding(
+            "env.robot.asset",
+            f"the wheels roll along ({x:.3g}, {y:.3g}) of the base '{anatomy.base}', and x is forwards in commands, "
+            "rewards and observations",
+            f"turn the base's frame in the file by {math.degrees(angle):.3g}° about z (a link before it, joined "
+            f"fixed), or command and reward lin_vel_y in place of lin_vel_x",
+            {"angle_rad": angle},
+        )
+
+
+_PLACE = 0.015  # of the robot's size: between a joint and the image of the other side's
+_TILT = math.radians(2)
+_MASS = 0.1  # of the larger
+_CENTRE = 0.02  # of the robot's size: between centres of mass
+_ANGLE = 0.02  # rad, between limits or positions of two sides
+_NEGLIGIBLE = 0.01  # of the robot's mass: a link whose centre of mass says little
+_ALONG = 0.9  # cosine: a joint that turns about the wheels' axle
+_HINT = "the same numbers on both sides of the file, with y and the signs of turns mirrored"
+_MOST = 4  # findings of one kind
+
+
+@rule
+def wheel_senses(case: Case) -> Iterator[Finding]:
+    """Wheels that turn in opposite senses while the robot rolls one way, and legs beside them that do not.
+
+    One unit of action then drives one side forwards and the other back. Where every joint of one side turns the
+    other way round, it is the file's convention, and nothing is said. Source: kinematics, v = omega x r.
+    """
+    robot = case.robot
+    if robot is None:
+        return
+    anatomy = robot.drawn
+    signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}
+    for pair in anatomy.mirrored:
+        if pair.left == pair.right or signs.get(pair.left, 0) * signs.get(pair.right, 0) >= 0:
+            continue
+        if _legs_turn_alike(robot, pair) and not _compensated(case, pair):
+            scale = f"{{{pair.left}: {signs[pair.left]:g}, {pair.right}: {signs[pair.right]:g}}}"
+            yield Finding(
+                _ASSET,
+                f"positive speed of '{pair.left}' rolls the robot {_way(signs[pair.left])}, of '{pair.right}' "
+                f"{_way(signs[pair.right])}, though the legs above them turn alike",
+                f"the axis of one of them the other way round in the file, or an action's scale times {scale}",
+            )
+
+
+def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
+    """Return whether the last joints of two legs that turn about the wheels' axle turn alike, or there are none."""
+    anatomy, left = robot.drawn, np.array(robot.drawn.left)
+    chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
+    signs = {
+        name: pair.sign for pair in anatomy.mirrored if pair.left != pair.right for name in (pair.left, pair.right)
+    }
+    alike = [signs[name] > 0 for name in chain if name in signs and abs(float(_axis(robot, name) @ left)) > _ALONG]
+    return not alike or alike[-1]
+
+
+def _axis(robot: CompiledRobot, joint: str) -> np.ndarray:
+    model = robot.model
+    base = robot.data.xmat[model.body(robot.anatomy.base).id].reshape(3, 3)
+    axis: np.ndarray = base.T @ robot.data.xaxis[model.joint(joint).id]
+    return axis
+
+
+def _compensated(case: Case, pair: MirroredPair) -> bool:
+    """Return whether an action gives the two wheels scales of opposite signs."""
+    for term in case.terms("actions"):
+        scale: Any = term.node.get("scale")
+        if isinstance(scale, Mapping):
+            found = case.by_joint(scale, [pair.left, pair.right], 1.0)
+            if found[pair.left] * found[pair.right] < 0:
+                return True
+    return False
+
+
+def _way(sign: int) -> str:
+    return "forwards" if sign > 0 else "backwards"
+
+
+@rule
+def mirror_images(case: Case) -> Iterator[Finding]:
+    """Legs of the left and the right that are no mirror images: in place, mass, centre of mass, or limits.
+
+    A robot that is meant to be symmetric drifts to one side, and rewards of symmetry ask for what is none. Source:
+    the image of each joint and link in the plane between the sides, in the pose that the file draws.
+    """
+    robot = case.robot
+    if robot is None or robot.drawn.left is None:
+        return
+    pairs = [pair for pair in robot.drawn.mirrored if pair.left != pair.right]
+    displaced = [pair for pair in pairs if pair.offset > _PLACE * robot.drawn.size or pair.tilt > _TILT]
+    if displaced:
+        yield _displaced(displaced, set(robot.drawn.wheel_joints))
+    told = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
+    yield from told[:_MOST]
+    legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
+    alone = [name for name in robot.drawn.unmatched if name in legs]
+    if alone and len(robot.drawn.wheels) % 2 == 0:
+        yield Finding(
+            _ASSET,
+            ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side",
+            "look at the origins of these joints in the file",
+        )
+
+
+def _displaced(pairs: list[MirroredPair], wheels: set[str]) -> Finding:
+    first, more = pairs[0], len(pairs) - 1
+    what = "the wheels of " if first.left in wheels else ""
+    by = ", by the middles of their colliders" if what else ""
+    others = f", nor are {more} more pairs" if more > 1 else ", nor is one more pair" if more else ""
+    return Finding(
+        _ASSET,
+        f"{what}'{first.left}' and '{first.right}' are no mirror images: {1e3 * first.offset:.3g} mm and "
+        f"{math.degrees(first.tilt):.2g}° off{by}{others}",
+        _HINT,
+        {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(pairs))},
+    )
+
+
+def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
+    model = robot.model
+    one, other = (int(model.jnt_bodyid[model.joint(name).id]) for name in (pair.left, pair.right))
+    masses = float(model.body_mass[one]), float(model.body_mass[other])
+    if abs(masses[0] - masses[1]) > _MASS * max(masses):
+        yield Finding(
+            _ASSET,
+            f"'{model.body(one).name}' weighs {masses[0]:.4g} kg and '{model.body(other).name}' {masses[1]:.4g} kg",
+            _HINT,
+            {"left_kg": masses[0], "right_kg": masses[1]},
+        )
+    else:
+        yield from _centres(robot, one, other, max(masses))
+    yield from _limits(robot, pair)
+
+
+def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterator[Finding]:
+    model, size = robot.model, robot.drawn.size
+    if mass < _NEGLIGIBLE * float(model.body_mass.sum()):
+        return
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    mujoco.mj_kinematics(model, data)
+    base = model.body(robot.drawn.base).id
+    frame = data.xmat[base].reshape(3, 3)
+    left = frame @ np.array(robot.drawn.left)
+    flip = np.eye(3) - 2 * np.outer(left, left)
+    middle = data.xpos[base] + frame @ np.array(robot.drawn.middle)
+    offset = flip @ (data.xipos[one] - middle) - (data.xipos[other] - middle)
+    distance = float(np.linalg.norm(offset))
+    if distance > _CENTRE * size:
+        yield Finding(
+            _ASSET,
+            f"the centres of mass of '{model.body(one).name}' and '{model.body(other).name}' are no mirror images: "
+            f"{1e3 * distance:.3g} mm off",
+            _HINT,
+            {"offset_m": distance},
+        )
+
+
+def _limits(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
+    model = robot.model
+    one, other = (model.joint(name).id for name in (pair.left, pair.right))
+    if not (model.jnt_limited[one] and model.jnt_limited[other]):
+        return
+    low, high = (model.jnt_range[one] - robot.zero(pair.left)).tolist()
+    image = sorted((pair.sign * (model.jnt_range[other] - robot.zero(pair.right))).tolist())
+    worst = max(abs(low - image[0]), abs(high - image[1]))
+    if worst > _ANGLE:
+        ranges = [f"{a:.4g} to {b:.4g}" for a, b in (model.jnt_range[one], model.jnt_range[other])]
+        yield Finding(
+            _ASSET,
+            f"the limits of '{pair.left}' ({ranges[0]}) and '{pair.right}' ({ranges[1]}) are no mirror images: "
+            f"{worst:.3g} off",
+            _HINT,
+            {"difference": worst},
+        )
+
+
+@rule
+def lopsided_pose(case: Case) -> Iterator[Finding]:
+    """A default pose whose left and right are no mirror images, though the robot's legs are.
+
+    Most often a sign: joints of two sides that turn in opposite senses want positions of opposite signs. Source: the
+    mirrored axes of the joints.
+    """
+    robot = case.robot
+    if robot is None or robot.drawn.left is None:
+        return
+    legs = {name for leg in robot.drawn.legs for name in leg.joints}
+    wrong = []
+    for pair in robot.drawn.mirrored:
+        if pair.left == pair.right or not {pair.left, pair.right} <= legs:
+            continue
+        here = robot.position(pair.left) - robot.zero(pair.left)
+        there = robot.position(pair.right) - robot.zero(pair.right)
+        if abs(there - pair.sign * here) > _ANGLE:
+            wanted = robot.zero(pair.right) + pair.sign * here
+            wrong.append((pair, robot.position(pair.left), robot.position(pair.right), wanted))
+    if wrong:
+        told = ", ".join(f"{p.left} at {a:.4g} and {p.right} at {b:.4g}" for p, a, b, _ in wrong[:_MOST])
+        hint = ", ".join(f"{p.right}: {wanted:.4g}" for p, _, _, wanted in wrong[:_MOST])
+        yield Finding(
+            "env.robot.init_state.joint_pos",
+            f"the default pose is lopsided: {told}",
+            f"{hint} mirrors the left side",
+            {"pairs": float(len(wrong))},
+        )

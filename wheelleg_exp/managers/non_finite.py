@@ -1,0 +1,172 @@
+"""Detect NaN and inf, name the term that produced them, and save the state that led to them.
+
+Each step checks one sum over all values. Only if this sum is not finite are the values checked one by one.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Iterable, Iterator
+from typing import Any
+
+import torch
+
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.managers.async_queries import is_calm, is_finite, note
+from wheelleg_exp.managers.term_interface import Env
+from wheelleg_exp.sim.ids import ids_where
+
+KEPT = 16  # environments whose state is kept, of those that fail together
+PHYSICS = "env.sim"
+ACTIONS = "env.actions"
+POLICY = "agent.actor"
+
+
+def may_fail(sums: Iterable[torch.Tensor]) -> bool:
+    """Return whether a number that some sums are over may not be finite: large ones may add up to infinity as well."""
+    return not is_finite(functools.reduce(torch.add, sums))
+
+
+def failed_rows(values: torch.Tensor) -> torch.Tensor:
+    """Return the rows of a tensor that hold a number that is not finite, as indices."""
+    return ids_where(~values.reshape(len(values), -1).isfinite().all(dim=1))
+
+
+def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
+    """Tell which environments failed in this step, and whose numbers were not finite.
+
+    Where the physics itself went wrong, what terms made of it is not told.
+
+    Args:
+        env: the environment, before they are reset.
+        env_ids: environments that have failed, (n,).
+
+    Returns:
+        ``keys``: config keys by environment; ``evidence``: the state of the first of them (see ``evidence``).
+    """
+    bad_actions = set(failed_rows(env.action_manager.action).tolist())
+    told, all_told = set(env_ids.tolist()), env.reward_manager.non_finite
+    rewards = {i: names for i, names in all_told.items() if i in told}
+    keys = {i: [f"env.rewards.{name}" for name in names] or ["env.rewards"] for i, names in rewards.items()}
+    unstable = env_ids[env.scene.unstable()[env_ids]]  # whose state went to NaN or to huge values
+    keys |= {i: [ACTIONS if i in bad_actions else PHYSICS] for i in unstable.tolist()}
+    keys = dict(sorted(keys.items()))
+    return {"keys": keys, "evidence": evidence(env, torch.tensor(list(keys), device=env.device))}
+
+
+def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Return what some environments were in, the first ``KEPT`` of them: arrays by name, a row an environment.
+
+    ``state`` is the engine's row, ``motion_at_start`` positions and velocities at the start of the control step (the
+    engine itself resets a simulation that has gone wrong), ``model.<field>`` what events have made of the model.
+
+    Args:
+        env: the environment.
+        ids: environments, (n,).
+        more: further tensors, (N, ...).
+    """
+    ids = ids[:KEPT].to(env.device)
+    scene, actions, observed = env.scene, env.action_manager, env.observation_manager.obs_buf
+    rows = {
+        "episode_length": env.episode_length_buf,
+        "state": scene.sim.state,
+        "qpos": scene.sim.view("qpos"),
+        "qvel": scene.sim.view("qvel"),
+        "ctrl": scene.sim.view("ctrl"),
+        "motion_at_start": scene.robot.data.motion_at_start,
+        "action": actions.action,
+        "previous_action": actions.prev_action,
+        "rewards": env.reward_manager.raw_values.T,
+        **{f"observation.{name}": value for name, value in observed.items() if isinstance(value, torch.Tensor)},
+        **{f"model.{name}": values for name, values in sorted(scene.sim.expanded.items())},
+        **more,
+    }
+    return {"env_ids": ids.clone(), **{name: values[ids].detach().clone() for name, values in rows.items()}}
+
+
+def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
+    """Refuse what an event has written into states, wrenches or model fields and is no number.
+
+    Args:
+        env: the environment.
+        path: the event's config key.
+        asked: what the event has asked for to be written beside states (see ``Engine.asked``).
+        ids: the environments that it ran for; None is all.
+
+    Raises:
+        SimulationFailure: with the event's key, and what it wrote.
+    """
+    rows = slice(None) if ids is None else ids
+    written = env.scene.written(asked) if asked else {}
+    if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
+        _tell_writes(env, path, {**env.scene.motion(), **written}, ids)
+
+
+def _rows(values: torch.Tensor, ids: torch.Tensor | None) -> torch.Tensor:
+    return values if ids is None else values.index_select(0, ids)
+
+
+def _tell_writes(env: Env, path: str, written: dict[str, torch.Tensor], ids: torch.Tensor | None) -> None:
+    before = set(ids_where(env.scene.unstable()).tolist())  # of these it is not the event's fault
+    for name, values in written.items():
+        bad = set(failed_rows(values).tolist()) - before
+        bad &= bad if ids is None else set(ids.tolist())
+        if bad:
+            found = torch.tensor(sorted(bad), device=env.device)
+            raise failure(env, path, f"wrote numbers that are not finite into {name}", found)
+
+
+def note_observations(env: Env) -> None:
+    """Let a GPU note whether the present observations are numbers; nothing waits for it."""
+    if env.device.type == "cuda" and (parts := _parts(env)):
+        note(functools.reduce(torch.add, [part.sum() for part in parts]))
+
+
+def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
+    """Refuse observations that are no numbers.
+
+    Args:
+        env: the environment.
+        only: environments (N,) bool that are looked at; None is all.
+        is_noted: whether ``note_observations`` has seen them.
+
+    Raises:
+        SimulationFailure: with the key of the first such term.
+    """
+    if is_noted and is_calm(env.device):
+        return
+    parts = _parts(env)
+    if parts and may_fail(part.sum() for part in parts):
+        for path, part in _observed(env):
+            bad = failed_rows(part if only is None else part.masked_fill(~only.view(-1, *[1] * (part.ndim - 1)), 0.0))
+            if len(bad):
+                raise failure(env, path, "gave observations that are not finite", bad)
+
+
+def _parts(env: Env) -> list[torch.Tensor]:
+    groups = env.observation_manager.distinct()
+    return [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
+
+
+def _observed(env: Env) -> Iterator[tuple[str, torch.Tensor]]:
+    for group, value in env.observation_manager.obs_buf.items():
+        for term, part in env.observation_manager.split(group, value).items():
+            yield f"env.observations.{group}.terms.{term}", part
+
+
+def require_finite_actions(env: Env, actions: torch.Tensor) -> None:
+    """Refuse the actions (N, A) of a policy that are no numbers: its networks have failed, not the environment.
+
+    Raises:
+        SimulationFailure: with the actor's key.
+    """
+    if may_fail([actions.sum()]) and len(bad := failed_rows(actions)):
+        raise failure(env, POLICY, "the policy's actions are not finite", bad, actions=actions)
+
+
+def failure(env: Env, key: str, what: str, ids: torch.Tensor, **more: torch.Tensor) -> SimulationFailure:
+    """Return the error for numbers that are none, with the state of the environments that they are of."""
+    first = ", ".join(str(i) for i in ids[:3].tolist()) + (", …" if len(ids) > 3 else "")
+    message = f"{what} in {len(ids)} of {env.num_envs} environments ({first}), control step {env.common_step_counter}"
+    found = evidence(env, ids, **more) if hasattr(env, "reward_manager") else {}
+    return SimulationFailure(message, key=key, expected="finite numbers", evidence=found)

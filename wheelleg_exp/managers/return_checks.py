@@ -1,0 +1,178 @@
+"""Check what a term returned against what its manager needs. The message states what to write instead.
+
+The first call of a term checks everything. Later calls check the shape only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.terms.term_errors import code_place, described
+
+
+class Form(Protocol):
+    """What a term has to return."""
+
+    def fits(self, value: Any) -> bool:
+        """Return whether ``value`` is seen at a glance to be what is needed; else ``check`` looks closer."""
+
+    def check(self, value: Any, source: str) -> None:
+        """Raise ConfigError, without a key, unless ``value`` is what is needed; ``source`` names who returned it."""
+
+
+def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
+    """Hold what code returned against a form.
+
+    Args:
+        form: what is needed.
+        value: what was returned.
+        source: who returned it, in words.
+        path: its config key.
+        code: the function or object, whose definition is where the mistake is mended.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    try:
+        form.check(value, source)
+    except ConfigError as error:
+        raise ConfigError(error.message, key=path, where=code_place(code), expected=error.expected) from None
+
+
+@dataclass
+class TensorForm:
+    """A tensor with a row for each environment.
+
+    Attributes:
+        rows: number of environments, N.
+        device: where it has to be.
+        dtype: its type of numbers; None is any real one.
+        width: None for shape (N,), 0 for (N, width) of any width that stays the same, else its width.
+        deep: whether a row may have further dimensions, as images have.
+        what: one row in words.
+    """
+
+    rows: int
+    device: torch.device
+    dtype: torch.dtype | None = None
+    width: int | None = None
+    what: str = "number"
+    deep: bool = False
+    _shape: torch.Size | None = field(default=None, init=False)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether such a tensor has been seen."""
+        return self._shape is not None
+
+    def fits(self, value: Any) -> bool:
+        """Return whether a value has the shape that has been seen."""
+        return self._shape is not None and getattr(value, "shape", None) == self._shape
+
+    def check(self, value: Any, source: str) -> None:
+        """Raise ConfigError, without a key, unless ``value`` is such a tensor."""
+        if self.fits(value):
+            return
+        found, fix = self._mistake(value)
+        if found:
+            raise ConfigError(f"{source} returns {found}", expected=self._wanted() + (f": {fix}" if fix else ""))
+        self._shape = value.shape
+
+    def _wanted(self) -> str:
+        shape = f"({self.rows},)" if self.width is None else f"({self.rows}, {self.width or 'width'})"
+        kind = "real" if self.dtype is None else _dtype_name(self.dtype)
+        return f"a {kind} tensor of shape {shape}, a {self.what} for each environment"
+
+    def _mistake(self, value: Any) -> tuple[str, str]:
+        """Return what a value is and what to write instead; nothing when it is right."""
+        if not isinstance(value, torch.Tensor):
+            return _describe_other(value)
+        if not self._has_shape(value.shape) or (self._shape is not None and value.shape != self._shape):
+            before = "" if self._shape is None else f", and {tuple(self._shape)} before"
+            return f"shape {tuple(value.shape)}{before}", self._reshaped(value.shape)
+        if value.device != self.device:
+            return f"a tensor on {value.device}", f"value.to('{self.device}')"
+        if value.dtype.is_complex or (self.dtype is not None and value.dtype != self.dtype):
+            fix = "a comparison, such as value > limit" if self.dtype == torch.bool else "value.float()"
+            return f"{_dtype_name(value.dtype)} numbers", "value.real" if value.dtype.is_complex else fix
+        return ("a tensor that keeps its gradient", "value.detach()") if value.requires_grad else ("", "")
+
+    def _has_shape(self, shape: torch.Size) -> bool:
+        if self.width is None:
+            return shape == (self.rows,)
+        fits = len(shape) >= 2 if self.deep else len(shape) == 2
+        return fits and shape[0] == self.rows and min(shape[1:]) >= 1 and self.width in (0, shape[-1])
+
+    def _reshaped(self, shape: torch.Size) -> str:
+        if self._shape is not None:
+            return "the same shape at every call"
+        if self.width is None:
+            return {(self.rows, 1): "value.squeeze(1)", (): "value.expand(env.num_envs)"}.get(tuple(shape), "")
+        if shape == (self.rows,):
+            return "value.unsqueeze(1)"
+        return "value.flatten(1)" if len(shape) > 2 and shape[0] == self.rows else ""
+
+
+def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorForm:
+    """Return the form of (N, width): rows of numbers, as observations and commands have them, or (N, ..., width)."""
+    return TensorForm(rows, device, torch.get_default_dtype(), width=0, what="row of numbers", deep=deep)
+
+
+@dataclass
+class NoForm:
+    """Nothing: what is returned would be lost."""
+
+    def fits(self, value: Any) -> bool:
+        """Return whether a value is None."""
+        return value is None
+
+    def check(self, value: Any, source: str) -> None:
+        """Raise ConfigError, without a key, unless ``value`` is None."""
+        if value is not None:
+            raise ConfigError(f"{source} returns {described(value)}, which nobody reads", expected="no return value")
+
+
+@dataclass
+class FiguresForm:
+    """A number, numbers by name, or nothing: what a curriculum logs."""
+
+    def fits(self, value: Any) -> bool:
+        """Return whether a value is a plain number, or None."""
+        return value is None or type(value) is float
+
+    def check(self, value: Any, source: str) -> None:
+        """Raise ConfigError, without a key, unless ``value`` can be logged."""
+        figures = value.values() if isinstance(value, Mapping) else [value]
+        wrong = next((figure for figure in figures if figure is not None and not _is_number(figure)), None)
+        if wrong is not None:
+            inside = " in a mapping" if isinstance(value, Mapping) else ""
+            expected = "a number, numbers by name, or None, such as {'level': float(levels.mean())}"
+            raise ConfigError(f"{source} returns {described(wrong)}{inside}", expected=expected)
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, (torch.Tensor, np.ndarray)):
+        return math.prod(value.shape) == 1
+    return isinstance(value, (int, float, np.generic)) and not isinstance(value, np.str_)
+
+
+def _describe_other(value: Any) -> tuple[str, str]:
+    """Return what a value is that is no tensor, and how it becomes one."""
+    if value is None:
+        return "nothing", "a return statement may be missing"
+    if isinstance(value, np.ndarray):
+        return "a numpy array", "torch.from_numpy(value)"
+    if isinstance(value, (bool, int, float, np.generic)):
+        return described(value), "torch.full((env.num_envs,), value)"
+    return described(value), "torch.tensor(value)" if isinstance(value, list) else ""
+
+
+def _dtype_name(dtype: torch.dtype) -> str:
+    return str(dtype).removeprefix("torch.")

@@ -1,0 +1,154 @@
+"""Histories of the last samples, oldest first, and delays.
+
+Each append makes a new tensor instead of writing into the old one. A tensor that was handed out therefore never
+changes. The first sample of an episode fills the whole history, as in Isaac Lab.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.managers.manager_base import Term
+from wheelleg_exp.managers.term_interface import Env
+from wheelleg_exp.sim.delay import DelayBuffer
+
+
+class HistoryBuffer:
+    """The last H samples of each environment.
+
+    Args:
+        num_envs: number of environments, N.
+        length: samples kept, H.
+        shape: shape of one sample.
+        device: where the samples are.
+    """
+
+    def __init__(self, num_envs: int, length: int, shape: torch.Size, device: torch.device) -> None:
+        self.samples = torch.zeros(num_envs, length, *shape, device=device)
+
+    def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
+        """Take up a sample (N, ...), drop the oldest, and return the history (N, H, ...).
+
+        Args:
+            sample: the new sample.
+            first: environments for which it is the first of an episode, ids or a mask (N,) bool, or None.
+        """
+        self.samples = self.appended(sample, first)
+        return self.samples
+
+    def appended(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
+        """Return what ``append`` would, without storing it."""
+        newest = sample.unsqueeze(1)
+        after = torch.cat((self.samples[:, 1:], newest), dim=1)
+        if first is not None and first.dtype == torch.bool:
+            return torch.where(first.view(-1, *[1] * (after.ndim - 1)), newest, after)
+        if first is not None:
+            after[first] = newest[first]
+        return after
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the samples."""
+        return {"samples": self.samples.clone()}
+
+    def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self.samples = saved["samples"].clone()
+
+
+class RowHistory:
+    """The last samples of several terms as one row an environment: term by term, each oldest first.
+
+    Args:
+        num_envs: number of environments, N.
+        widths: width of one sample of each term.
+        lengths: samples kept of each term; 0 and 1 both keep the newest alone.
+        device: where the samples are.
+    """
+
+    def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:
+        slots = [max(1, length) for length in lengths]
+        sizes = [width * count for width, count in zip(widths, slots, strict=True)]
+        ends = list(itertools.accumulate(sizes))
+        self._spans = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        self._kept = [slice(s.start + width, s.stop) for s, width in zip(self._spans, widths, strict=True)]
+        self._widths = list(widths)
+        firsts = zip(itertools.accumulate(widths), widths, slots, strict=True)
+        columns = [torch.arange(end - width, end, device=device).repeat(count) for end, width, count in firsts]
+        self._fill = torch.cat(columns)
+        self.remembers = max(lengths) > 0
+        self.values = torch.zeros(num_envs, sum(sizes), device=device)
+
+    def append(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
+        """Take up a sample (N, width) of each term and return the row (N, sum of H * width), the caller's to keep.
+
+        Args:
+            samples: the new samples.
+            first: environments for which they are the first of an episode, ids or a mask (N,) bool, or None.
+        """
+        self.values = self.appended(samples, first)
+        return self.values.clone() if self.remembers else self.values
+
+    def appended(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
+        """Return what ``append`` would, without storing it; of the first terms alone where there are fewer samples."""
+        pieces = []
+        for kept, sample in zip(self._kept, samples, strict=False):
+            if kept.start < kept.stop:
+                pieces.append(self.values[:, kept])
+            pieces.append(sample)
+        after = torch.cat(pieces, dim=1)
+        if first is not None and self.remembers and first.dtype == torch.bool:
+            newest = torch.cat(list(samples), dim=1).index_select(1, self._fill[: after.shape[1]])
+            return torch.where(first.unsqueeze(1), newest, after)
+        if first is not None and self.remembers:
+            newest = torch.cat(list(samples), dim=1).index_select(0, first)
+            after.index_copy_(0, first, newest.index_select(1, self._fill[: after.shape[1]]))
+        return after
+
+    def beginning(self, count: int) -> torch.Tensor:
+        """Return a copy of the columns of the first ``count`` terms."""
+        return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
+
+    def part(self, index: int) -> RowHistoryPart:
+        """Return the history of one term."""
+        return RowHistoryPart(self, self._spans[index], self._widths[index])
+
+
+class RowHistoryPart:
+    """One term's history in a row, whose state is that of a history of its own.
+
+    Args:
+        row: the row.
+        span: its columns.
+        width: width of one sample.
+    """
+
+    def __init__(self, row: RowHistory, span: slice, width: int) -> None:
+        self._row, self._span, self._width = row, span, width
+
+    @property
+    def samples(self) -> torch.Tensor:
+        """The last samples, oldest first, (N, H, width)."""
+        return self._row.values[:, self._span].unflatten(1, (-1, self._width))
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the samples."""
+        return {"samples": self.samples.contiguous().clone()}
+
+    def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._row.values = self._row.values.clone()  # one term after the other; what was handed out stays
+        self._row.values[:, self._span] = saved["samples"].flatten(1)
+
+
+def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
+    """Return what delays samples (N, ...) of a term by its field ``delay``, or None where nothing does."""
+    low, high = term.fields.get("delay") or (0, 0)
+    if high == 0:
+        return None
+    key = f"{term.path}.delay"
+    require_memory(4 * sample.numel() * (high + 1), key, f"{high + 1} samples of {env.num_envs} environments")
+    return DelayBuffer(sample, (low, high), env.streams.get(key))

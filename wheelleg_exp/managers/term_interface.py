@@ -1,0 +1,179 @@
+"""Interface for terms: the environment as terms see it, members of the scene, and named ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import torch
+
+from wheelleg_exp.constraints import Interval, Names
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers.streams import Streams
+from wheelleg_exp.sim.scene import Scene
+from wheelleg_exp.terms.config_values import require_fit
+
+if TYPE_CHECKING:
+    from wheelleg_exp.managers.action_manager import ActionManager
+    from wheelleg_exp.managers.command_manager import CommandManager
+    from wheelleg_exp.managers.curriculum_manager import CurriculumManager
+    from wheelleg_exp.managers.event_manager import EventManager
+    from wheelleg_exp.managers.observation_manager import ObservationManager
+    from wheelleg_exp.managers.recorder_manager import RecorderManager
+    from wheelleg_exp.managers.reward_manager import RewardManager
+    from wheelleg_exp.managers.termination_manager import TerminationManager
+
+
+class Env(Protocol):
+    """The environment as terms see it; names and meanings are Isaac Lab's.
+
+    Attributes:
+        cfg: the composed ``env`` section, by attribute or key.
+        num_envs: number of environments, N.
+        device: where all tensors are.
+        physics_dt: physics step, s.
+        step_dt: control step, s.
+        max_episode_length_s: longest episode, s.
+        max_episode_length: longest episode, control steps.
+        episode_length_buf: control steps of each present episode, (N,) long.
+        common_step_counter: control steps since construction.
+        scene: ground, robot and sensors.
+        streams: the named random streams.
+        observers: called in every step after the rewards and before the resets.
+    """
+
+    cfg: Any
+    num_envs: int
+    device: torch.device
+    physics_dt: float
+    step_dt: float
+    max_episode_length_s: float
+    max_episode_length: int
+    episode_length_buf: torch.Tensor
+    common_step_counter: int
+    scene: Scene
+    streams: Streams
+    observers: list[Callable[[], None]]
+    command_manager: CommandManager
+    action_manager: ActionManager
+    observation_manager: ObservationManager
+    event_manager: EventManager
+    reward_manager: RewardManager
+    termination_manager: TerminationManager
+    curriculum_manager: CurriculumManager
+    recorder_manager: RecorderManager
+
+
+Ids = torch.Tensor | Sequence[int] | slice
+
+
+@dataclass
+class SceneEntityCfg:
+    """A member of the scene, with joints and bodies by expression.
+
+    Args:
+        name: the member's name, ``robot``, ``terrain`` or a sensor's.
+        joint_names: joint expressions; null is all. Once resolved, the names.
+        joint_ids: indices of the joints, instead of names.
+        fixed_tendon_names: null: a robot's tendons are not read.
+        fixed_tendon_ids: none.
+        body_names: body expressions; null is all. Once resolved, the names.
+        body_ids: indices of the bodies, instead of names.
+        object_collection_names: null: there are no collections of objects.
+        object_collection_ids: none.
+        preserve_order: order by expression (True) or by the asset (False).
+    """
+
+    name: str
+    joint_names: Names | None = None
+    joint_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
+    fixed_tendon_names: Names | None = field(default=None, repr=False)
+    fixed_tendon_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
+    body_names: Names | None = None
+    body_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
+    object_collection_names: Names | None = field(default=None, repr=False)
+    object_collection_ids: Ids = field(default_factory=lambda: slice(None), repr=False)
+    preserve_order: bool = False
+
+    def resolve(self, scene: Scene, path: str = "SceneEntityCfg") -> None:
+        """Find the indices in the scene.
+
+        Args:
+            scene: the scene.
+            path: config key of this entity, for messages.
+
+        Raises:
+            ConfigError: no such member, or an expression matches nothing.
+        """
+        entity = member(scene, self.name, f"{path}.name")
+        if self.joint_names is not None:
+            if not hasattr(entity, "find_joints"):
+                raise ConfigError(f"'{self.name}' has no joints", key=f"{path}.joint_names", expected="body_names only")
+            found = entity.find_joints(
+                _listed(self.joint_names), key=f"{path}.joint_names", preserve_order=self.preserve_order
+            )
+            self.joint_ids, self.joint_names = torch.tensor(found[0], device=scene.device), found[1]
+        if self.body_names is not None:
+            found = entity.find_bodies(
+                _listed(self.body_names), key=f"{path}.body_names", preserve_order=self.preserve_order
+            )
+            self.body_ids, self.body_names = torch.tensor(found[0], device=scene.device), found[1]
+        self.joint_ids = _indices(self.joint_ids, len(getattr(entity, "joint_names", ())), scene.device)
+        self.body_ids = _indices(self.body_ids, len(getattr(entity, "body_names", ())), scene.device)
+        self._bodies = _on_host(self.body_ids, len(getattr(entity, "body_names", ())))
+        for name in ("fixed_tendon_names", "object_collection_names"):
+            if getattr(self, name) is not None:
+                raise ConfigError(f"'{self.name}' has none of these here", key=f"{path}.{name}", expected="null")
+
+    def body_list(self, count: int) -> list[int]:
+        """Return the indices of the bodies, among ``count``; once resolved, no device is waited for."""
+        known = vars(self).get("_bodies")
+        return list(known) if known is not None else _on_host(self.body_ids, count)
+
+    def selects_as(self, other: SceneEntityCfg) -> bool:
+        """Return whether another entity names the same joints and bodies in the same order."""
+        names = ("name", "joint_names", "body_names", "preserve_order")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
+
+
+def member(scene: Scene, name: str, key: str) -> Any:
+    """Return a member of the scene by name; ConfigError at ``key`` when there is none."""
+    if name not in list(scene):
+        raise ConfigError(
+            f"the scene has no '{name}'",
+            key=key,
+            expected="one of " + ", ".join(scene),
+            nearest=nearest_name(name, scene),
+        )
+    return scene[name]
+
+
+def _indices(ids: Ids, count: int, device: torch.device) -> torch.Tensor | slice:
+    """Return indices among ``count`` as a tensor or a slice; those that count from the end, from the beginning."""
+    if isinstance(ids, (torch.Tensor, slice)):
+        return ids
+    return torch.tensor([i + count if -count <= i < 0 else i for i in ids], device=device)
+
+
+def _on_host(ids: Ids, count: int) -> list[int]:
+    if isinstance(ids, slice):
+        return list(range(count))[ids]
+    return ids.tolist() if isinstance(ids, torch.Tensor) else list(ids)
+
+
+def _listed(names: str | Sequence[str]) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)
+
+
+def bounds(
+    ranges: Mapping[Any, Sequence[float]], axes: Sequence[str], key: str, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return lows and highs (k,) of named ranges on a device; an axis that is not named is (0, 0).
+
+    Raises:
+        ConfigError: an axis is unknown or a range is not two numbers in order.
+    """
+    require_fit(key, ranges, Mapping[Literal[tuple(axes)], Interval])  # type: ignore[misc]
+    pairs = torch.tensor([list(ranges.get(axis, (0.0, 0.0))) for axis in axes], dtype=torch.float32, device=device)
+    return pairs[:, 0], pairs[:, 1]

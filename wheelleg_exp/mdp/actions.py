@@ -1,0 +1,476 @@
+"""Action terms: the targets that a policy's output sets.
+
+Raw actions become targets by scale, then offset, then clip. A term's ``delay`` (a field of the manager) makes its
+targets act some physics steps later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+
+from wheelleg_exp.constraints import Bounds, Names, Share
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import ActionTerm, Env, member
+from wheelleg_exp.sim.ids import narrowed
+from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
+
+__all__ = [
+    "AbsBinaryJointPositionAction",
+    "BinaryJointAction",
+    "BinaryJointPositionAction",
+    "BinaryJointVelocityAction",
+    "EMAJointPositionToLimitsAction",
+    "JointAction",
+    "JointEffortAction",
+    "JointPositionAction",
+    "JointPositionToLimitsAction",
+    "JointTerm",
+    "JointVelocityAction",
+    "RelativeJointPositionAction",
+]
+
+
+class JointTerm(ActionTerm):
+    """An action on joints: what all of them have.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        clip: bounds of the processed action by joint expression, [low, high].
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+        width: components of the action; None is one a joint.
+    """
+
+    settings: ClassVar[tuple[str, ...]] = ("_ids", "_low", "_high")
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        clip: Mapping[str, Bounds] | None,
+        preserve_order: bool,
+        asset_name: str,
+        width: int | None = None,
+    ) -> None:
+        self._robot = member(env.scene, asset_name, "asset_name")
+        names = [joint_names] if isinstance(joint_names, str) else list(joint_names)
+        indices, self.joint_names = match_names(
+            names, self._robot.joint_names, key="joint_names", what="joint", preserve_order=preserve_order
+        )
+        self.action_dim = len(indices) if width is None else width
+        self._ids = narrowed(indices, env.device)
+        self._low, self._high = self._bounds(clip)
+        self.raw_actions = torch.zeros(env.num_envs, self.action_dim, device=env.device)
+        self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Zero the raw actions of ``env_ids``; processed actions are left, as in Isaac Lab."""
+        self.raw_actions.index_fill_(0, env_ids, 0.0)
+
+    def _clip(self) -> None:
+        if self._low is not None:
+            torch.clamp(self.processed_actions, self._low, self._high, out=self.processed_actions)
+
+    def _spread(self, values: float | Mapping[str, float], default: float, name: str) -> torch.Tensor:
+        spread = values_by_name(values, self.joint_names, default, key=name, what="joint")
+        return torch.tensor(spread, dtype=torch.float32, device=self._robot.device)
+
+    def _bounds(self, clip: Mapping[str, Bounds] | None) -> tuple[torch.Tensor | None, torch.Tensor | None]:
+        if clip is None:
+            return None, None
+        none = (-torch.inf, torch.inf)
+        spread = values_by_name(clip, self.joint_names, none, key="clip", what="joint")
+        bounds = torch.tensor(spread, dtype=torch.float32, device=self._robot.device)
+        return bounds[:, 0], bounds[:, 1]
+
+
+class JointAction(JointTerm):
+    """An affine action on joints: ``processed = clip(raw * scale + offset)``.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: factor on the raw action; a number, or one by joint expression.
+        offset: added after scaling; a number, or one by joint expression.
+        clip: bounds of the processed action by joint expression, [low, high].
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+    """
+
+    settings = (*JointTerm.settings, "_scale", "_offset")
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Bounds] | None = None,
+        preserve_order: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, joint_names, clip, preserve_order, asset_name)
+        self._scale = self._spread(scale, 1.0, "scale")
+        self._offset = self._spread(offset, 0.0, "offset").expand(env.num_envs, -1).clone()
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        """Scale, offset and clip raw actions (N, action_dim)."""
+        self.raw_actions.copy_(actions)
+        torch.addcmul(self._offset, actions, self._scale, out=self.processed_actions)
+        self._clip()
+
+    def raw_for(self, processed: torch.Tensor) -> torch.Tensor:
+        """Return the raw actions (N, action_dim) that become these processed ones, before any clip."""
+        return (processed - self._offset) / self._scale
+
+
+class _DefaultOffsetAction(JointAction):
+    """A joint action whose offset may be the joints' default, and whose targets stay until the next action."""
+
+    @property
+    def applies_once(self) -> bool:
+        """Whether it is one of this module's: a user's subclass may set others at each physics step."""
+        return type(self).__module__ == __name__
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Bounds] | None = None,
+        preserve_order: bool = False,
+        use_default_offset: bool = True,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, joint_names, scale, offset, clip, preserve_order, asset_name)
+        if use_default_offset:
+            self._offset.copy_(self.default()[:, self._ids])
+
+    def default(self) -> torch.Tensor:
+        """Return what ``use_default_offset`` takes, (N, J)."""
+        raise NotImplementedError
+
+
+class JointPositionAction(_DefaultOffsetAction):
+    """Position targets, rad.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: rad per unit of action.
+        offset: rad; ignored with ``use_default_offset``.
+        clip: bounds of the target by joint expression, rad. It bounds the target, not the raw action.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        use_default_offset: take the default joint positions as the offset.
+        asset_name: the member of the scene that has the joints.
+    """
+
+    drives = "position"
+
+    def default(self) -> torch.Tensor:
+        """Return the default joint positions, (N, J)."""
+        return self._robot.data.default_joint_pos
+
+    def apply_actions(self) -> None:
+        """Set the position targets."""
+        self._robot.set_joint_position_target(self.processed_actions, self._ids)
+
+
+class RelativeJointPositionAction(JointAction):
+    """Position targets relative to the present joint positions, which are read anew at each physics step.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: rad per unit of action.
+        offset: rad; ignored with ``use_zero_offset``.
+        clip: bounds of the relative target by joint expression, rad.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        use_zero_offset: take no offset.
+        asset_name: the member of the scene that has the joints.
+    """
+
+    drives = "position"
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        scale: float | Mapping[str, float] = 1.0,
+        offset: float | Mapping[str, float] = 0.0,
+        clip: Mapping[str, Bounds] | None = None,
+        preserve_order: bool = False,
+        use_zero_offset: bool = True,
+        asset_name: str = "robot",
+    ) -> None:
+        given = 0.0 if use_zero_offset else offset
+        super().__init__(env, joint_names, scale, given, clip, preserve_order, asset_name)
+
+    def apply_actions(self) -> None:
+        """Set the position targets from the present positions."""
+        self._robot.set_joint_position_target(
+            self._robot.data.joint_pos_measured[:, self._ids] + self.processed_actions, self._ids
+        )
+
+
+class JointVelocityAction(_DefaultOffsetAction):
+    """Velocity targets, rad/s; beyond the actuator's velocity limit they are clipped to it.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: rad/s per unit of action.
+        offset: rad/s; ignored with ``use_default_offset``.
+        clip: bounds of the target by joint expression, rad/s. It bounds the target, not the raw action.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        use_default_offset: take the default joint velocities as the offset.
+        asset_name: the member of the scene that has the joints.
+    """
+
+    drives = "velocity"
+
+    def default(self) -> torch.Tensor:
+        """Return the default joint velocities, (N, J)."""
+        return self._robot.data.default_joint_vel
+
+    def apply_actions(self) -> None:
+        """Set the velocity targets."""
+        self._robot.set_joint_velocity_target(self.processed_actions, self._ids)
+
+
+class JointEffortAction(JointAction):
+    """Feed-forward efforts, N·m.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: N·m per unit of action.
+        offset: N·m.
+        clip: bounds of the effort by joint expression, N·m.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+    """
+
+    drives = "effort"
+
+    def apply_actions(self) -> None:
+        """Set the effort targets."""
+        self._robot.set_joint_effort_target(self.processed_actions, self._ids)
+
+
+class JointPositionToLimitsAction(JointTerm):
+    """Position targets: ``raw * scale``, clipped, and then [-1, 1] spread over the joints' soft limits.
+
+    Unlike Isaac Lab's, a term of all joints keeps the order of its expressions when asked to.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        scale: factor on the raw action; a number, or one by joint expression.
+        clip: bounds of the scaled action by joint expression, before it is spread.
+        rescale_to_limits: spread [-1, 1] over the soft limits, beyond which it is cut; else the scaled action is the
+            target, rad.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+
+    Raises:
+        ConfigError: actions are to be spread over the limits of a joint that has none.
+    """
+
+    drives = "position"
+    settings = (*JointTerm.settings, "_scale")
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        scale: float | Mapping[str, float] = 1.0,
+        clip: Mapping[str, Bounds] | None = None,
+        rescale_to_limits: bool = True,
+        preserve_order: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, joint_names, clip, preserve_order, asset_name)
+        self._scale = self._spread(scale, 1.0, "scale")
+        self._rescale = rescale_to_limits
+        if rescale_to_limits and not torch.stack(self._limits()).isfinite().all():
+            finite = torch.stack(self._limits()).isfinite().reshape(-1, self.action_dim).all(dim=0)
+            free = [name for name, limited in zip(self.joint_names, finite.tolist(), strict=True) if not limited]
+            raise ConfigError(
+                f"{', '.join(free)} has no limits to spread actions over",
+                key="joint_names",
+                expected="joints with limits, or rescale_to_limits: false",
+            )
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        """Scale, clip and spread raw actions (N, J)."""
+        self.raw_actions.copy_(actions)
+        torch.mul(actions, self._scale, out=self.processed_actions)
+        self._clip()
+        if self._rescale:
+            low, high = self._limits()
+            share = self.processed_actions.clamp(-1.0, 1.0)
+            torch.addcmul((low + high) / 2, share, (high - low) / 2, out=self.processed_actions)
+
+    def apply_actions(self) -> None:
+        """Set the position targets."""
+        self._robot.set_joint_position_target(self.processed_actions, self._ids)
+
+    def _limits(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the present soft limits, rad, (N, J) each."""
+        low, high = self._robot.data.soft_joint_pos_limits[..., self._ids, :].unbind(dim=-1)
+        return low, high
+
+
+class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
+    """The same as a moving average: ``target = alpha * now + (1 - alpha) * last target``, within the soft limits.
+
+    The last target of a new episode is the joints' position that it begins with.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        alpha: weight of the newest action, or one by joint expression; joints that no expression names have 1.
+        scale: factor on the raw action; a number, or one by joint expression.
+        clip: bounds of the scaled action by joint expression, before it is spread.
+        rescale_to_limits: spread [-1, 1] over the soft limits; else the scaled action is the target, rad.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+    """
+
+    settings = (*JointPositionToLimitsAction.settings, "_alpha")
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        alpha: Share | Mapping[str, Share] = 1.0,
+        scale: float | Mapping[str, float] = 1.0,
+        clip: Mapping[str, Bounds] | None = None,
+        rescale_to_limits: bool = True,
+        preserve_order: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, joint_names, scale, clip, rescale_to_limits, preserve_order, asset_name)
+        self._alpha = self._spread(alpha, 1.0, "alpha")
+        self._last = torch.zeros_like(self.processed_actions)
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        """Scale, clip, spread and average raw actions (N, J)."""
+        super().process_actions(actions)
+        average = torch.lerp(self._last, self.processed_actions, self._alpha)
+        torch.clamp(average, *self._limits(), out=self.processed_actions)
+        self._last.copy_(self.processed_actions)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Begin the average of ``env_ids`` at their joints' positions."""
+        super().reset(env_ids)
+        self._last[env_ids] = self._robot.data.joint_pos_measured[env_ids][:, self._ids]
+
+
+class BinaryJointAction(JointTerm):
+    """One number for all joints: below 0 they close, else they open.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        open_command_expr: target of each joint when open, by joint expression.
+        close_command_expr: target of each joint when closed, by joint expression.
+        clip: bounds of the targets by joint expression.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+
+    Raises:
+        ConfigError: a joint lacks one of its two targets.
+    """
+
+    settings = (*JointTerm.settings, "_open", "_close")
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        open_command_expr: Mapping[str, float],
+        close_command_expr: Mapping[str, float],
+        clip: Mapping[str, Bounds] | None = None,
+        preserve_order: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, joint_names, clip, preserve_order, asset_name, width=1)
+        self._open = self._command(open_command_expr, "open_command_expr")
+        self._close = self._command(close_command_expr, "close_command_expr")
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        """Choose the targets by raw actions (N, 1)."""
+        self.raw_actions.copy_(actions)
+        torch.where(self.opens(actions), self._open, self._close, out=self.processed_actions)
+        self._clip()
+
+    def opens(self, actions: torch.Tensor) -> torch.Tensor:
+        """Return which raw actions (N, 1) open."""
+        return ~(actions < 0.0)
+
+    def _command(self, values: Mapping[str, float], key: str) -> torch.Tensor:
+        for error in valueless_errors(values, self.joint_names, key):
+            raise error
+        return self._spread(values, 0.0, key)
+
+
+class BinaryJointPositionAction(BinaryJointAction):
+    """One of two position targets, rad: below 0 the joints close, else they open."""
+
+    drives = "position"
+
+    def apply_actions(self) -> None:
+        """Set the position targets."""
+        self._robot.set_joint_position_target(self.processed_actions, self._ids)
+
+
+class BinaryJointVelocityAction(BinaryJointAction):
+    """One of two velocity targets, rad/s: below 0 the joints close, else they open."""
+
+    drives = "velocity"
+
+    def apply_actions(self) -> None:
+        """Set the velocity targets."""
+        self._robot.set_joint_velocity_target(self.processed_actions, self._ids)
+
+
+class AbsBinaryJointPositionAction(BinaryJointPositionAction):
+    """One of two position targets, rad, by a threshold.
+
+    Args:
+        env: the environment.
+        joint_names: expressions of the driven joints.
+        open_command_expr: target of each joint when open, rad, by joint expression.
+        close_command_expr: target of each joint when closed, rad, by joint expression.
+        threshold: raw action at which the choice changes.
+        positive_threshold: whether it opens above the threshold (True) or below it (False).
+        clip: bounds of the targets by joint expression, rad.
+        preserve_order: order of the expressions (True) or of the robot (False).
+        asset_name: the member of the scene that has the joints.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        joint_names: Names,
+        open_command_expr: Mapping[str, float],
+        close_command_expr: Mapping[str, float],
+        threshold: float = 0.5,
+        positive_threshold: bool = True,
+        clip: Mapping[str, Bounds] | None = None,
+        preserve_order: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, joint_names, open_command_expr, close_command_expr, clip, preserve_order, asset_name)
+        self._threshold, self._positive = threshold, positive_threshold
+
+    def opens(self, actions: torch.Tensor) -> torch.Tensor:
+        """Return which raw actions (N, 1) open."""
+        return actions > self._threshold if self._positive else actions < self._threshold

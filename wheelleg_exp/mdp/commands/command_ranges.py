@@ -1,0 +1,118 @@
+"""Commands that are drawn from a range for each axis, and the command without components."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from wheelleg_exp.managers import CommandTerm, Env, bounds
+
+
+class _Ranges:
+    """A command's ranges by attribute, as Isaac Lab's terms read and set ``command.cfg.ranges.lin_vel_x``."""
+
+    def __init__(self, ranges: dict[str, Any]) -> None:
+        vars(self)["_ranges"] = ranges
+
+    def __getattr__(self, axis: str) -> tuple[float, float] | None:
+        ranges = vars(self)["_ranges"]
+        return (ranges[axis][0], ranges[axis][1]) if axis in ranges else None
+
+    def __setattr__(self, axis: str, value: Sequence[float]) -> None:
+        vars(self)["_ranges"][axis] = [float(value[0]), float(value[1])]
+
+
+@dataclass(frozen=True)
+class CommandSettings:
+    """What terms written for Isaac Lab read of ``command.cfg``.
+
+    Attributes:
+        ranges: [low, high] by axis as attributes; one that is set holds from the next draw on.
+        resampling_time_range: shortest and longest time between two draws, s.
+    """
+
+    ranges: _Ranges
+    resampling_time_range: tuple[float, float]
+
+
+class RangedCommand(CommandTerm):
+    """A command that is drawn from a range for each axis.
+
+    Attributes:
+        ranges: [low, high] by axis; one that is set anew holds from the next draw on.
+    """
+
+    ranges: dict[str, Any]
+
+    @property
+    def cfg(self) -> CommandSettings:
+        """The settings by attribute, to read and, the ranges, to change."""
+        return CommandSettings(_Ranges(self.ranges), self._time_range)
+
+    def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
+        """Draw from ranges by axis; an axis without one is 0.
+
+        Raises:
+            ConfigError: an axis is unknown or a range is not two numbers in order.
+        """
+        self._axes = tuple(axes)
+        self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
+        with torch.inference_mode(False):  # written to later, whoever makes it
+            self._bounds = self._present()  # a tuple: tensors among the attributes are state
+        self._note()
+
+    def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return lows and highs (k,) of the axes in order."""
+        self.take_settings()
+        return self._bounds
+
+    def take_settings(self) -> None:
+        """Take up ranges that a curriculum has set, in the same memory."""
+        if self.ranges != self._taken:
+            for mine, present in zip(self._bounds, self._present(), strict=True):
+                mine.copy_(present)
+            self._note()
+
+    def _present(self) -> tuple[torch.Tensor, torch.Tensor]:
+        return bounds(self.ranges, self._axes, "ranges", self.time_left.device)
+
+    def _note(self) -> None:
+        self._taken = {axis: list(pair) for axis, pair in self.ranges.items()}
+
+
+class NullCommand(CommandTerm):
+    """Asks for nothing, where a command is expected: its command has no components.
+
+    Args:
+        env: the environment.
+        generator: the term's random stream, of which nothing is drawn.
+    """
+
+    def __init__(self, env: Env, generator: torch.Generator) -> None:
+        super().__init__(env, (1.0, 1.0), (), generator)
+        self._nothing = (torch.zeros(env.num_envs, 0, device=env.device),)
+
+    @property
+    def command(self) -> torch.Tensor:
+        """Nothing, (N, 0)."""
+        return self._nothing[0]
+
+    def errors(self) -> torch.Tensor:
+        """Return no errors, (0, N)."""
+        return self.error_sums
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw nothing."""
+
+    def compute(self, dt: float) -> torch.Tensor:
+        """Do nothing, and return no errors, (0, N)."""
+        del dt
+        return self.errors()
+
+    def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Do nothing, and log nothing."""
+        del env_ids
+        return {}

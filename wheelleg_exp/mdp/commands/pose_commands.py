@@ -1,0 +1,277 @@
+"""Pose commands: a place to drive to, a pose for one body, and height and tilt of the base."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, get_args
+
+import torch
+
+from wheelleg_exp.constraints import Broken, Interval, PositiveInterval, relation
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import Env, member
+from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.sim import rotation
+
+_Place = Literal["pos_x", "pos_y", "heading"]
+_Pose = Literal["pos_x", "pos_y", "pos_z", "roll", "pitch", "yaw"]
+
+
+def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
+    if not given["simple_heading"] and given["ranges"].get("heading") is None:
+        yield Broken("ranges.heading", "is missing", "[low, high] in radians, or simple_heading: true")
+
+
+@relation(_heading_has_a_range)
+class UniformPose2dCommand(RangedCommand):
+    """A place around the environment's origin and a heading there, in the base's yaw axes: (x, y, z) in m, rad.
+
+    The place is at the height of the robot's default state. The command is turned into the base's axes from the first
+    ``compute`` after a draw on. Its metrics are the last errors: distance in the plane, m, and heading, rad.
+
+    Args:
+        env: the environment.
+        ranges: ``pos_x`` and ``pos_y`` from the environment's origin (m), and ``heading`` in the world (rad).
+        resampling_time_range: shortest and longest time between two draws, s.
+        simple_heading: look along the way to the place, forwards or backwards, whichever is nearer to the present
+            heading; else headings are drawn.
+        generator: the term's random stream.
+        asset_name: the member of the scene that is commanded.
+    """
+
+    logs_last_error = True
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[_Place, Interval | None],
+        resampling_time_range: PositiveInterval,
+        simple_heading: bool,
+        generator: torch.Generator,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, resampling_time_range, ("error_pos_2d", "error_heading"), generator)
+        self.robot = member(env.scene, asset_name, "asset_name")
+        self.take_ranges(ranges, get_args(_Place))
+        self._simple_heading = simple_heading
+        n, device = env.num_envs, env.device
+        self.pos_command_w = torch.zeros(n, 3, device=device)
+        self.heading_command_w = torch.zeros(n, device=device)
+        self._command = torch.zeros(n, 4, device=device)
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The present command (N, 4): the way to the place in the base's yaw axes, m, and the turn left, rad."""
+        return self._command
+
+    @property
+    def pos_command_b(self) -> torch.Tensor:
+        """The way to the place in the base's yaw axes, m, (N, 3)."""
+        return self._command[:, :3]
+
+    @property
+    def heading_command_b(self) -> torch.Tensor:
+        """The turn that is left, rad, (N,)."""
+        return self._command[:, 3]
+
+    def errors(self) -> torch.Tensor:
+        """Return the distance in the plane, m, and the size of the turn that is left, rad, (2, N)."""
+        data = self.robot.data
+        distance = torch.linalg.vector_norm(self.pos_command_w[:, :2] - data.root_pos_w[:, :2], dim=1)
+        return torch.stack((distance, rotation.wrap_to_pi(self.heading_command_w - data.heading_w).abs()))
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw places and headings."""
+        drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
+        self.pos_command_w[env_ids] = self._places(env_ids, drawn[:, :2])
+        self.pos_command_w[env_ids, 2] += self.robot.data.default_root_state[env_ids, 2]
+        self.heading_command_w[env_ids] = self._way(env_ids) if self._simple_heading else drawn[:, 2]
+
+    def post_process(self) -> None:
+        """Turn the place and the heading into the base's axes."""
+        data = self.robot.data
+        x, y, z = (self.pos_command_w - data.root_pos_w).unbind(dim=1)
+        cos, sin = data.heading_w.cos(), data.heading_w.sin()
+        turn = rotation.wrap_to_pi(self.heading_command_w - data.heading_w)
+        torch.stack((cos * x + sin * y, cos * y - sin * x, z, turn), dim=1, out=self._command)
+
+    def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
+        """Return places on the ground (n, 3) from drawn offsets (n, 2), m."""
+        places = self._env.scene.env_origins[env_ids]
+        places[:, :2] += drawn
+        return places
+
+    def _way(self, env_ids: torch.Tensor) -> torch.Tensor:
+        """Return the direction to the place, or against it, that is nearer to the heading, rad, (n,)."""
+        data = self.robot.data
+        way = self.pos_command_w[env_ids] - data.root_pos_w[env_ids]
+        forth = torch.atan2(way[:, 1], way[:, 0])
+        back = rotation.wrap_to_pi(forth + torch.pi)
+        turns = (rotation.wrap_to_pi(yaw - data.heading_w[env_ids]).abs() for yaw in (forth, back))
+        return torch.where(torch.lt(*turns), forth, back)
+
+
+class TerrainBasedPose2dCommand(UniformPose2dCommand):
+    """As ``UniformPose2dCommand``, to one of the flat patches ``target`` of the environment's tile.
+
+    Args:
+        env: the environment.
+        resampling_time_range: shortest and longest time between two draws, s.
+        simple_heading: look along the way to the place; else headings are drawn.
+        generator: the term's random stream.
+        ranges: ``heading`` in the world (rad).
+        asset_name: the member of the scene that is commanded.
+
+    Raises:
+        ConfigError: the ground has no patches ``target``.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        resampling_time_range: PositiveInterval,
+        simple_heading: bool,
+        generator: torch.Generator,
+        ranges: Mapping[Literal["heading"], Interval | None],
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, ranges, resampling_time_range, simple_heading, generator, asset_name)  # type: ignore[arg-type]
+        patches = env.scene.terrain.flat_patches
+        if "target" not in patches:
+            raise ConfigError(
+                "the ground has no flat patches 'target' to go to",
+                expected="flat patches 'target' in env.scene.terrain"
+                + (f", which has {', '.join(patches)}" if patches else ""),
+            )
+        self._patches = (patches["target"],)
+
+    def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
+        """Return a patch of each environment's tile, m, (n, 3)."""
+        del drawn
+        patches, terrain = self._patches[0], self._env.scene.terrain
+        device = patches.device
+        chosen = torch.randint(patches.shape[2], (len(env_ids),), generator=self._generator, device=device)
+        return patches[terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids], chosen]
+
+
+class UniformPoseCommand(RangedCommand):
+    """A pose of one body in the root link's frame: (x, y, z) in m and (w, x, y, z), uniform in ranges.
+
+    Its metrics are the last errors: distance, m, and angle, rad, between the body and its commanded pose.
+
+    Args:
+        env: the environment.
+        body_name: expression of the one body.
+        ranges: ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), R = Rz(yaw) Ry(pitch) Rx(roll).
+        resampling_time_range: shortest and longest time between two draws, s.
+        generator: the term's random stream.
+        make_quat_unique: choose the quaternion whose w is not negative.
+        asset_name: the member of the scene that has the body.
+    """
+
+    logs_last_error = True
+
+    def __init__(
+        self,
+        env: Env,
+        body_name: str,
+        ranges: Mapping[_Pose, Interval],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        make_quat_unique: bool = False,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, resampling_time_range, ("position_error", "orientation_error"), generator)
+        self.robot = member(env.scene, asset_name, "asset_name")
+        found, names = self.robot.find_bodies(body_name, key="body_name")
+        if len(found) != 1:
+            raise ConfigError(f"matches {', '.join(names)}", key="body_name", expected="one body")
+        self._body, self.body_name = found[0], names[0]
+        self.take_ranges(ranges, get_args(_Pose))
+        self._unique = make_quat_unique
+        self.pose_command_b = torch.zeros(env.num_envs, 7, device=env.device)
+        self.pose_command_b[:, 3] = 1.0
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The present command (N, 7): position, m, and orientation (w, x, y, z) in the root link's frame."""
+        return self.pose_command_b
+
+    def errors(self) -> torch.Tensor:
+        """Return the distance, m, and the angle, rad, to the commanded pose, (2, N)."""
+        data, command = self.robot.data, self.pose_command_b
+        place = data.root_pos_w + rotation.rotate(rotation.quat_to_matrix(data.root_quat_w), command[:, :3])
+        distance = torch.linalg.vector_norm(place - data.body_pos_w[:, self._body], dim=1)
+        wanted = rotation.quat_mul(data.root_quat_w, command[:, 3:])
+        present = data.body_quat_w[:, self._body]
+        # Of the turn between them, cos(angle / 2) is the quaternions' dot product; the sine keeps small angles exact.
+        cos = (wanted * present).sum(dim=1).abs()
+        sin = torch.linalg.vector_norm(wanted - present * (wanted * present).sum(dim=1, keepdim=True), dim=1)
+        return torch.stack((distance, 2.0 * torch.atan2(sin, cos)))
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw poses."""
+        drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
+        quat = rotation.quat_from_euler_xyz(*drawn[:, 3:].unbind(dim=1))
+        if self._unique:
+            quat = torch.where(quat[:, :1] < 0.0, -quat, quat)
+        self.pose_command_b[env_ids] = torch.cat((drawn[:, :3], quat), dim=1)
+
+
+_Axis = Literal["height", "roll", "pitch"]
+
+
+def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
+    if "height" not in given["ranges"]:
+        yield Broken("ranges.height", "is missing", "[low, high] in metres above the ground")
+
+
+@relation(_height_is_given)
+class UniformBasePoseCommand(RangedCommand):
+    """Height of the base above the ground, m, and its roll and pitch, rad, uniform in their ranges.
+
+    What legs with wheels can do while they drive; ``errors`` says how the three are measured, so that rewards can
+    track them.
+
+    Args:
+        env: the environment.
+        ranges: ``height`` of the root link above the ground below it (m), ``roll`` and ``pitch`` (rad, 0 when absent).
+        resampling_time_range: shortest and longest time between two draws, s.
+        generator: the term's random stream.
+        asset_name: the member of the scene that is commanded.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[_Axis, Interval],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, resampling_time_range, [f"error_{axis}" for axis in get_args(_Axis)], generator)
+        self.robot = member(env.scene, asset_name, "asset_name")
+        self.take_ranges(ranges, get_args(_Axis))
+        self._command = torch.zeros(env.num_envs, 3, device=env.device)
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The present command (N, 3): height, m, roll and pitch, rad."""
+        return self._command
+
+    def measured(self) -> torch.Tensor:
+        """Return the present height, m, roll and pitch, rad, (N, 3), of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+        data = self.robot.data
+        height = data.root_pos_w[:, 2] - self._env.scene.terrain.height_at(data.root_pos_w[:, :2])
+        x, y, z = data.projected_gravity_b.unbind(dim=1)
+        return torch.stack((height, torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))), dim=1)
+
+    def errors(self) -> torch.Tensor:
+        """Return the sizes of the differences of height, m, roll and pitch, rad, (3, N)."""
+        return (self._command - self.measured()).abs().T
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw heights and tilts."""
+        low, high = self.bounds()
+        u = torch.rand(len(env_ids), 3, generator=self._generator, device=self._command.device)
+        self._command[env_ids] = low + (high - low) * u

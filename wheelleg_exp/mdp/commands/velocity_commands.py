@@ -1,0 +1,334 @@
+"""Velocity commands: with or without a heading to turn to, and with an integrated travel error."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal, get_args
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import Broken, Interval, Length, NonNegative, Positive, PositiveInterval, Share, relation
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import Env, SceneEntityCfg, member
+from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.sim.ids import fill_rows
+from wheelleg_exp.sim.rotation import wrap_to_pi
+
+VelocityAxis = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"]
+
+
+def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
+    if given.get("heading_command") and given["ranges"].get("heading") is None:
+        yield Broken("ranges.heading", "heading_command needs a heading range", "[low, high] in radians")
+
+
+@relation(_heading_has_a_range)
+class UniformVelocityCommand(RangedCommand):
+    """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
+
+    Standing environments get zero. With ``heading_command`` some environments follow a target heading instead,
+    by ``w_z = clip(k * wrap(target - heading))``. Both act from the first ``compute`` after a draw on, so the
+    observation right after ``reset`` shows the drawn values, as in Isaac Lab.
+
+    Args:
+        env: the environment.
+        ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
+        resampling_time_range: shortest and longest time between two draws, s.
+        generator: the term's random stream.
+        rel_standing_envs: share of draws that stand still.
+        rel_heading_envs: share of draws that follow a heading.
+        heading_command: whether headings are drawn at all.
+        heading_control_stiffness: k, 1/s.
+        asset_name: the member of the scene that is commanded.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[VelocityAxis, Interval | None],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        rel_standing_envs: Share = 0.0,
+        rel_heading_envs: Share = 1.0,
+        heading_command: bool = False,
+        heading_control_stiffness: NonNegative = 1.0,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, resampling_time_range, ("error_vel_xy", "error_vel_yaw"), generator)
+        self.robot = member(env.scene, asset_name, "asset_name")
+        if ranges.get("heading") is not None and not heading_command:
+            warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
+        self.take_ranges(ranges, get_args(VelocityAxis))
+        self._has_heading = heading_command
+        self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
+        self._stiffness = heading_control_stiffness
+        n, device = env.num_envs, env.device
+        self._command = torch.zeros(n, 3, device=device)
+        self.heading_target = torch.zeros(n, device=device)
+        self.is_heading_env = torch.zeros(n, dtype=torch.bool, device=device)
+        self.is_standing_env = torch.zeros(n, dtype=torch.bool, device=device)
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The present command (N, 3): v_x, v_y in m/s, w_z in rad/s, base axes."""
+        return self._command
+
+    @property
+    def vel_command_b(self) -> torch.Tensor:
+        """The same, under Isaac Lab's name."""
+        return self._command
+
+    @property
+    def asked(self) -> torch.Tensor:
+        """What is asked for in the end (N, 3): the command itself, unless a class of this lets it get there slowly."""
+        return self._command
+
+    def errors(self) -> torch.Tensor:
+        """Return |v_xy error| in m/s and |w_z error| in rad/s, (2, N)."""
+        data = self.robot.data
+        xy = torch.linalg.vector_norm(self._command[:, :2] - data.root_lin_vel_b[:, :2], dim=1)
+        yaw = (self._command[:, 2] - data.root_ang_vel_b[:, 2]).abs()
+        return torch.stack((xy, yaw))
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw velocities, headings and who stands."""
+        u = torch.rand(env_ids.shape[0], 6, generator=self._generator, device=self._command.device)
+        low, high = self.bounds()
+        drawn = low + (high - low) * u[:, :4]
+        self.asked.index_copy_(0, env_ids, drawn[:, :3])
+        if self._has_heading:
+            self.heading_target.index_copy_(0, env_ids, drawn[:, 3])
+            self.is_heading_env.index_copy_(0, env_ids, u[:, 4] <= self._rel_heading)
+        self.is_standing_env.index_copy_(0, env_ids, u[:, 5] <= self._rel_standing)
+
+    def post_process(self) -> None:
+        """Steer towards headings, then stop those that stand."""
+        if self._has_heading:
+            error = wrap_to_pi(self.heading_target - self.robot.data.heading_w)
+            low, high = self.bounds()
+            steered = torch.clamp(self._stiffness * error, low[2], high[2])
+            self.asked[:, 2] = torch.where(self.is_heading_env, steered, self.asked[:, 2])
+        self.asked.masked_fill_(self.is_standing_env.unsqueeze(1), 0.0)
+
+
+_Moment = Literal["mean_vel", "std_vel", "zero_prob"]
+_Three = Annotated[Sequence[float], Length(3)]
+
+
+def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
+    ranges = given["ranges"]
+    for name in get_args(_Moment):
+        if name not in ranges:
+            yield Broken(f"ranges.{name}", "is missing", "three numbers: v_x, v_y, w_z")
+    if any(number < 0.0 for number in ranges.get("std_vel", ())):
+        yield Broken("ranges.std_vel", "a deviation is below 0", "three numbers of at least 0")
+    if not all(0.0 <= number <= 1.0 for number in ranges.get("zero_prob", ())):
+        yield Broken("ranges.zero_prob", "is no probability", "three numbers from 0 to 1")
+
+
+@relation(_is_a_distribution)
+class NormalVelocityCommand(UniformVelocityCommand):
+    """Planar velocity in the base's axes: each component is +-N(mean, std), both signs alike, or 0 by a chance.
+
+    Zeros act from the first ``compute`` after a draw on. There are no headings.
+
+    Args:
+        env: the environment.
+        ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` of v_x, v_y (m/s) and w_z (rad/s).
+        resampling_time_range: shortest and longest time between two draws, s.
+        generator: the term's random stream.
+        rel_standing_envs: share of draws that stand still.
+        asset_name: the member of the scene that is commanded.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[_Moment, _Three],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        rel_standing_envs: Share = 0.0,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
+        # A tuple: tensors among the attributes are state.
+        self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
+        self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        """Draw velocities, which components are zero, and who stands."""
+        device, mean, std, zero = self._command.device, *self._moments
+        normal = torch.randn(env_ids.shape[0], 3, generator=self._generator, device=device)
+        u = torch.rand(env_ids.shape[0], 7, generator=self._generator, device=device)
+        self._command[env_ids] = torch.where(u[:, :3] <= 0.5, 1.0, -1.0) * (mean + std * normal)
+        self.is_zero_vel_env[env_ids] = u[:, 3:6] < zero
+        self.is_standing_env[env_ids] = u[:, 6] <= self._rel_standing
+
+    def post_process(self) -> None:
+        """Stop those that stand, and the components that are zero."""
+        super().post_process()
+        self._command.masked_fill_(self.is_zero_vel_env, 0.0)
+
+
+_ROLLS = 0.5  # part of a wheel's axis along the base's y, from which on it rolls forwards or backwards
+
+
+class UniformVelocityTravelCommand(UniformVelocityCommand):
+    """A uniform velocity command that also sums up what the robot has travelled too far or not far enough.
+
+    A policy that sees velocities alone creeps at zero command, by whatever it misjudges of them; one that sees the
+    sum of its error can hold its place, as an integral controller does. The sum is of what a robot can measure:
+    its wheels' rates, which are its speed where they roll, and the yaw rate of its gyroscope. Not in Isaac Lab.
+
+    A robot on two wheels must roll back before it can drive off, and one that is told to be fast at once falls. With
+    ``max_lin_acceleration`` and ``max_ang_acceleration`` the command goes towards what was drawn, from zero at a reset,
+    by no more than that; ``asked`` is where it goes.
+
+    Args:
+        env: the environment.
+        ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), ``heading`` (rad, or null).
+        resampling_time_range: shortest and longest time between two draws, s.
+        generator: the term's random stream.
+        wheel_cfg: joints of the wheels. Which way each has to turn to roll forwards follows from its axis in the
+            model, so that the wheels of mirrored halves add up as well.
+        wheel_radius: of the wheels, m.
+        max_travel_error: up to which travel is summed up, m: what is lost beyond it is not made good.
+        max_heading_error: the same for the heading, rad.
+        max_lin_acceleration: by which the commanded speed changes at most, m/s²; null lets it jump.
+        max_ang_acceleration: the same for the yaw rate, rad/s².
+        rel_standing_envs: share of draws that stand still.
+        rel_heading_envs: share of draws that follow a heading.
+        heading_command: whether headings are drawn at all.
+        heading_control_stiffness: k, 1/s.
+        asset_name: the member of the scene that is commanded.
+
+    Attributes:
+        max_acceleration: by which each component changes at most, m/s², m/s², rad/s²; None lets it jump.
+        travel_error: how far the robot has gone too far, m, and turned too far, rad, (N, 2).
+        wheel_signs: of each wheel, 1 where positive speed rolls it forwards, -1 where backwards.
+
+    Raises:
+        ConfigError: a wheel does not roll along the base's x.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[VelocityAxis, Interval | None],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        wheel_cfg: SceneEntityCfg,
+        wheel_radius: Positive,
+        max_travel_error: Positive,
+        max_heading_error: Positive,
+        max_lin_acceleration: Positive | None = None,
+        max_ang_acceleration: Positive | None = None,
+        rel_standing_envs: Share = 0.0,
+        rel_heading_envs: Share = 1.0,
+        heading_command: bool = False,
+        heading_control_stiffness: NonNegative = 1.0,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(
+            env,
+            ranges,
+            resampling_time_range,
+            generator,
+            rel_standing_envs,
+            rel_heading_envs,
+            heading_command,
+            heading_control_stiffness,
+            asset_name,
+        )
+        self._wheels = member(env.scene, wheel_cfg.name, "wheel_cfg.name")
+        self._wheel_ids, self._radius = wheel_cfg.joint_ids, wheel_radius
+        signs = rolling_signs(env.scene.sim.model, self._wheels, wheel_cfg.joint_ids)
+        self.wheel_signs = tuple(signs)
+        self._signs = (torch.tensor(signs, device=env.device),)
+        self.travel_error = torch.zeros(env.num_envs, 2, device=env.device)
+        self._asked = torch.zeros(env.num_envs, 3, device=env.device)
+        self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
+        most = [math.inf if limit is None else limit for limit in self.max_acceleration]
+        # Tuples: tensors among the attributes are state.
+        self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
+        self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
+
+    def compute(self, dt: float) -> torch.Tensor:
+        """Add this step's error to the sum, then advance the command."""
+        (signs,) = self._signs
+        rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * signs).mean(dim=1) * self._radius
+        turned = self.robot.data.root_ang_vel_b[:, 2]
+        missed = torch.stack((rolled - self._command[:, 0], turned - self._command[:, 2]), dim=1)
+        (most,) = self._most
+        self.travel_error.add_(missed * dt).clamp_(-most, most)
+        return super().compute(dt)
+
+    @property
+    def asked(self) -> torch.Tensor:
+        """Where the command goes (N, 3)."""
+        return self._asked
+
+    def post_process(self) -> None:
+        """Steer and stop as ever, and go towards it."""
+        super().post_process()
+        (most,) = self._fastest
+        self._command.add_((self._asked - self._command).clamp_(-most, most))
+
+    def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Begin the sum anew as well, and the command at rest."""
+        fill_rows(self.travel_error, env_ids, 0.0)
+        log = super().finish_episode(env_ids)
+        (most,) = self._fastest
+        self._command.index_copy_(0, env_ids, self._asked.index_select(0, env_ids).clamp(-most, most))
+        return log
+
+
+def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | Sequence[int] | slice) -> list[float]:
+    """Return for each of a robot's wheels 1 where positive speed rolls it along the base's x, -1 where against it.
+
+    A wheel that turns about an axis a rolls along a x up, which is forwards for the part of a along the base's y.
+
+    Args:
+        model: the compiled model.
+        robot: the robot, in whose default pose the axes are looked at.
+        joint_ids: the wheels, columns of ``robot.joint_names``.
+
+    Raises:
+        ConfigError: a wheel rolls sideways, or is no hinge.
+    """
+    data = mujoco.MjData(model)
+    for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
+        data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_kinematics(model, data)
+    left = data.xmat[int(robot.body_ids[0])].reshape(3, 3)[:, 1]
+    signs = []
+    for index in torch.arange(len(robot.joint_names), device=robot.body_ids.device)[joint_ids].tolist():
+        joint = model.joint(robot.joint_names[index])
+        along = float(data.xaxis[joint.id] @ left) if joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE else 0.0
+        if abs(along) < _ROLLS:
+            raise ConfigError(
+                f"joint '{joint.name}' does not roll the robot forwards or backwards",
+                key="wheel_cfg.joint_names",
+                expected="wheels, hinges whose axis lies along the base's y",
+            )
+        signs.append(math.copysign(1.0, along))
+    return signs
+
+
+def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:
+    """Return the travel error (N, 2), m and rad, of a command that keeps one.
+
+    Raises:
+        ConfigError: the command keeps none.
+    """
+    term = env.command_manager.get_term(command_name)
+    if not isinstance(term, UniformVelocityTravelCommand):
+        raise ConfigError(
+            f"the command '{command_name}' does not sum up its error",
+            key="command_name",
+            expected="a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand",
+        )
+    return term.travel_error

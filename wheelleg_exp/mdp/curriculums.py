@@ -1,0 +1,461 @@
+"""Curriculum terms: settings that change while a policy learns. Each term returns the state that is logged."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, ClassVar
+
+import torch
+
+from wheelleg_exp.constraints import Count, Interval, Natural, NonNegative, NotEmpty, Positive, Share
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.mdp.config_address import Part, look_up, parse, passes_a_term, require_writable, write
+from wheelleg_exp.sim.ids import fill_rows
+from wheelleg_exp.terms.term_binding import resolve_target
+
+__all__ = [
+    "ang_vel_cmd_levels",
+    "command_levels_by_skill",
+    "command_range_levels",
+    "lin_vel_cmd_levels",
+    "modify_env_param",
+    "modify_reward_weight",
+    "modify_term_cfg",
+    "terrain_levels_by_distance",
+    "terrain_levels_vel",
+]
+
+
+def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight: float, num_steps: Natural) -> float:
+    """Set a reward's weight once ``common_step_counter > num_steps`` (control steps); returns the present weight."""
+    del env_ids  # the step counter is everybody's
+    term = env.reward_manager.get_term_cfg(term_name)
+    if env.common_step_counter > num_steps:
+        term.fields["weight"] = weight
+    return float(term.fields["weight"])
+
+
+_NO_CHANGE = object()
+_MANAGERS = {
+    "commands": "command_manager",
+    "actions": "action_manager",
+    "observations": "observation_manager",
+    "events": "event_manager",
+    "rewards": "reward_manager",
+    "terminations": "termination_manager",
+}
+
+
+class modify_env_param(TermBase):
+    """Let a function change whatever stands at an address below the environment; a number is returned, and logged.
+
+    The address is dotted, with ``[i]`` for lists: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``. What
+    it changes is saved and restored with the environment.
+
+    Args:
+        env: the environment.
+        address: where the value stands.
+        modify_fn: dotted name of the function, or a node that builds it. It is called with the environment, the ids of
+            the environments that reset, the present value and ``modify_params``, and returns the value from then on,
+            or ``modify_env_param.NO_CHANGE``. ``wheelleg_exp.mdp.schedules`` has some.
+        modify_params: further arguments of the function, by name.
+    """
+
+    NO_CHANGE: ClassVar[Any] = _NO_CHANGE
+
+    def __init__(
+        self,
+        env: Env,
+        address: str,
+        modify_fn: str | Callable[..., Any],
+        modify_params: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._env = env
+        self._parts = self.parts_of(address)
+        self._modify = _function(modify_fn)
+        self._params = dict(modify_params or {})
+        _require_arguments(self._modify, env, self._params)
+        require_writable(env, self._parts)
+        # Within a term it is saved there.
+        self._is_saved = passes_a_term(env, self._parts)
+        self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
+        self._has_written, self._value = False, None
+
+    def parts_of(self, address: str) -> tuple[Part, ...]:
+        """Return the parts of an address below the environment."""
+        return parse(address)
+
+    def __call__(self, env: Env, env_ids: torch.Tensor) -> float | None:
+        """Ask the function, and write what it returns."""
+        present = look_up(env, self._parts)
+        value = self._modify(env, env_ids, present, **self._params)
+        if value is not _NO_CHANGE:
+            # What belongs to the parameters stays theirs: two owners of one list could not be made again.
+            write(env, self._parts, value if value is present else copy.deepcopy(value))
+            self._has_written = True
+        present = look_up(env, self._parts)
+        return float(present) if isinstance(present, (int, float)) else None
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what has been written where nobody else saves it."""
+        saves = self._has_written and not self._is_saved
+        self._value = copy.deepcopy(look_up(self._env, self._parts)) if saves else None
+        return super().state_dict()
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        if not self._is_saved:
+            write(self._env, self._parts, copy.deepcopy(self._value if self._has_written else self._first))
+
+
+class modify_term_cfg(modify_env_param):
+    """Let a function change a setting of a term; see ``modify_env_param``.
+
+    The address begins with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
+    ``observations.policy.base_ang_vel.noise.n_max``. Parameters may stand below ``params``, as in Isaac Lab.
+    """
+
+    def parts_of(self, address: str) -> tuple[Part, ...]:
+        """Return the parts of an address below the environment."""
+        section, *rest = parse(address)
+        if section not in _MANAGERS:
+            raise ConfigError(
+                f"'{section}' is no section of terms",
+                key="address",
+                expected="one of " + ", ".join(_MANAGERS),
+                nearest=nearest_name(str(section), _MANAGERS),
+            )
+        return (_MANAGERS[str(section)], *rest)
+
+
+def _function(given: str | Callable[..., Any]) -> Callable[..., Any]:
+    found = resolve_target(given, "modify_fn") if isinstance(given, str) else given
+    if not callable(found):
+        raise ConfigError(f"{given!r} cannot be called", key="modify_fn", expected="the dotted name of a function")
+    return found
+
+
+def _require_arguments(function: Callable[..., Any], env: Env, params: Mapping[str, Any]) -> None:
+    try:
+        inspect.signature(function).bind(env, None, None, **params)
+    except TypeError as error:
+        name = getattr(function, "__name__", type(function).__name__)
+        raise ConfigError(f"'{name}': {error}", key="modify_params", expected="the arguments of modify_fn") from None
+
+
+_ROBOT = SceneEntityCfg("robot")
+
+
+def terrain_levels_vel(
+    env: Env, env_ids: torch.Tensor, asset_cfg: SceneEntityCfg = _ROBOT, command_name: str = "base_velocity"
+) -> torch.Tensor:
+    """Send robots to harder or easier tiles by how far they got in the episode that ends; returns the mean level.
+
+    Up goes who is further from the tile's middle than half its edge along x; down who has not come half as far as the
+    last command would have taken it in a longest episode. On ground without tiles nothing moves.
+    """
+    terrain = env.scene.terrain
+    position = env.scene[asset_cfg.name].data.root_pos_w[env_ids, :2]
+    distance = torch.linalg.vector_norm(position - env.scene.env_origins[env_ids, :2], dim=1)
+    speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[env_ids, :2], dim=1)
+    up = distance > terrain.size[0] / 2
+    down = (distance < 0.5 * speed * env.max_episode_length_s) & ~up
+    terrain.update_env_origins(env_ids, up, down)
+    return terrain.terrain_levels.float().mean()
+
+
+class command_range_levels(TermBase):
+    """Widen the ranges of a command each time that it has been followed well; returns the highs.
+
+    Over the episodes that end, the tracking reward's sum is held against what a perfect robot would earn in a longest
+    episode, so that early falls count as well. Not more often than once in a longest episode the mean is looked at:
+    above ``threshold`` every range grows by ``step`` to both sides, up to ``limit_ranges``. Not in Isaac Lab's
+    library; others call it ``lin_vel_cmd_levels`` and ``ang_vel_cmd_levels``.
+
+    Args:
+        env: the environment.
+        reward_term_name: the reward for following, at most 1 before its weight.
+        limit_ranges: [low, high] that each axis grows to; other axes stay as they are.
+        command_name: the command.
+        step: growth to each side, in the axis' unit.
+        threshold: share of the perfect reward.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        reward_term_name: str,
+        limit_ranges: Annotated[Mapping[str, Interval], NotEmpty()],
+        command_name: str = "base_velocity",
+        step: Positive = 0.1,
+        threshold: Share = 0.8,
+    ) -> None:
+        self._reward, self._step, self._threshold = reward_term_name, step, threshold
+        self._command = command_name
+        self._limits = {axis: (float(low), float(high)) for axis, (low, high) in limit_ranges.items()}
+        self._sum = torch.zeros((), device=env.device)
+        self._count = 0
+        self._looked_at = 0
+        env.reward_manager.episode_sums(reward_term_name)
+        for error in self._strangers(env):
+            raise error
+
+    def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float]:
+        """Add the episodes that end, and widen the ranges when it is time."""
+        self._sum += env.reward_manager.episode_sums(self._reward)[env_ids].sum()
+        self._count += len(env_ids)
+        ranges = self._ranges(env)
+        if env.common_step_counter - self._looked_at >= env.max_episode_length:
+            perfect = float(env.reward_manager.get_term_cfg(self._reward).fields["weight"]) * env.max_episode_length_s
+            if float(self._sum) > self._threshold * perfect * self._count:
+                for axis, (lowest, highest) in self._limits.items():
+                    low, high = ranges[axis]
+                    ranges[axis] = [max(low - self._step, lowest), min(high + self._step, highest)]
+            self._sum.zero_()
+            self._count, self._looked_at = 0, env.common_step_counter
+        return {axis: ranges[axis][1] for axis in self._limits}
+
+    def _ranges(self, env: Env) -> dict[str, Any]:
+        ranges: dict[str, Any] = getattr(env.command_manager.get_term(self._command), "ranges", {})
+        return ranges
+
+    def _strangers(self, env: Env) -> Iterator[ConfigError]:
+        """Yield the axes that the command has no range for, or one that does not lie within the limit."""
+        ranges = self._ranges(env)
+        for axis, (lowest, highest) in self._limits.items():
+            key, pair = f"limit_ranges.{axis}", ranges.get(axis)
+            if pair is None:
+                known = ", ".join(ranges) or "nothing: the command has no ranges"
+                yield ConfigError(
+                    f"'{self._command}' has no range '{axis}'",
+                    key=key,
+                    expected=f"one of {known}",
+                    nearest=nearest_name(axis, ranges),
+                )
+            elif pair[0] < lowest or pair[1] > highest:
+                first = f"{list(pair)} of '{self._command}'"
+                yield ConfigError(
+                    f"{first} lies beyond {[lowest, highest]}", key=key, expected=f"a range around {first}"
+                )
+
+
+lin_vel_cmd_levels = command_range_levels
+ang_vel_cmd_levels = command_range_levels
+
+
+_AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # of a velocity command, in its order
+
+
+class command_levels_by_skill(TermBase):
+    """Widen the ranges of a velocity command where it is followed with skill; returns highs and skills.
+
+    Each axis is judged by itself, over at least ``min_episodes`` episodes that have ended, on the steps alone in which
+    it is told to move: S = (score - still) / (1 - still), with score the mean of exp(-e²/std²) for the error e, and
+    still the same for a robot that never moves, mean of exp(-c²/std²) for the command c. S is 0 for standing still and
+    1 for perfect tracking, whatever the ranges and std are. An episode that ends by a failure counts as long as a
+    longest one, and scores nothing in its rest. After ``passes`` judgements in a row with S >= ``threshold`` the range
+    grows by ``step`` to both sides; episodes that began before count no more. An axis whose range is not at its
+    limit and has not grown in ``patience`` judgements is stuck: ``<axis>_stuck`` is 1, and training warns.
+
+    Args:
+        env: the environment.
+        limit_ranges: [low, high] that each axis grows to; other axes stay as they are.
+        std: by axis, m/s or rad/s: error that leaves 1/e of the score.
+        step: by axis, growth to each side, m/s or rad/s.
+        command_name: the command: v_x, v_y, w_z.
+        threshold: skill from which on a judgement is passed.
+        min_episodes: fewest episodes of a judgement.
+        passes: judgements in a row that must be passed.
+        patience: judgements without growth after which an axis is stuck.
+        command_threshold: m/s or rad/s, up to which an axis is not told to move.
+        asset_cfg: the robot.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        limit_ranges: Annotated[Mapping[str, Interval], NotEmpty()],
+        std: Mapping[str, Positive],
+        step: Mapping[str, Positive],
+        command_name: str = "base_velocity",
+        threshold: Share = 0.7,
+        min_episodes: Count = 256,
+        passes: Count = 3,
+        patience: Count = 20,
+        command_threshold: NonNegative = 0.02,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        self._env, self._command, self._asset = env, command_name, asset_cfg.name
+        self._limits = {axis: (float(low), float(high)) for axis, (low, high) in limit_ranges.items()}
+        for error in self._mistakes(env, {"std": std, "step": step}):
+            raise error
+        self._names = tuple(self._limits)
+        self._columns = [_AXES.index(axis) for axis in self._names]
+        self._variances = tuple(float(std[axis]) ** 2 for axis in self._names)
+        self._steps = {axis: float(step[axis]) for axis in self._names}
+        self._threshold, self._least, self._passes, self._patience = threshold, min_episodes, passes, patience
+        self._moves_from = command_threshold
+        shape = (3, len(self._names), env.num_envs)
+        self._sums = torch.zeros(shape, device=env.device)  # score, still and steps of the present episodes
+        self._total = torch.zeros(shape[:2], device=env.device)  # of those that have ended
+        self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)  # begun since the last growth
+        self._ended = 0
+        self._streak = dict.fromkeys(self._names, 0)
+        self._idle = dict.fromkeys(self._names, 0)
+        self._skill = dict.fromkeys(self._names, 0.0)
+        env.observers.append(self.observe)
+
+    def observe(self) -> None:
+        """Add this step to the present episodes."""
+        data = self._env.scene[self._asset].data
+        command = self._env.command_manager.get_command(self._command)
+        velocity = torch.cat((data.root_lin_vel_b[:, :2], data.root_ang_vel_b[:, 2:]), dim=1)
+        for row, (column, variance) in enumerate(zip(self._columns, self._variances, strict=True)):
+            told = command[:, column]
+            moves = (told.abs() > self._moves_from).to(told.dtype)
+            self._sums[0, row] += moves * torch.exp(-(told - velocity[:, column]).square() / variance)
+            self._sums[1, row] += moves * torch.exp(-told.square() / variance)
+            self._sums[2, row] += moves
+
+    def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float]:
+        """Add the episodes that end, and judge when there are enough."""
+        length = env.episode_length_buf[env_ids]
+        failed = env.termination_manager.terminated[env_ids] & (length > 0)
+        rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0).to(self._total.dtype)
+        counted = self._counts[env_ids] & (length > 0)
+        sums = self._sums[:, :, env_ids].to(self._total.dtype)
+        sums[1:] *= rest  # a failure scores nothing in what would have been left
+        self._total += (sums * counted).sum(dim=2)
+        self._sums[:, :, env_ids] = 0.0
+        fill_rows(self._counts, env_ids, True)
+        self._ended += int(counted.sum())
+        if self._ended >= self._least:
+            self._judge(env)
+        ranges = self._ranges(env)
+        highs = {axis: float(ranges[axis][1]) for axis in self._names}
+        skills = {f"{axis}_skill": self._skill[axis] for axis in self._names}
+        stuck = {f"{axis}_stuck": float(self._idle[axis] >= self._patience) for axis in self._names}
+        return highs | skills | stuck
+
+    def _judge(self, env: Env) -> None:
+        ranges, grown = self._ranges(env), False
+        for axis, total in zip(self._names, self._total.unbind(dim=1), strict=True):
+            score, still, steps = map(float, total)
+            if steps - still <= 0.0:  # nobody was told to move
+                continue
+            self._skill[axis] = (score - still) / (steps - still)
+            lowest, highest = self._limits[axis]
+            low, high = ranges[axis]
+            passed = self._skill[axis] >= self._threshold
+            self._streak[axis] = self._streak[axis] + 1 if passed else 0
+            self._idle[axis] = 0 if (low, high) == (lowest, highest) else self._idle[axis] + 1
+            if self._streak[axis] >= self._passes and (low, high) != (lowest, highest):
+                ranges[axis] = [max(low - self._steps[axis], lowest), min(high + self._steps[axis], highest)]
+                self._streak[axis], self._idle[axis], grown = 0, 0, True
+        if grown:
+            self._counts.fill_(False)
+        self._total.zero_()
+        self._ended = 0
+
+    def _ranges(self, env: Env) -> dict[str, Any]:
+        ranges: dict[str, Any] = getattr(env.command_manager.get_term(self._command), "ranges", {})
+        return ranges
+
+    def _mistakes(self, env: Env, by_axis: Mapping[str, Mapping[str, float]]) -> Iterator[ConfigError]:
+        """Yield axes without a range, a std or a step, and ranges beyond their limits."""
+        ranges = self._ranges(env)
+        known = [axis for axis in _AXES if axis in ranges]
+        for axis, (lowest, highest) in self._limits.items():
+            key = f"limit_ranges.{axis}"
+            if axis not in known:
+                expected = f"one of {', '.join(known)}" if known else "a command with ranges of velocities"
+                message = f"'{self._command}' has no range '{axis}'"
+                yield ConfigError(message, key=key, expected=expected, nearest=nearest_name(axis, known))
+            elif ranges[axis][0] < lowest or ranges[axis][1] > highest:
+                first = f"{list(ranges[axis])} of '{self._command}'"
+                message = f"{first} lies beyond {[lowest, highest]}"
+                yield ConfigError(message, key=key, expected=f"a range around {first}")
+            for name, values in by_axis.items():
+                if axis not in values:
+                    yield ConfigError("is missing", key=f"{name}.{axis}", expected="a number above 0")
+
+
+class terrain_levels_by_distance(TermBase):
+    """Send each robot to harder or easier tiles by the way that it came along its commands; returns the levels.
+
+    Of the episode that ends, the way along the commands (the velocity in level axes that turn with the robot, on the
+    command's direction, summed up) is divided by the way that was commanded. An episode that ends by a failure counts
+    as if what was commanded until then had been commanded to the end of a longest one. Up goes who reaches ``up``,
+    down who does not get beyond ``down``; who was not told to go ``min_distance`` stays, but for those that failed,
+    who go down. Whoever passes the hardest row goes on in a random one. On ground without tiles nothing moves.
+    ``stuck`` is 1 when the mean level has not risen for ``patience`` longest episodes and is below the
+    hardest row's half; training warns.
+
+    Args:
+        env: the environment.
+        command_name: the command, whose first two components are a planar velocity, m/s.
+        up: share of the commanded way from which on a robot goes up.
+        down: share up to which it goes down.
+        min_distance: m, fewest that an episode must have commanded.
+        patience: longest episodes without a rise.
+        asset_cfg: the robot.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        command_name: str = "base_velocity",
+        up: Share = 0.7,
+        down: Share = 0.35,
+        min_distance: NonNegative = 0.2,
+        patience: Count = 20,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        if down >= up:
+            raise ConfigError(f"is {down:g}", key="down", expected=f"less than up, {up:g}")
+        env.command_manager.get_term(command_name)
+        self._env, self._command, self._asset = env, command_name, asset_cfg.name
+        self._up, self._down, self._least, self._patience = up, down, min_distance, patience
+        self._commanded = torch.zeros(env.num_envs, device=env.device)
+        self._covered = torch.zeros(env.num_envs, device=env.device)
+        self._best, self._best_at = -1.0, 0
+        env.observers.append(self.observe)
+
+    def observe(self) -> None:
+        """Add this step to the present episodes."""
+        data = self._env.scene[self._asset].data
+        command = self._env.command_manager.get_command(self._command)[:, :2]
+        speed = torch.linalg.vector_norm(command, dim=1)
+        cos, sin = torch.cos(data.heading_w), torch.sin(data.heading_w)
+        velocity = data.root_lin_vel_w
+        forwards = cos * velocity[:, 0] + sin * velocity[:, 1]
+        sideways = cos * velocity[:, 1] - sin * velocity[:, 0]
+        along = (command[:, 0] * forwards + command[:, 1] * sideways) / speed.clamp(min=1e-9)
+        self._commanded += speed * self._env.step_dt
+        self._covered += torch.where(speed > 0.0, along, 0.0) * self._env.step_dt
+
+    def __call__(self, env: Env, env_ids: torch.Tensor) -> dict[str, float | torch.Tensor]:
+        """Move the robots whose episodes end."""
+        terrain = env.scene.terrain
+        length = env.episode_length_buf[env_ids]
+        lived = length > 0
+        failed = env.termination_manager.terminated[env_ids] & lived
+        rest = torch.where(failed, env.max_episode_length / length.clamp(min=1), 1.0)
+        commanded, covered = self._commanded[env_ids] * rest, self._covered[env_ids]
+        told = commanded >= self._least
+        up = lived & told & (covered >= self._up * commanded)
+        down = lived & torch.where(told, covered <= self._down * commanded, failed)
+        terrain.update_env_origins(env_ids, up, down)
+        fill_rows(self._commanded, env_ids, 0.0)
+        fill_rows(self._covered, env_ids, 0.0)
+        levels = terrain.terrain_levels.float()
+        mean = float(levels.mean())
+        if mean > self._best:
+            self._best, self._best_at = mean, env.common_step_counter
+        waited = env.common_step_counter - self._best_at > self._patience * env.max_episode_length
+        low = mean < 0.5 * (terrain.max_terrain_level - 1)
+        return {"mean": mean, "highest": levels.max(), "stuck": float(waited and low)}

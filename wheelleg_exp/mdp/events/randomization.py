@@ -1,0 +1,427 @@
+"""Event terms that randomise the model: materials, masses, joints, gravity; and the draws behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal, get_args
+
+import torch
+
+from wheelleg_exp.constraints import (
+    Broken,
+    Count,
+    Interval,
+    Length,
+    NonNegativeInterval,
+    Ordered,
+    Positive,
+    Share,
+    relation,
+)
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
+from wheelleg_exp.sim import rotation
+
+Operation = Literal["add", "scale", "abs"]
+Distribution = Literal["uniform", "log_uniform", "gaussian"]
+Pose = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+PoseRange = Mapping[Pose, Interval]
+POSE = get_args(Pose)
+Pair = Annotated[Sequence[float], Length(2)]  # [low, high], or of a Gaussian [mean, standard deviation]
+Number = float | torch.Tensor
+
+
+def draw(
+    low: Number, high: Number, shape: Sequence[int], distribution: Distribution, generator: torch.Generator
+) -> torch.Tensor:
+    """Return draws of ``shape``: uniform or log-uniform on [low, high], or Gaussian with mean low and std high."""
+    if distribution == "gaussian":
+        return low + high * torch.randn(shape, generator=generator, device=generator.device)
+    u = torch.rand(shape, generator=generator, device=generator.device)
+    if distribution == "log_uniform":
+        return low * (high / low) ** u
+    return low + (high - low) * u
+
+
+def operate(default: torch.Tensor, drawn: torch.Tensor, operation: Operation) -> torch.Tensor:
+    """Return default + drawn (add), default * drawn (scale) or drawn (abs)."""
+    if operation == "add":
+        return default + drawn
+    return default * drawn if operation == "scale" else drawn
+
+
+def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
+    """Return ``env_ids``, or all environments for None."""
+    return torch.arange(env.num_envs, device=env.device) if env_ids is None else env_ids
+
+
+def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
+    """Return what was expected of a pair that does not fit what it is drawn by, as Isaac Lab validates it.
+
+    Args:
+        pair: [low, high], or of a Gaussian [mean, standard deviation].
+        operation: ``add``, ``scale`` or ``abs``.
+        distribution: the distribution.
+        least: what a scale's lower end must be: ``above 0``, ``at least 0``, or anything.
+    """
+    first, second = pair
+    gaussian = distribution == "gaussian"
+    least = "above 0" if distribution == "log_uniform" else least if operation == "scale" else ""
+    fits = second >= 0 if gaussian else first <= second
+    fits = fits and not (least == "above 0" and first <= 0) and not (least == "at least 0" and first < 0)
+    form = "[mean, standard deviation]" if gaussian else "[low, high]"
+    return None if fits else form + (least and f", {least}")
+
+
+def ranges(
+    above_0: Sequence[str] = (), at_least_0: Sequence[str] = (), free: Sequence[str] = ()
+) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
+    """Return the rule that holds pairs against operation and distribution.
+
+    Args:
+        above_0: names of pairs whose factors must be above 0.
+        at_least_0: names of pairs whose factors must not be below 0.
+        free: names of pairs whose factors may be anything.
+    """
+    bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
+
+    def rule(given: Mapping[str, Any]) -> Iterator[Broken]:
+        for name, least in bounds.items():
+            pair = given[name]
+            if pair and (expected := pair_error(pair, given["operation"], given["distribution"], least)):
+                yield Broken(name, f"{pair!r} is out of range", expected)
+
+    return rule
+
+
+_ROBOT = SceneEntityCfg("robot")
+
+
+class randomize_rigid_body_material(TermBase):
+    """Give each shape of each environment one of ``num_buckets`` materials, drawn once at construction.
+
+    PhysX averages the coefficients of the two touching shapes and MuJoCo takes the larger: the effective value
+    (robot + ground) / 2 is written, which the robot's higher contact priority makes MuJoCo use. MuJoCo has one
+    Coulomb coefficient; ``env.robot.friction_source`` says which of the two it is. Restitution is drawn and kept
+    in ``materials``, but has no counterpart and does not act.
+
+    Args:
+        env: the environment.
+        static_friction_range: [low, high].
+        dynamic_friction_range: [low, high].
+        restitution_range: [low, high].
+        num_buckets: number of different materials.
+        generator: the term's random stream.
+        make_consistent: whether dynamic friction is cut to static friction.
+        asset_cfg: the bodies whose shapes are written.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        static_friction_range: NonNegativeInterval,
+        dynamic_friction_range: NonNegativeInterval,
+        restitution_range: Annotated[Sequence[Share], Ordered()],
+        num_buckets: Count,
+        generator: torch.Generator,
+        make_consistent: bool = False,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        pairs = (static_friction_range, dynamic_friction_range, restitution_range)
+        ranges = torch.tensor(pairs, dtype=torch.float32, device=env.device)
+        self._generator = generator
+        self.buckets = rotation.uniform(ranges[:, 0], ranges[:, 1], num_buckets, generator)
+        if make_consistent:
+            self.buckets[:, 1] = torch.minimum(self.buckets[:, 0], self.buckets[:, 1])
+        robot = env.scene[asset_cfg.name]
+        self._geom_ids = robot.shape_ids(asset_cfg.body_ids)
+        source = robot.options.friction_source
+        self._column = 0 if source == "static" else 1
+        self._ground = env.scene.terrain.friction(source)
+        self.materials = torch.zeros(env.num_envs, len(self._geom_ids), 3, device=env.device)
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        """Draw a bucket per environment and shape, and write the effective friction."""
+        ids = all_ids(env, env_ids)
+        chosen = torch.randint(
+            len(self.buckets), (len(ids), len(self._geom_ids)), generator=self._generator, device=ids.device
+        )
+        self.materials[ids] = self.buckets[chosen]
+        effective = (self.materials[ids, :, self._column] + self._ground) / 2
+        env.scene.sim.expand("geom_friction")[ids.unsqueeze(1), self._geom_ids, 0] = effective.to(env.scene.sim.dtype)
+
+
+def _masses_are_masses(given: Mapping[str, Any]) -> Iterator[Broken]:
+    """Hold the range against what it is drawn by; what is drawn below ``min_mass`` is cut to it."""
+    name = "mass_distribution_params"
+    first, second = given[name]
+    gaussian = given["distribution"] == "gaussian"
+    positive = given["operation"] != "add" or given["distribution"] == "log_uniform"
+    expected = "[mean, standard deviation]" if gaussian else "[low, high]"
+    wrong = second < 0 if gaussian else first > second
+    if wrong or (positive and first <= 0):
+        of = {"add": "", "scale": ", factors above 0", "abs": ", masses above 0"}[given["operation"]]
+        yield Broken(name, f"{given[name]!r} is out of range", expected + (of or ", above 0" * positive))
+
+
+@relation(_masses_are_masses)
+def randomize_rigid_body_mass(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    mass_distribution_params: Annotated[Sequence[float], Length(2)],
+    operation: Operation,
+    generator: torch.Generator,
+    asset_cfg: SceneEntityCfg = _ROBOT,
+    distribution: Distribution = "uniform",
+    recompute_inertia: bool = True,
+    min_mass: Positive = 1e-6,
+) -> None:
+    """Change masses (kg) from their defaults; inertias follow in proportion, centres of mass stay."""
+    robot = env.scene[asset_cfg.name]
+    chosen = all_ids(env, env_ids)
+    ids, bodies, sim = chosen.unsqueeze(1), robot.body_ids[asset_cfg.body_ids], env.scene.sim
+    default = sim.constant("body_mass")[bodies]
+    drawn = draw(
+        mass_distribution_params[0], mass_distribution_params[1], (len(ids), len(bodies)), distribution, generator
+    ).to(env.scene.sim.dtype)
+    mass = operate(default, drawn, operation).clamp(min=min_mass)
+    sim.expand("body_mass")[ids, bodies] = mass
+    if recompute_inertia:
+        inertia = sim.constant("body_inertia")[bodies]
+        sim.expand("body_inertia")[ids, bodies] = inertia * (mass / default).unsqueeze(2)
+    sim.set_const()
+    robot.mark_written(chosen)
+
+
+@relation(ranges(above_0=["inertia_distribution_params"]))
+def randomize_rigid_body_inertia(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    inertia_distribution_params: Pair,
+    operation: Operation,
+    generator: torch.Generator,
+    asset_cfg: SceneEntityCfg = _ROBOT,
+    distribution: Distribution = "uniform",
+    min_inertia: Positive = 1e-9,
+) -> None:
+    """Change the principal moments of inertia (kg·m^2) from their defaults, each by itself; masses stay.
+
+    A moment is at least ``min_inertia``, and at most the sum of the other two: no body has more. Like
+    ``randomize_rigid_body_mass``, which scales them with the mass, it starts from the model's: of both on one body
+    the later counts.
+    """
+    robot, sim = env.scene[asset_cfg.name], env.scene.sim
+    ids, bodies = all_ids(env, env_ids), robot.body_ids[asset_cfg.body_ids]
+    default = sim.constant("body_inertia")[bodies]
+    first, second = inertia_distribution_params
+    drawn = draw(first, second, (len(ids), *default.shape), distribution, generator)
+    moments = operate(default, drawn.to(sim.dtype), operation).clamp(min=min_inertia)
+    others = moments.sum(dim=2, keepdim=True) - moments
+    sim.expand("body_inertia")[ids.unsqueeze(1), bodies] = torch.minimum(moments, others)
+    sim.set_const()
+    robot.mark_written(ids)
+
+
+def randomize_rigid_body_com_cumulative(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    com_range: Mapping[Literal["x", "y", "z"], Interval],
+    generator: torch.Generator,
+    asset_cfg: SceneEntityCfg = _ROBOT,
+) -> None:
+    """Add one offset (m, link axes) per environment to the present centres of mass; repeats add up."""
+    ids = all_ids(env, env_ids)
+    robot = env.scene[asset_cfg.name]
+    bodies = robot.body_ids[asset_cfg.body_ids]
+    low, high = bounds(com_range, ("x", "y", "z"), "com_range", env.device)
+    offset = rotation.uniform(low, high, len(ids), generator).to(env.scene.sim.dtype)
+    ipos = env.scene.sim.expand("body_ipos")
+    ipos[ids.unsqueeze(1), bodies] += offset.unsqueeze(1)
+    env.scene.sim.set_const()
+    robot.data.com_b.copy_(ipos[:, robot.body_ids[0]])
+    robot.mark_written(ids)
+
+
+randomize_rigid_body_com = randomize_rigid_body_com_cumulative
+
+
+@relation(ranges(above_0=["stiffness_distribution_params"], at_least_0=["damping_distribution_params"]))
+def randomize_actuator_gains(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    generator: torch.Generator,
+    stiffness_distribution_params: Pair | None = None,
+    damping_distribution_params: Pair | None = None,
+    operation: Operation = "abs",
+    distribution: Distribution = "uniform",
+    asset_cfg: SceneEntityCfg = _ROBOT,
+) -> None:
+    """Change stiffness (N·m/rad) and damping (N·m·s/rad) of actuators from what the config gave, joint by joint.
+
+    What would fall below 0 becomes 0. Gains of learned drives, which have none, stay NaN.
+    """
+    robot, ids = env.scene[asset_cfg.name], all_ids(env, env_ids)
+    data, joints = robot.data, asset_cfg.joint_ids
+    for params, default, write in (
+        (stiffness_distribution_params, data.default_joint_stiffness, robot.write_joint_stiffness_to_sim),
+        (damping_distribution_params, data.default_joint_damping, robot.write_joint_damping_to_sim),
+    ):
+        if params is not None:
+            before = default[ids][:, joints]
+            drawn = draw(params[0], params[1], before.shape, distribution, generator)
+            write(operate(before, drawn, operation).clamp(min=0.0), joints, ids)
+
+
+@relation(
+    ranges(
+        at_least_0=["friction_distribution_params", "armature_distribution_params"],
+        free=["lower_limit_distribution_params", "upper_limit_distribution_params"],
+    )
+)
+class randomize_joint_parameters(TermBase):
+    """Change friction, armature and position limits of joints from what the model has, joint by joint.
+
+    As in Isaac Lab, the range of friction holds for the joint's friction loss (N·m) and, drawn by itself, for its
+    viscous friction (N·m·s/rad); what would fall below 0 becomes 0, and so does an armature. With the limits go the
+    soft limits, and default positions are clamped to them.
+
+    Args:
+        env: the environment.
+        generator: the term's random stream.
+        friction_distribution_params: of friction loss and viscous friction; null leaves both.
+        armature_distribution_params: kg·m^2; null leaves it.
+        lower_limit_distribution_params: rad; null leaves it.
+        upper_limit_distribution_params: rad; null leaves it.
+        operation: what is done with the model's value.
+        distribution: ``gaussian`` takes [mean, standard deviation], the others [low, high].
+        asset_cfg: the joints.
+
+    Raises:
+        ConfigError: a lower limit could be drawn above the upper one.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        generator: torch.Generator,
+        friction_distribution_params: Pair | None = None,
+        armature_distribution_params: Pair | None = None,
+        lower_limit_distribution_params: Pair | None = None,
+        upper_limit_distribution_params: Pair | None = None,
+        operation: Operation = "abs",
+        distribution: Distribution = "uniform",
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        self._robot, self._joints = env.scene[asset_cfg.name], asset_cfg
+        self._friction, self._armature = friction_distribution_params, armature_distribution_params
+        self._limits = (lower_limit_distribution_params, upper_limit_distribution_params)
+        self._operation, self._distribution, self._generator = operation, distribution, generator
+        if any(self._limits) and distribution != "gaussian":
+            self._require_order()
+
+    def _require_order(self) -> None:
+        lower, upper = self._robot.data.default_joint_pos_limits[0, self._joints.joint_ids].unbind(dim=1)
+        highest = torch.maximum(*self._ends(lower, self._limits[0]))
+        lowest = torch.minimum(*self._ends(upper, self._limits[1]))
+        if (highest > lowest).any():
+            first = int((highest > lowest).nonzero()[0])
+            raise ConfigError(
+                f"a lower limit of up to {highest[first]:g} rad could pass an upper one of {lowest[first]:g} rad",
+                expected="limits that stay in order, whatever is drawn",
+            )
+
+    def _ends(self, default: torch.Tensor, params: Pair | None) -> tuple[torch.Tensor, torch.Tensor]:
+        if params is None:
+            return default, default
+        low, high = (operate(default, torch.full_like(default, end), self._operation) for end in params)
+        return low, high
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        """Draw and write."""
+        ids, joints, robot = all_ids(env, env_ids), self._joints.joint_ids, self._robot
+        data = robot.data
+        if self._friction is not None:
+            friction = self._drawn(data.default_joint_friction_coeff[ids][:, joints], self._friction).clamp(min=0.0)
+            viscous = self._drawn(data.default_joint_viscous_friction_coeff[ids][:, joints], self._friction)
+            robot.write_joint_friction_coefficient_to_sim(friction, None, viscous.clamp(min=0.0), joints, ids)
+        if self._armature is not None:
+            armature = self._drawn(data.default_joint_armature[ids][:, joints], self._armature)
+            robot.write_joint_armature_to_sim(armature.clamp(min=0.0), joints, ids)
+        if any(self._limits):
+            lower, upper = (
+                default if params is None else self._drawn(default, params)
+                for default, params in zip(
+                    data.default_joint_pos_limits[ids][:, joints].unbind(dim=2), self._limits, strict=True
+                )
+            )
+            limits = torch.stack((lower, torch.maximum(lower, upper)), dim=2)
+            robot.write_joint_position_limit_to_sim(limits, joints, ids, warn_limit_violation=False)
+
+    def _drawn(self, default: torch.Tensor, params: Pair) -> torch.Tensor:
+        drawn = draw(params[0], params[1], default.shape, self._distribution, self._generator)
+        return operate(default, drawn, self._operation)
+
+
+class randomize_encoder_bias(TermBase):
+    """Draw by how much each joint's encoder reads too much, rad: what is measured is position + bias.
+
+    The drives hold what they measure at their targets, so that the joint itself ends up short of them by the bias.
+    Observations show what is measured (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), actions that
+    start from the present position begin at the measured one; rewards and terminations see the joint itself.
+
+    Args:
+        env: the environment.
+        bias_range: [low, high], rad, drawn for each joint.
+        generator: the term's random stream.
+        asset_cfg: the joints.
+    """
+
+    def __init__(
+        self, env: Env, bias_range: Interval, generator: torch.Generator, asset_cfg: SceneEntityCfg = _ROBOT
+    ) -> None:
+        self._robot, self._joints = env.scene[asset_cfg.name], asset_cfg
+        self._low, self._high = bias_range
+        self._generator = generator
+        self._robot.data.has_encoder_bias = True
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        """Draw the biases of ``env_ids``."""
+        ids, joints = all_ids(env, env_ids), self._joints.joint_ids
+        shape = self._robot.data.encoder_bias[ids][:, joints].shape
+        drawn = draw(self._low, self._high, shape, "uniform", self._generator)
+        self._robot.write_encoder_bias(drawn, joints, ids)
+
+
+Vector = Annotated[Sequence[float], Length(3)]
+_PARAMS = "gravity_distribution_params"
+
+
+def _components_fit(given: Mapping[str, Any]) -> Iterator[Broken]:
+    for pair in zip(*given[_PARAMS], strict=True):
+        if expected := pair_error(pair, given["operation"], given["distribution"]):
+            yield Broken(_PARAMS, f"{pair!r} is out of range", f"two lists of x, y, z, of each axis {expected}")
+            return
+
+
+@relation(_components_fit)
+def randomize_physics_scene_gravity(
+    env: Env,
+    env_ids: torch.Tensor | None,
+    gravity_distribution_params: tuple[Vector, Vector],
+    operation: Operation,
+    generator: torch.Generator,
+    distribution: Distribution = "uniform",
+    per_env: bool = False,
+) -> None:
+    """Change gravity (m/s^2, world axes) from ``env.sim.gravity``, one draw for each axis.
+
+    As in Isaac Lab, one value holds for all environments, whichever are reset; with ``per_env`` each of those that
+    the event is for gets its own. ``projected_gravity`` keeps the direction of the config's gravity.
+    """
+    sim = env.scene.sim
+    default = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device)
+    ids = all_ids(env, env_ids if per_env else None)
+    first, second = torch.tensor(gravity_distribution_params, dtype=torch.float32, device=env.device)
+    drawn = draw(first, second, (len(ids) if per_env else 1, 3), distribution, generator)
+    sim.expand("opt.gravity")[ids] = operate(default, drawn, operation).to(sim.dtype).expand(len(ids), 3)
+    sim.set_const()

@@ -1,0 +1,347 @@
+"""Observation terms, (N, width): the root, joints, bodies, sensors, commands, and time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+import torch
+
+from wheelleg_exp.constraints import NonNegative, NotEmpty, Positive
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.ids import picked
+
+__all__ = [
+    "base_ang_vel",
+    "base_height",
+    "base_lin_vel",
+    "base_pos_z",
+    "base_roll_pitch",
+    "body_air_time",
+    "body_contact_forces",
+    "body_contacts",
+    "body_pose_w",
+    "body_projected_gravity_b",
+    "current_time_s",
+    "gait_phase",
+    "generated_commands",
+    "height_scan",
+    "image",
+    "imu_ang_vel",
+    "imu_lin_acc",
+    "imu_orientation",
+    "imu_projected_gravity",
+    "joint_acc",
+    "joint_effort",
+    "joint_effort_commanded",
+    "joint_pos",
+    "joint_pos_limit_normalized",
+    "joint_pos_rel",
+    "joint_pos_sin_cos",
+    "joint_vel",
+    "joint_vel_rel",
+    "last_action",
+    "projected_gravity",
+    "remaining_time_s",
+    "root_ang_vel_w",
+    "root_lin_vel_w",
+    "root_link_lin_vel",
+    "root_pos_w",
+    "root_quat_w",
+    "travel_error",
+]
+
+
+_ROBOT = SceneEntityCfg("robot")
+
+
+def base_pos_z(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Height of the root link in the world, m; the environment's origin is not subtracted."""
+    return env.scene[asset_cfg.name].data.root_pos_w[:, 2:3]
+
+
+def base_height(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Height of the root link above the ground below it, m; not in Isaac Lab."""
+    position = env.scene[asset_cfg.name].data.root_pos_w
+    return (position[:, 2] - env.scene.terrain.height_at(position[:, :2])).unsqueeze(1)
+
+
+def base_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Velocity of the root body's centre of mass in link axes, m/s."""
+    return env.scene[asset_cfg.name].data.root_lin_vel_b
+
+
+def base_ang_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Angular velocity of the root link in its own axes, rad/s."""
+    return env.scene[asset_cfg.name].data.root_ang_vel_b
+
+
+def root_link_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Velocity of the root link's origin in link axes, m/s."""
+    return env.scene[asset_cfg.name].data.root_link_lin_vel_b
+
+
+def projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Unit gravity direction in link axes; upright is (0, 0, -1)."""
+    return env.scene[asset_cfg.name].data.projected_gravity_b
+
+
+def base_roll_pitch(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Roll and pitch of the root link, rad, of R = Rz(yaw) Ry(pitch) Rx(roll); not in Isaac Lab."""
+    x, y, z = env.scene[asset_cfg.name].data.projected_gravity_b.unbind(dim=1)
+    return torch.stack((torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))), dim=1)
+
+
+def root_pos_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Position of the root link relative to the environment's origin, m."""
+    return env.scene[asset_cfg.name].data.root_pos_w - env.scene.env_origins
+
+
+def root_quat_w(env: Env, make_quat_unique: bool = False, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Orientation of the root link (w, x, y, z); with ``make_quat_unique`` w is not negative."""
+    quat = env.scene[asset_cfg.name].data.root_quat_w
+    return torch.where(quat[:, 0:1] < 0, -quat, quat) if make_quat_unique else quat
+
+
+def root_lin_vel_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Velocity of the root body's centre of mass in world axes, m/s."""
+    return env.scene[asset_cfg.name].data.root_lin_vel_w
+
+
+def root_ang_vel_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Angular velocity of the root link in world axes, rad/s."""
+    return env.scene[asset_cfg.name].data.root_ang_vel_w
+
+
+def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
+    """Joint positions, rad: what the encoders read, or with ``measured: false`` where the joints are."""
+    data = env.scene[asset_cfg.name].data
+    return picked(data.joint_pos_measured if measured else data.joint_pos, asset_cfg.joint_ids)
+
+
+def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
+    """Joint positions (as ``joint_pos``) minus their defaults, rad. A wheel's angle grows without bound."""
+    data = env.scene[asset_cfg.name].data
+    return joint_pos(env, asset_cfg, measured) - picked(data.default_joint_pos, asset_cfg.joint_ids)
+
+
+class joint_pos_limit_normalized(TermBase):
+    """Joint positions on [-1, 1] between their soft limits: 2 (q - middle) / (high - low).
+
+    Args:
+        env: the environment.
+        asset_cfg: the robot and its joints, each of them limited.
+    """
+
+    settings = ("_ids",)
+
+    def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
+        self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
+        if not picked(self._data.soft_joint_pos_limits, asset_cfg.joint_ids).isfinite().all():
+            raise ConfigError(
+                "a joint without limits cannot be normalised",
+                key="asset_cfg.joint_names",
+                expected="limited joints",
+            )
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        """Normalise."""
+        del env
+        low, high = picked(self._data.soft_joint_pos_limits, self._ids).unbind(dim=2)
+        return 2.0 * (picked(self._data.joint_pos_measured, self._ids) - (low + high) / 2) / (high - low)
+
+
+def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sines, then cosines, of the joint positions: a bounded view of wheel angles."""
+    angle = joint_pos(env, asset_cfg)
+    return torch.cat((torch.sin(angle), torch.cos(angle)), dim=1)
+
+
+def joint_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Joint velocities, rad/s."""
+    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids)
+
+
+def joint_vel_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Joint velocities minus their defaults, rad/s."""
+    data = env.scene[asset_cfg.name].data
+    return picked(data.joint_vel, asset_cfg.joint_ids) - picked(data.default_joint_vel, asset_cfg.joint_ids)
+
+
+def joint_acc(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Joint accelerations over the last physics step, rad/s^2; 0 right after a reset. Not in Isaac Lab."""
+    return picked(env.scene[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids)
+
+
+def joint_effort_commanded(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Clipped drive torque at the start of the last physics step, N·m; 0 right after a reset."""
+    return picked(env.scene[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids)
+
+
+joint_effort = joint_effort_commanded
+
+
+def body_pose_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Poses of the links, body by body: position from the environment's origin, m, and (w, x, y, z), (N, 7 B)."""
+    data = env.scene[asset_cfg.name].data
+    position = picked(data.body_pos_w, asset_cfg.body_ids) - env.scene.env_origins.unsqueeze(1)
+    return torch.cat((position, picked(data.body_quat_w, asset_cfg.body_ids)), dim=2).flatten(1)
+
+
+def body_projected_gravity_b(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Unit gravity direction in the axes of each link, body by body, (N, 3 B)."""
+    data = env.scene[asset_cfg.name].data
+    gravity = rotation.rotate(data.root_rot_w, data.projected_gravity_b)
+    turned = torch.matmul(gravity.view(-1, 1, 1, 3), picked(data.body_rot_w, asset_cfg.body_ids))
+    return turned.flatten(1)
+
+
+_IMU = SceneEntityCfg("imu")
+_CAMERA = SceneEntityCfg("tiled_camera")
+
+
+def height_scan(env: Env, sensor_cfg: SceneEntityCfg, offset: float = 0.5) -> torch.Tensor:
+    """Height of a ray caster above where its rays hit, less ``offset``, m, (N, rays).
+
+    A ray that hits nothing gives minus infinity: the observation needs a ``clip``.
+    """
+    data = env.scene[sensor_cfg.name].data
+    return data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
+
+
+def imu_orientation(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
+    """Orientation of an IMU in the world (w, x, y, z)."""
+    return env.scene[asset_cfg.name].data.quat_w
+
+
+def imu_projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
+    """Unit gravity direction in an IMU's axes; upright is (0, 0, -1)."""
+    return env.scene[asset_cfg.name].data.projected_gravity_b
+
+
+def imu_ang_vel(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
+    """Angular velocity that an IMU measures in its own axes, rad/s."""
+    return env.scene[asset_cfg.name].data.ang_vel_b
+
+
+def imu_lin_acc(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
+    """Linear acceleration that an IMU measures in its own axes, m/s^2."""
+    return env.scene[asset_cfg.name].data.lin_acc_b
+
+
+def body_contacts(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
+    """Which bodies have exceeded ``threshold`` (N) within the contact sensor's history, 1 or 0; not in Isaac Lab."""
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
+    return (force > threshold).float()
+
+
+def body_contact_forces(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+    """Net normal contact forces, N, world axes, body by body, (N, 3 B); not in Isaac Lab."""
+    return picked(env.scene[sensor_cfg.name].data.net_forces_w, sensor_cfg.body_ids).flatten(1)
+
+
+def body_air_time(env: Env, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+    """How long each body has been in the air, s, 0 in contact; not in Isaac Lab."""
+    return picked(env.scene[sensor_cfg.name].data.current_air_time, sensor_cfg.body_ids)
+
+
+def image(
+    env: Env,
+    sensor_cfg: SceneEntityCfg = _CAMERA,
+    data_type: str = "rgb",
+    convert_perspective_to_orthogonal: bool = False,
+    normalize: bool = True,
+) -> torch.Tensor:
+    """Picture of a camera, (N, height, width, channels).
+
+    Args:
+        env: the environment.
+        sensor_cfg: the camera.
+        data_type: which of its pictures: ``rgb``, ``depth``, ``distance_to_camera``, ...
+        convert_perspective_to_orthogonal: turn ``distance_to_camera`` into distances along the camera's axis.
+        normalize: colours from 0 to 1 less the mean of each channel in the picture; distances (m) that are infinite
+            become 0; normals from 0 to 1.
+    """
+    data = env.scene[sensor_cfg.name].data
+    if data_type not in data.output:
+        raise ConfigError(
+            f"the sensor '{sensor_cfg.name}' takes no pictures of '{data_type}'",
+            key="data_type",
+            expected="one of " + ", ".join(data.output),
+            nearest=nearest_name(data_type, data.output),
+        )
+    picture = data.output[data_type].float()
+    if data_type == "distance_to_camera" and convert_perspective_to_orthogonal:
+        picture = picture * _cosines(data.intrinsic_matrices, picture)
+    if not normalize:
+        return picture
+    if data_type == "rgb":
+        picture = picture / 255.0
+        return picture - picture.mean(dim=(1, 2), keepdim=True)
+    if "distance_to" in data_type or "depth" in data_type:
+        return picture.masked_fill(picture == torch.inf, 0.0)
+    return (picture + 1.0) * 0.5 if "normals" in data_type else picture
+
+
+def _cosines(intrinsics: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
+    """Return the cosine between each pixel's ray and the axis, (N, height, width, 1), by the intrinsic matrices, px."""
+    height, width = picture.shape[1:3]
+    column = torch.arange(width, device=picture.device).view(1, 1, width, 1)
+    row = torch.arange(height, device=picture.device).view(1, height, 1, 1)
+    f_x, f_y, c_x, c_y = (intrinsics[:, i, j].view(-1, 1, 1, 1) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return torch.rsqrt(1.0 + ((column - c_x) / f_x).square() + ((row - c_y) / f_y).square())
+
+
+def last_action(env: Env, action_name: str | None = None) -> torch.Tensor:
+    """Raw action of the whole manager, or of one term; 0 after a reset."""
+    if action_name is None:
+        return env.action_manager.action
+    return env.action_manager.get_term(action_name).raw_actions
+
+
+def generated_commands(env: Env, command_name: str) -> torch.Tensor:
+    """The present command of a term."""
+    return env.command_manager.get_command(command_name)
+
+
+def travel_error(env: Env, command_name: str) -> torch.Tensor:
+    """How far the robot is ahead of its velocity command, m, and turned too far, rad. Not in Isaac Lab.
+
+    Args:
+        env: the environment.
+        command_name: a command that keeps it, ``UniformVelocityTravelCommand``.
+
+    Returns:
+        (N, 2).
+    """
+    return kept_travel_error(env, command_name)
+
+
+def current_time_s(env: Env) -> torch.Tensor:
+    """Time since the episode began, s."""
+    return env.episode_length_buf.unsqueeze(1) * env.step_dt
+
+
+def remaining_time_s(env: Env) -> torch.Tensor:
+    """Time until the episode's end, s."""
+    return env.max_episode_length_s - env.episode_length_buf.unsqueeze(1) * env.step_dt
+
+
+def gait_phase(env: Env, period: Positive, offsets: Annotated[Sequence[float], NotEmpty()] = (0.0,)) -> torch.Tensor:
+    """Sines, then cosines, of a gait's clock at each of its offsets: 2 pi (t / period + offset). Not in Isaac Lab.
+
+    Args:
+        env: the environment.
+        period: one cycle, s; t is the time since the episode began.
+        offsets: of each leg, say, as a share of the cycle.
+
+    Returns:
+        (N, 2 k) for k offsets.
+    """
+    cycles = env.episode_length_buf * (env.step_dt / period)
+    angles = [2.0 * math.pi * (cycles + offset).frac() for offset in offsets]
+    return torch.stack([angle.sin() for angle in angles] + [angle.cos() for angle in angles], dim=1)

@@ -1,0 +1,589 @@
+"""Reward terms, (N,), before weight and time step. Formulas are Isaac Lab's unless the text says otherwise."""
+
+from __future__ import annotations
+
+import torch
+
+from wheelleg_exp.constraints import Names, NonNegative, Positive
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
+from wheelleg_exp.mdp.ground import height_over_ground
+from wheelleg_exp.sim.ids import fill_rows, picked
+from wheelleg_exp.sim.names import match_names
+
+__all__ = [
+    "action_acceleration_l2",
+    "action_l2",
+    "action_rate_l2",
+    "air_time_variance",
+    "ang_vel_xy_l2",
+    "applied_torque_limits",
+    "base_height_exp",
+    "base_height_l2",
+    "base_height_over_ground_l2",
+    "body_lin_acc_l2",
+    "body_lin_acc_norm_sum",
+    "contact_forces",
+    "desired_contacts",
+    "feet_air_time",
+    "feet_air_time_positive_biped",
+    "feet_clearance_l2",
+    "feet_slide",
+    "feet_stumble",
+    "flat_orientation_exp",
+    "flat_orientation_l2",
+    "is_alive",
+    "is_terminated",
+    "is_terminated_term",
+    "joint_acc_l2",
+    "joint_deviation_l1",
+    "joint_pos_limits",
+    "joint_power",
+    "joint_symmetry_l1",
+    "joint_torques_l2",
+    "joint_vel_l1",
+    "joint_vel_l2",
+    "joint_vel_limits",
+    "joint_vel_rate_l2",
+    "lin_vel_z_l2",
+    "no_contact_count",
+    "no_desired_contact",
+    "pitch_orientation_l2",
+    "stand_still_joint_deviation_l1",
+    "track_ang_vel_z_exp",
+    "track_ang_vel_z_world_exp",
+    "track_base_height_exp",
+    "track_base_tilt_exp",
+    "track_lin_vel_xy_exp",
+    "track_lin_vel_xy_yaw_frame_exp",
+    "travel_error_l2",
+    "undesired_contacts",
+    "upward",
+    "wheel_slip",
+    "wheel_spin_in_air_l1",
+]
+
+
+def is_alive(env: Env) -> torch.Tensor:
+    """1 unless the episode failed in this step; a time-out counts as alive."""
+    return (~env.termination_manager.terminated).float()
+
+
+def is_terminated(env: Env) -> torch.Tensor:
+    """1 where the episode failed in this step; time-outs excluded."""
+    return env.termination_manager.terminated.float()
+
+
+class is_terminated_term(TermBase):
+    """Number of the matching terminations that fired in this step, 0 on a time-out.
+
+    Args:
+        env: the environment.
+        term_keys: expressions of termination names; by default all.
+    """
+
+    def __init__(self, env: Env, term_keys: Names = ".*") -> None:
+        names = env.termination_manager.active_terms
+        self._names = match_names(term_keys, names, key="term_keys", what="termination")[1]
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        """Count."""
+        manager = env.termination_manager
+        fired = torch.stack([manager.get_term(name) for name in self._names]).sum(dim=0)
+        return (fired * ~manager.time_outs).float()
+
+
+_ROBOT = SceneEntityCfg("robot")
+
+
+def lin_vel_z_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Squared vertical velocity of the root's centre of mass in link axes, (m/s)^2."""
+    return env.scene[asset_cfg.name].data.root_lin_vel_b[:, 2].square()
+
+
+def ang_vel_xy_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """w_x^2 + w_y^2 of the root in link axes, (rad/s)^2."""
+    return env.scene[asset_cfg.name].data.root_ang_vel_b[:, :2].square().sum(dim=1)
+
+
+def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """g_x^2 + g_y^2 of the projected gravity: sin^2 of the tilt."""
+    return env.scene[asset_cfg.name].data.projected_gravity_b[:, :2].square().sum(dim=1)
+
+
+def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
+
+    Unlike a square it still tells one degree from two, and costs a robot that falls no more than its weight. As with
+    the square, one that hangs upside down counts as upright.
+
+    Args:
+        env: the environment.
+        std: sine of the tilt that leaves 1/e of the reward.
+        asset_cfg: the robot.
+    """
+    return torch.exp(-flat_orientation_l2(env, asset_cfg) / std**2)
+
+
+def pitch_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """g_x^2 of the projected gravity: sin^2 of the pitch. Not in Isaac Lab."""
+    return env.scene[asset_cfg.name].data.projected_gravity_b[:, 0].square()
+
+
+def upward(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """(1 - g_z)^2 of the projected gravity: 4 upright, 1 lying, 0 upside down. Not in Isaac Lab."""
+    return (1.0 - env.scene[asset_cfg.name].data.projected_gravity_b[:, 2]).square()
+
+
+def base_height_l2(
+    env: Env,
+    target_height: float,
+    asset_cfg: SceneEntityCfg = _ROBOT,
+    sensor_cfg: SceneEntityCfg | None = None,
+) -> torch.Tensor:
+    """(z - target)^2 of the root link in the world, m^2; for flat ground at z = 0.
+
+    With a ray caster the target counts from the mean height of its hits, so that one ray that misses makes the value
+    infinite, as in Isaac Lab. ``base_height_over_ground_l2`` needs no sensor.
+    """
+    height = env.scene[asset_cfg.name].data.root_pos_w[:, 2]
+    if sensor_cfg is not None:
+        height = height - env.scene[sensor_cfg.name].data.ray_hits_w[..., 2].mean(dim=1)
+    return (height - target_height).square()
+
+
+def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """(h - target)^2 of the root link's height h above the ground straight below, m^2. Not in Isaac Lab."""
+    height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
+    return (height - target_height).square()
+
+
+def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-(h - target)^2 / std^2) of the root link's height h above the ground straight below. Not in Isaac Lab.
+
+    Unlike a square it still tells a millimetre from two.
+
+    Args:
+        env: the environment.
+        target_height: m.
+        std: error that leaves 1/e of the reward, m.
+        asset_cfg: the robot.
+    """
+    height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
+    return torch.exp(-((height - target_height) / std).square())
+
+
+def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of the norms of the bodies' linear accelerations, not squared, m/s^2.
+
+    Isaac Lab calls it ``body_lin_acc_l2``, which names a square.
+    """
+    acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
+    return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
+
+
+body_lin_acc_l2 = body_lin_acc_norm_sum
+
+
+def track_lin_vel_xy_exp(
+    env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in link axes."""
+    command = env.command_manager.get_command(command_name)[:, :2]
+    error = (command - env.scene[asset_cfg.name].data.root_lin_vel_b[:, :2]).square().sum(dim=1)
+    return torch.exp(-error / std**2)
+
+
+def track_ang_vel_z_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-(w_z command - w_z)^2 / std^2), angular velocity in link axes."""
+    command = env.command_manager.get_command(command_name)[:, 2]
+    error = (command - env.scene[asset_cfg.name].data.root_ang_vel_b[:, 2]).square()
+    return torch.exp(-error / std**2)
+
+
+def track_lin_vel_xy_yaw_frame_exp(
+    env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in level axes that turn with it.
+
+    Unlike ``track_lin_vel_xy_exp`` it does not take a leaning robot's fall for speed.
+    """
+    data = env.scene[asset_cfg.name].data
+    command, velocity, yaw = env.command_manager.get_command(command_name), data.root_lin_vel_w, data.heading_w
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    forwards = cos * velocity[:, 0] + sin * velocity[:, 1]
+    sideways = cos * velocity[:, 1] - sin * velocity[:, 0]
+    error = (command[:, 0] - forwards).square() + (command[:, 1] - sideways).square()
+    return torch.exp(-error / std**2)
+
+
+def track_ang_vel_z_world_exp(
+    env: Env, command_name: str, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-(w_z command - w_z)^2 / std^2), angular velocity about the world's vertical."""
+    command = env.command_manager.get_command(command_name)[:, 2]
+    error = (command - env.scene[asset_cfg.name].data.root_ang_vel_w[:, 2]).square()
+    return torch.exp(-error / std**2)
+
+
+def track_base_height_exp(
+    env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-(height command - h)^2 / std^2), h of the root link above the ground straight below, m. Not in Isaac Lab.
+
+    The command's first component is the height, as ``UniformBasePoseCommand`` has it.
+    """
+    command = env.command_manager.get_command(command_name)[:, 0]
+    error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
+    return torch.exp(-error / std**2)
+
+
+def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
+
+    The command is height, roll and pitch, as ``UniformBasePoseCommand`` has it.
+    """
+    command = env.command_manager.get_command(command_name)
+    x, y, z = env.scene[asset_cfg.name].data.projected_gravity_b.unbind(dim=1)
+    roll, pitch = torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
+    error = (command[:, 1] - roll).square() + (command[:, 2] - pitch).square()
+    return torch.exp(-error / std**2)
+
+
+def travel_error_l2(env: Env, command_name: str, heading_length: NonNegative = 0.0) -> torch.Tensor:
+    """Squared distance, m^2, from where the velocity command would have brought the robot. Not in Isaac Lab.
+
+    Args:
+        env: the environment.
+        command_name: a command that keeps the error, ``UniformVelocityTravelCommand``.
+        heading_length: m that a radian of heading counts as.
+    """
+    travel, heading = kept_travel_error(env, command_name).unbind(dim=1)
+    return travel.square() + (heading_length * heading).square()
+
+
+def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of squared applied torques, (N·m)^2."""
+    return picked(env.scene[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids).square().sum(dim=1)
+
+
+def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
+    """Sum of |torque * velocity| over joints, W. Not in Isaac Lab.
+
+    With ``positive_only`` braking joints cost nothing: the sum of what the drives put in.
+    """
+    data = env.scene[asset_cfg.name].data
+    power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
+    return (power.clamp(min=0.0) if positive_only else power.abs()).sum(dim=1)
+
+
+def joint_vel_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of joint speeds, rad/s."""
+    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs().sum(dim=1)
+
+
+def joint_vel_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of squared joint velocities, (rad/s)^2."""
+    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).square().sum(dim=1)
+
+
+def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of squared joint accelerations over the last physics step, (rad/s^2)^2."""
+    return picked(env.scene[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids).square().sum(dim=1)
+
+
+class joint_vel_rate_l2(TermBase):
+    """Sum of squared changes of joint velocity over a control step, (rad/s)^2; 0 in an episode's first step.
+
+    Not in Isaac Lab: wheels that turn smoothly. ``joint_acc_l2`` sees the last physics step alone.
+
+    Args:
+        env: the environment.
+        asset_cfg: the joints.
+    """
+
+    def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
+        self._joints = asset_cfg
+        self._last = torch.zeros_like(self._velocity(env))
+        self._has_last = torch.zeros(env.num_envs, 1, device=env.device)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        """Compare with the last step."""
+        velocity = self._velocity(env)
+        change = (velocity - self._last) * self._has_last
+        self._last.copy_(velocity)
+        self._has_last.fill_(1.0)
+        return change.square().sum(dim=1)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget the velocities of ``env_ids``."""
+        fill_rows(self._has_last, env_ids, 0.0)
+
+    def _velocity(self, env: Env) -> torch.Tensor:
+        velocity: torch.Tensor = picked(env.scene[self._joints.name].data.joint_vel, self._joints.joint_ids)
+        return velocity
+
+
+def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of the distances of the joints from their defaults, rad."""
+    data = env.scene[asset_cfg.name].data
+    ids = asset_cfg.joint_ids
+    return (picked(data.joint_pos, ids) - picked(data.default_joint_pos, ids)).abs().sum(dim=1)
+
+
+def stand_still_joint_deviation_l1(
+    env: Env, command_name: str, command_threshold: NonNegative = 0.06, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """``joint_deviation_l1`` where the commanded planar velocity is below ``command_threshold`` (m/s), else 0."""
+    speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1)
+    return joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
+
+
+def joint_symmetry_l1(
+    env: Env, left_cfg: SceneEntityCfg, right_cfg: SceneEntityCfg, mirrored: bool = False
+) -> torch.Tensor:
+    """Sum of |q_left - q_right| over pairs of joints, rad. Not in Isaac Lab.
+
+    The pairs are the joints of the two entities in order; give both the same ``preserve_order``. ``mirrored`` joints
+    turn in opposite senses on the two sides, so that a symmetric pose has |q_left + q_right| = 0.
+    """
+    left = picked(env.scene[left_cfg.name].data.joint_pos, left_cfg.joint_ids)
+    right = picked(env.scene[right_cfg.name].data.joint_pos, right_cfg.joint_ids)
+    if left.shape != right.shape:
+        raise ConfigError(
+            f"{left.shape[1]} left and {right.shape[1]} right joints", key="right_cfg.joint_names", expected="pairs"
+        )
+    return (left + right if mirrored else left - right).abs().sum(dim=1)
+
+
+def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of the distances of the joints beyond their soft limits, rad."""
+    data = env.scene[asset_cfg.name].data
+    q = picked(data.joint_pos, asset_cfg.joint_ids)
+    low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
+    return ((low - q).clamp(min=0.0) + (q - high).clamp(min=0.0)).sum(dim=1)
+
+
+def joint_vel_limits(env: Env, soft_ratio: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of clip(|qd| - limit * ratio, 0, 1), rad/s."""
+    data = env.scene[asset_cfg.name].data
+    limit = picked(data.soft_joint_vel_limits, asset_cfg.joint_ids) * soft_ratio
+    return (picked(data.joint_vel, asset_cfg.joint_ids).abs() - limit).clamp(0.0, 1.0).sum(dim=1)
+
+
+def applied_torque_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
+    """Sum of |applied - computed| torque: what the effort limit cut off, N·m."""
+    data = env.scene[asset_cfg.name].data
+    ids = asset_cfg.joint_ids
+    return (picked(data.applied_torque, ids) - picked(data.computed_torque, ids)).abs().sum(dim=1)
+
+
+def action_rate_l2(env: Env) -> torch.Tensor:
+    """Sum of squared changes of the raw action."""
+    return (env.action_manager.action - env.action_manager.prev_action).square().sum(dim=1)
+
+
+def action_l2(env: Env) -> torch.Tensor:
+    """Sum of squared raw actions."""
+    return env.action_manager.action.square().sum(dim=1)
+
+
+class action_acceleration_l2(TermBase):
+    """Sum of squared second differences of the raw action, (a - 2 a_1 + a_2)^2. Not in Isaac Lab.
+
+    Before an episode's first action all are 0, as in ``action_rate_l2``.
+
+    Args:
+        env: the environment.
+    """
+
+    def __init__(self, env: Env) -> None:
+        self._before_last = torch.zeros_like(env.action_manager.action)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        """Compare with the last two actions."""
+        action, last = env.action_manager.action, env.action_manager.prev_action
+        second_difference = action - 2.0 * last + self._before_last
+        self._before_last.copy_(last)
+        return second_difference.square().sum(dim=1)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget the actions of ``env_ids``."""
+        fill_rows(self._before_last, env_ids, 0.0)
+
+
+def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+    """Number of bodies whose contact force exceeded ``threshold`` (N) within the sensor's history."""
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
+    return (force > threshold).sum(dim=1).float()
+
+
+def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+    """Number of bodies whose contact force stayed at or below ``threshold`` (N) within the sensor's history.
+
+    Not in Isaac Lab: the number of wheels in the air.
+    """
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
+    return (force <= threshold).sum(dim=1).float()
+
+
+def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
+    """1 where none of the bodies exceeded ``threshold`` (N) within the sensor's history.
+
+    Isaac Lab calls it ``desired_contacts``, which names the opposite.
+    """
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
+    return (~(force > threshold).any(dim=1)).float()
+
+
+desired_contacts = no_desired_contact
+
+
+def contact_forces(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
+    """Sum of the contact forces beyond ``threshold``, N."""
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
+    return (force - threshold).clamp(min=0.0).sum(dim=1)
+
+
+def require_pairs(first: torch.Tensor, second: torch.Tensor, key: str) -> None:
+    """Raise ConfigError unless two tensors (N, k, ...) speak of as many things.
+
+    Args:
+        first: of the bodies of ``sensor_cfg``.
+        second: of what ``key`` names.
+        key: the key below the term's.
+    """
+    if first.shape[1] != second.shape[1]:
+        raise ConfigError(
+            f"{first.shape[1]} bodies of the sensor, and {second.shape[1]} of the robot",
+            key=key,
+            expected="as many, in the same order as in sensor_cfg.body_names",
+        )
+
+
+_WALKING = 0.1  # m/s: below, no step is asked for
+
+
+def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
+    return torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1) > _WALKING
+
+
+def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
+    """Sum over feet that have just landed of how much longer than ``threshold`` (s) they flew, s.
+
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor has to track air times.
+    """
+    sensor = env.scene.contact_sensor(sensor_cfg.name)
+    landed = picked(sensor.compute_first_contact(env.step_dt), sensor_cfg.body_ids)
+    longer = picked(sensor.data.last_air_time, sensor_cfg.body_ids) - threshold
+    return (longer * landed).sum(dim=1) * _is_asked_to_walk(env, command_name)
+
+
+def feet_air_time_positive_biped(
+    env: Env, command_name: str, threshold: NonNegative, sensor_cfg: SceneEntityCfg
+) -> torch.Tensor:
+    """Shortest time, s, that all feet have been as they are, where exactly one stands; at most ``threshold``.
+
+    0 where the commanded planar velocity is not above 0.1 m/s. The contact sensor has to track air times.
+    """
+    data = env.scene.contact_sensor(sensor_cfg.name).data
+    contact = picked(data.current_contact_time, sensor_cfg.body_ids)
+    stands = contact > 0.0
+    lasted = torch.where(stands, contact, picked(data.current_air_time, sensor_cfg.body_ids)).amin(dim=1)
+    single = stands.sum(dim=1) == 1
+    return lasted.clamp(max=threshold) * (single & _is_asked_to_walk(env, command_name))
+
+
+def feet_slide(
+    env: Env, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg = _ROBOT, threshold: NonNegative = 1.0
+) -> torch.Tensor:
+    """Sum of the horizontal speeds of the feet that touch something, m/s.
+
+    Args:
+        env: the environment.
+        sensor_cfg: the feet of a contact sensor.
+        asset_cfg: the same bodies of the robot, in the same order.
+        threshold: force above which a foot touches, N; Isaac Lab's 1 N is a fifth of a robot of 0.5 kg.
+    """
+    touches = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) > threshold
+    velocity = env.scene[asset_cfg.name].data.body_lin_vel_w[:, asset_cfg.body_ids, :2]
+    require_pairs(touches, velocity, "asset_cfg.body_names")
+    return (torch.linalg.vector_norm(velocity, dim=-1) * touches).sum(dim=1)
+
+
+def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
+    """1 where some foot or wheel is pushed sideways more than ``ratio`` times as hard as upwards, else 0.
+
+    Not in Isaac Lab: it runs into something steep.
+    """
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
+    sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
+    return (sideways > ratio * force[..., 2].abs()).any(dim=1).float()
+
+
+def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) -> torch.Tensor:
+    """Sum over feet of (h - clearance)^2 times the horizontal speed, m^3/s: a moving foot is to be lifted.
+
+    Not in Isaac Lab. h is the link's height above the ground straight below, m.
+    """
+    data, ids = env.scene[asset_cfg.name].data, asset_cfg.body_ids
+    error = height_over_ground(env, picked(data.body_pos_w, ids)) - clearance
+    speed = torch.linalg.vector_norm(data.body_lin_vel_w[:, ids, :2], dim=-1)
+    return (error.square() * speed).sum(dim=1)
+
+
+def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
+    """Variance over feet of their last flights and of their last stances, each at most ``max_time`` (s), s^2.
+
+    Not in Isaac Lab's library: an even gait. The contact sensor has to track air times.
+    """
+    data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
+    flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)
+    return flights.clamp(max=max_time).var(dim=1) + stances.clamp(max=max_time).var(dim=1)
+
+
+_SMALLEST = 1e-6  # N: what a force is divided by at least
+
+
+def wheel_slip(
+    env: Env, radius: Positive, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
+) -> torch.Tensor:
+    """Sum over wheels on the ground of the speed at which their contact point slips, m/s; 0 for rolling.
+
+    With the normal n of the wheel's contact force the point that touches moves at v + w x (-r n), v and w the
+    velocity of the wheel's centre of mass and its angular velocity; what of it lies along the ground is slip.
+
+    Args:
+        env: the environment.
+        radius: r of the wheels, m.
+        sensor_cfg: the wheels of a contact sensor.
+        asset_cfg: the same bodies of the robot, in the same order.
+        threshold: force above which a wheel is on the ground, N.
+    """
+    data, ids = env.scene[asset_cfg.name].data, asset_cfg.body_ids
+    force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
+    centre, spin = picked(data.body_lin_vel_w, ids), picked(data.body_ang_vel_w, ids)
+    require_pairs(force, centre, "asset_cfg.body_names")
+    size = torch.linalg.vector_norm(force, dim=-1, keepdim=True)
+    normal = force / size.clamp(min=_SMALLEST)
+    slip = centre - radius * torch.linalg.cross(spin, normal)
+    along = slip - (slip * normal).sum(dim=-1, keepdim=True) * normal
+    return (torch.linalg.vector_norm(along, dim=-1) * (size.squeeze(-1) > threshold)).sum(dim=1)
+
+
+def wheel_spin_in_air_l1(
+    env: Env, sensor_cfg: SceneEntityCfg, asset_cfg: SceneEntityCfg, threshold: NonNegative = 1.0
+) -> torch.Tensor:
+    """Sum of the speeds of the wheels that touch nothing, rad/s.
+
+    Args:
+        env: the environment.
+        sensor_cfg: the wheels of a contact sensor.
+        asset_cfg: their joints, in the same order.
+        threshold: force up to which a wheel touches nothing, N.
+    """
+    flies = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) <= threshold
+    speed = picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs()
+    require_pairs(flies, speed, "asset_cfg.joint_names")
+    return (speed * flies).sum(dim=1)

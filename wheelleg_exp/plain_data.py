@@ -1,0 +1,218 @@
+"""Plain JSON, YAML, and archives: read text that somebody else may have written, and write YAML that reads back equal.
+
+Each reader returns a value, or raises ``Unreadable`` with the reason.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Hashable, Mapping
+from typing import Any
+from zipfile import ZipFile
+
+import yaml
+
+from wheelleg_exp.errors import RunDirectoryError
+
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_DEEPEST = 200  # the C parser would end the process long before Python's limit of recursion
+_MOST_NODES = 1_000_000  # that aliases stand for
+_TIMES, _PACKED_ROOM = 16, 1 << 20  # how many times an archive's bytes it may hold, beside so many of its own
+_MOST_BITS = 1023  # of a whole number, which a float can take
+_OPENING = (b"[", b"{", b"-", b":", b"?")  # what may begin one more level
+
+
+class Unreadable(ValueError):
+    """A text is no JSON or YAML, or holds what no file of this program does.
+
+    Args:
+        problem: what is wrong.
+        line: where, from 1.
+    """
+
+    def __init__(self, problem: str, line: int | None = None) -> None:
+        super().__init__(problem)
+        self.problem, self.line = problem, line
+
+
+def json_value(data: bytes | str) -> Any:
+    """Return the value of a JSON text.
+
+    Raises:
+        Unreadable: it is none, names a key twice, is nested too deeply, or holds a number that JSON does not have.
+    """
+    try:
+        return _bounded(json.loads(data, object_pairs_hook=_without_repeats, parse_constant=_no_number))
+    except json.JSONDecodeError as error:
+        raise Unreadable(error.msg, error.lineno) from error
+    except UnicodeDecodeError as error:
+        raise Unreadable("it is not UTF-8 text") from error
+    except RecursionError as error:
+        raise Unreadable("it is nested too deeply") from error
+    except Unreadable:
+        raise
+    except (ValueError, MemoryError) as error:  # a whole number of thousands of digits
+        raise Unreadable(str(error) or "it is too large") from error
+
+
+def yaml_value(data: bytes | str) -> Any:
+    """Return the plain value of a YAML text without anchors.
+
+    Raises:
+        Unreadable: it is none, names a key twice, is nested too deeply, or holds a value that is not what it says.
+    """
+    return _read(data, lambda: _bounded(yaml.load(data, Loader=_PlainLoader)), aliases=False)
+
+
+def yaml_tree(data: bytes | str) -> yaml.Node | None:
+    """Return the nodes of a YAML text, which know their lines.
+
+    Raises:
+        Unreadable: it is none, is nested too deeply, or its aliases stand for too much.
+    """
+    return _read(data, lambda: yaml.compose(data, Loader=_LOADER), aliases=True)
+
+
+def require_bounded(archive: ZipFile) -> None:
+    """Raise Unreadable for an archive that unpacks to far more than it is: torch packs code, and stores numbers."""
+    parts = archive.infolist()
+    if sum(part.file_size for part in parts) > _TIMES * sum(part.compress_size for part in parts) + _PACKED_ROOM:
+        raise Unreadable("it unpacks to far more than it is")
+    if len({part.header_offset for part in parts}) < len(parts):
+        raise Unreadable("its parts lie in one another")
+
+
+class _PlainLoader(_LOADER):
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[Any] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise Unreadable(f"the key '{key.value}' stands twice", key.start_mark.line + 1)
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+        return super().construct_mapping(node, deep=deep)
+
+
+def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
+    try:
+        _require_plain(data, aliases)
+        return read()
+    except Unreadable:
+        raise
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise Unreadable(problem, mark.line + 1 if mark else None) from error
+    except Exception as error:  # a value that is not what its tag or its form says
+        raise Unreadable(f"a value cannot be read ({type(error).__name__}: {error})") from error
+
+
+def _require_plain(data: bytes | str, aliases: bool) -> None:
+    """Refuse what is nested too deeply, and references: all, or those that stand for more than anybody can read."""
+    raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    if sum(map(raw.count, _OPENING)) < _DEEPEST and b"&" not in raw:
+        return
+    sizes: dict[str | None, int] = {}
+    above: list[tuple[str | None, int]] = []  # the anchors of open nodes, and how much stood before them
+    total = 0
+    for event in yaml.parse(data, Loader=_LOADER):
+        line = None if event.start_mark is None else event.start_mark.line + 1
+        if isinstance(event, yaml.AliasEvent) and not aliases:
+            raise Unreadable("it holds references to anchors", line)
+        total += sizes.get(event.anchor, 1) if isinstance(event, yaml.AliasEvent) else 1
+        if isinstance(event, yaml.CollectionStartEvent):
+            above.append((event.anchor, total))
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = above.pop()
+            sizes[anchor] = total - before + 1
+        if len(above) > _DEEPEST:
+            raise Unreadable("it is nested too deeply", line)
+        if total > _MOST_NODES and sizes:
+            raise Unreadable("its references to anchors stand for too much", line)
+
+
+def _bounded(value: Any) -> Any:
+    """Return a value that is not nested too deeply, and whose whole numbers are no larger than a float can be."""
+    waiting = [(value, 0)]
+    while waiting:
+        node, depth = waiting.pop()
+        if isinstance(node, (dict, list)):
+            if depth >= _DEEPEST:
+                raise Unreadable("it is nested too deeply")
+            waiting += [(item, depth + 1) for item in (node.values() if isinstance(node, dict) else node)]
+        elif isinstance(node, int) and node.bit_length() > _MOST_BITS:
+            raise Unreadable(f"a whole number of {node.bit_length()} bits")
+    return value
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        repeated = next(name for index, name in enumerate(names) if name in names[:index])
+        raise Unreadable(f"the key '{repeated}' stands twice")
+    return found
+
+
+def _no_number(name: str) -> Any:
+    raise Unreadable(f"{name} is no number of JSON")
+
+
+_SCALARS = (str, int, float, bool, type(None))
+
+# Text that PyYAML reads as text, but YAML 1.2 readers and OmegaConf read as a number.
+_NUMBER_ELSEWHERE = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|0o[0-7]+|[-+]?(inf|nan)", re.IGNORECASE)
+
+# Line ends that PyYAML writes as they are between single quotes, and reads back as a space.
+_ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
+
+
+class _PlainDumper(yaml.SafeDumper):
+    def ignore_aliases(self, _: Any) -> bool:
+        # A value that is used twice is written twice: no anchors for people to resolve.
+        return True
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = "'" if _NUMBER_ELSEWHERE.fullmatch(text) else None
+    style = '"' if _ODD_LINE_END.search(text) else style
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_PlainDumper.add_representer(str, _represent_text)
+
+
+def dump_yaml(value: Any) -> str:
+    """Return ``value`` as YAML text that ``yaml.safe_load`` reads back equal.
+
+    Raises:
+        RunDirectoryError: the value holds something else than mappings with text or integer keys, lists,
+            text, numbers, booleans and None. Subclasses (numpy scalars, enumerations, config nodes) do not
+            count as these, because they would not come back as what they were.
+    """
+    require_plain(value)
+    return yaml.dump(
+        value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True, width=2**16, default_flow_style=False
+    )
+
+
+def require_plain(value: Any, path: str = "") -> None:
+    """Raise RunDirectoryError, with the key, unless ``value`` is plain (see ``dump_yaml``)."""
+    if type(value) is dict:
+        _require_plain_mapping(value, path)
+    elif type(value) is list:
+        for index, item in enumerate(value):
+            require_plain(item, f"{path}[{index}]")
+    elif type(value) not in _SCALARS:
+        raise RunDirectoryError(
+            f"a {type(value).__name__} cannot be kept as plain YAML",
+            key=path or None,
+            expected="a mapping, list, text, number, boolean or null",
+        )
+
+
+def _require_plain_mapping(value: Mapping[Any, Any], path: str) -> None:
+    for key, item in value.items():
+        if type(key) not in (str, int):
+            raise RunDirectoryError(f"the key {key!r} is neither text nor an integer", key=path or None)
+        require_plain(item, f"{path}.{key}" if path else str(key))

@@ -1,0 +1,284 @@
+"""Show a growing recording in rerun's viewer, from a process of its own that follows the file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import select
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+from rerun.chunk import Chunk
+
+from wheelleg_exp.recording.blueprint import blueprint
+from wheelleg_exp.recording.reading.messages import HEADER_SIZE, RECORDING, ROWS, Rows, decode_rows
+from wheelleg_exp.recording.rerun_program import rerun_program
+from wheelleg_exp.recording.writing.recorder import Recorder
+from wheelleg_exp.recording.writing.recording_file import APPLICATION
+
+LOOPBACK = "127.0.0.1"
+LAYOUT = "layout.pickle"
+_POLL_S, _START_S, _STUCK_S = 0.2, 30.0, 10.0
+_TOGETHER = 1_000_000  # bytes that are passed on before the viewer has to have taken them
+_HEAD = 16
+_NOWHERE = f"http://{LOOPBACK}:9"  # the port of the discard service, on which nothing listens
+
+
+class ViewerLostError(Exception):
+    """The viewer is not there, or takes nothing."""
+
+
+def viewer_command(port: int | str) -> list[str]:
+    """Return the command that opens rerun's viewer for this machine alone."""
+    return [rerun_program(), "--bind", LOOPBACK, "--port", str(port), "--expect-data-soon", "--hide-welcome-screen"]
+
+
+def viewer_environment() -> dict[str, str]:
+    """Return an environment in which the viewer sends nothing anywhere and leaves the user's settings alone.
+
+    Rerun's analytics are off where ``CI`` is set; the settings file that would turn them off for good is the user's.
+    Its search for updates has no switch, and meets a proxy that is not there.
+    """
+    proxies = {name: _NOWHERE for word in ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY") for name in (word, word.lower())}
+    here = dict.fromkeys(("NO_PROXY", "no_proxy"), f"{LOOPBACK},localhost,::1")
+    return {**os.environ, "CI": "true", **proxies, **here}
+
+
+class Follower:
+    """Reads the whole messages of a growing file, each once; also when its name is given to another file.
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_RDONLY)
+        weakref.finalize(self, os.close, self._descriptor)
+        self._place = HEADER_SIZE
+
+    def rows(self) -> Iterator[tuple[Rows, int]]:
+        """Yield the rows that have become whole since the last call, with the bytes that they take."""
+        size = os.fstat(self._descriptor).st_size
+        while self._place + _HEAD <= size:
+            head = os.pread(self._descriptor, _HEAD, self._place)
+            kind, length = (int.from_bytes(part, "little") for part in (head[:8], head[8:]))
+            begin = self._place + _HEAD
+            if begin + length > size:
+                return
+            self._place = begin + length
+            if kind == ROWS:
+                rows = decode_rows(memoryview(os.pread(self._descriptor, length, begin)))
+                if rows.store[0] == RECORDING:
+                    yield rows, length
+
+
+class Feed:
+    """Passes a recording on to a viewer.
+
+    Args:
+        path: the recording.
+        folder: where the run leaves its present layout.
+        port: where the viewer listens.
+        is_open: tells whether the viewer still runs.
+    """
+
+    def __init__(self, path: Path, folder: Path, port: int, is_open: Callable[[], bool] = lambda: True) -> None:
+        self._is_open = is_open
+        self._follower, self._layout = Follower(path), folder / LAYOUT
+        self._url = f"rerun+http://{LOOPBACK}:{port}/proxy"
+        self._stream: rr.RecordingStream | None = None
+        self._layout_time = -1
+
+    def step(self) -> None:
+        """Pass on what is new.
+
+        Raises:
+            ViewerLostError: the viewer does not take it.
+        """
+        waiting = 0
+        for rows, size in self._follower.rows():
+            stream = self._connected(rows.store[1])
+            stream.send_chunks(Chunk.from_record_batch(rows.batch))
+            waiting += size
+            if waiting >= _TOGETHER:
+                self._flush()
+                waiting = 0
+        self._send_layout()
+        self._flush()
+
+    def _connected(self, recording_id: str) -> rr.RecordingStream:
+        if self._stream is None:
+            self._stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, send_properties=False)
+            self._stream.connect_grpc(self._url)
+        return self._stream
+
+    def _send_layout(self) -> None:
+        if self._stream is None or not self._layout.exists():
+            return
+        written = self._layout.stat().st_mtime_ns
+        if written != self._layout_time:
+            self._layout_time = written
+            layouts, purpose, documents, training = pickle.loads(self._layout.read_bytes())
+            self._stream.send_blueprint(blueprint(layouts, purpose, documents=documents, training=training))
+
+    def _flush(self) -> None:
+        if self._stream is None:
+            return
+        end = time.monotonic() + _STUCK_S
+        while True:
+            try:
+                self._stream.flush(timeout_sec=0.5)
+                return
+            except (RuntimeError, ValueError) as error:
+                if not self._is_open():
+                    raise ViewerLostError("it was closed") from error
+                if time.monotonic() > end:
+                    raise ViewerLostError("it takes nothing any more") from error
+
+
+def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
+    """Open a viewer and feed it until standard input ends, which it does when the run does.
+
+    Raises:
+        ViewerLostError: the viewer cannot be opened, is closed, or takes nothing.
+    """
+    port = free_port()
+    process = _open([word.replace("{port}", str(port)) for word in viewer] or viewer_command(port))
+    _wait_for(port, process)
+    feed, is_over = Feed(path, folder, port, lambda: process.poll() is None), False
+    while True:
+        is_over = is_over or _ended(_POLL_S)
+        if process.poll() is not None:
+            raise ViewerLostError("it was closed")
+        feed.step()
+        if is_over:
+            return
+
+
+def _open(command: list[str]) -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(
+            command,
+            env=viewer_environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError as error:
+        raise ViewerLostError(str(error)) from error
+
+
+def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
+    end = time.monotonic() + _START_S
+    while time.monotonic() < end:
+        if process.poll() is not None:
+            raise ViewerLostError("it cannot be opened; is there a display?")
+        try:
+            with socket.create_connection((LOOPBACK, port), timeout=1.0):
+                return
+        except OSError:
+            time.sleep(0.1)
+    raise ViewerLostError("it does not answer")
+
+
+def free_port() -> int:
+    """Return a port of the loopback address that nothing listens on now."""
+    with socket.socket() as found:
+        found.bind((LOOPBACK, 0))
+        return int(found.getsockname()[1])
+
+
+def _ended(wait_s: float) -> bool:
+    """Return whether standard input has ended; wait for that as long as said."""
+    ready, _, _ = select.select([sys.stdin.fileno()], [], [], wait_s)
+    return bool(ready) and not os.read(sys.stdin.fileno(), 1024)
+
+
+def main(words: list[Any]) -> None:
+    """Follow ``words[0]`` with layouts from ``words[1]``; what follows is the viewer's command, if not rerun's."""
+    os.nice(5)
+    folder = Path(words[1])
+    try:
+        follow(Path(words[0]), folder, words[2:])
+    except ViewerLostError as error:
+        with contextlib.suppress(OSError):  # the run, which would pass it on, may have ended
+            os.write(sys.stdout.fileno(), f"wheelleg: no live view: {error}; the run goes on\n".encode())
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    os._exit(0)  # rerun would wait for a viewer that is gone
+
+
+class LiveView:
+    """Opens a viewer and feeds it from the recording's file, in a process of its own.
+
+    The run itself does nothing but write its file, as without a viewer: the feeding process follows that file, so that
+    a viewer that is slow, hangs, dies or cannot be opened costs the run neither time nor memory. It ends with the run;
+    the viewer stays open.
+
+    Args:
+        recorder: the recording, open and flushed.
+        viewer: the viewer's command, in which ``{port}`` stands for the port that it is to listen on; None is rerun's.
+    """
+
+    def __init__(self, recorder: Recorder, viewer: Sequence[str] | None = None) -> None:
+        self._recorder = recorder
+        self._shown: tuple[int, int] | None = None
+        self._folder = Path(tempfile.mkdtemp(prefix="wheelleg-live-"))
+        self._write_layout()
+        module = "wheelleg_exp.recording.writing.live_view"
+        words = [sys.executable, "-P", "-m", module, str(recorder.path), str(self._folder)]
+        self._process: subprocess.Popen[bytes] | None = None
+        with contextlib.suppress(OSError):  # no more processes: then there is no live view
+            self._process = subprocess.Popen(
+                [*words, *(viewer or [])],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+            threading.Thread(target=_attend, args=(self._process,), daemon=True).start()
+
+    def show(self) -> None:
+        """Let the viewer's layout follow what is recorded by now."""
+        self._write_layout()
+
+    def close(self) -> None:
+        """Tell the feeding process that the file is finished; it shows the rest and ends."""
+        if self._process is not None and self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+
+    def _write_layout(self) -> None:
+        state = self._recorder.layout_state()
+        if self._shown == (len(state[2]), len(state[3])):
+            return
+        self._shown = (len(state[2]), len(state[3]))
+        with contextlib.suppress(OSError):
+            temporary = self._folder / f"{LAYOUT}.tmp"
+            temporary.write_bytes(pickle.dumps(state))
+            temporary.replace(self._folder / LAYOUT)
+
+
+def _attend(process: subprocess.Popen[bytes]) -> None:
+    """Pass on what the feeding process has to say, as long as the run lasts."""
+    if process.stdout is not None:
+        with process.stdout as words:
+            for line in words:
+                sys.stderr.write(line.decode(errors="replace"))
+    process.wait()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

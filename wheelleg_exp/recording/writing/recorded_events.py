@@ -1,0 +1,176 @@
+"""What is recorded between frames: ends of episodes, interval events, messages, and the scalars of a training.
+
+Every iteration's scalars are written at once as one row of a hidden journal. A chunk of one row takes about
+1.3 kB, whatever it contains, so the plots' own entities are written several iterations at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from wheelleg_exp.definitions import ending
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.recording import layout
+from wheelleg_exp.recording.layout import EnvPaths
+from wheelleg_exp.recording.writing.recorded_frames import Stamp
+from wheelleg_exp.state.tensor_trees import host_copy
+
+EPISODES, EVENTS = "episodes", "events"
+
+
+@dataclass(frozen=True)
+class LogEntry:
+    """One line of the log.
+
+    Attributes:
+        stamp: when.
+        kind: ``EPISODES``, ``EVENTS``, or what else there is to say.
+        text: what.
+        level: severity by rerun's names.
+    """
+
+    stamp: Stamp
+    kind: str
+    text: str
+    level: str
+
+
+def episode_end(env: ManagerBasedRLEnv, env_id: int, stamp: Stamp) -> LogEntry | None:
+    """Return what ended the environment's episode in this step, None when it goes on."""
+    manager = env.termination_manager
+    failed = bool(host_copy(manager.terminated[env_id]))
+    if not failed and not host_copy(manager.time_outs[env_id]):
+        return None
+    reasons = [name for name in manager.active_terms if manager.get_term(name)[env_id]]
+    seconds = int(env.episode_length_buf[env_id]) * env.step_dt
+    text = f"env {env_id}: ended by {ending(reasons)} after {seconds:.2f} s"
+    return LogEntry(stamp, EPISODES, text, "WARN" if failed else "INFO")
+
+
+def fired_events(env: ManagerBasedRLEnv, env_id: int) -> list[str]:
+    """Return the interval events that fired for the environment when they were last due."""
+    # A timer that all environments share has one flag.
+    return [name for name, due in env.event_manager.fired.items() if host_copy(due[env_id if len(due) > 1 else 0])]
+
+
+RECORDING = "recording"
+Columns = tuple[str, list[Stamp], Any]
+
+
+class EventLog:
+    """The marked moments that are not in the file yet.
+
+    Interval events come after a step's capture, so that they are seen one step later, or between two steps.
+
+    Args:
+        env: the environment.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv) -> None:
+        self._env = env
+        self._lines: dict[str, list[LogEntry]] = defaultdict(list)
+        self._fired: dict[str, list[Stamp]] = defaultdict(list)
+        self._awaiting: tuple[Stamp, Sequence[tuple[int, EnvPaths]]] | None = None
+
+    def captured(self, stamp: Stamp, envs: Sequence[tuple[int, EnvPaths]]) -> None:
+        """Take up the ends of episodes in a captured step of some environments; its events are still to come."""
+        for env_id, paths in envs:
+            end = episode_end(self._env, env_id, stamp)
+            if end is not None:
+                self._lines[paths.data(layout.LOG, end.kind)].append(end)
+        self._awaiting = (stamp, envs)
+
+    def look_back(self, step: int) -> None:
+        """Take up the interval events that followed the last captured step, if that was ``step``."""
+        awaiting, self._awaiting = self._awaiting, None
+        if awaiting is None or awaiting[0].step != step:
+            return
+        stamp, envs = awaiting
+        for env_id, paths in envs:
+            for name in fired_events(self._env, env_id):
+                self._fired[paths.data("events", name)].append(stamp)
+                entry = LogEntry(stamp, EVENTS, f"env {env_id}: {name}", "INFO")
+                self._lines[paths.data(layout.LOG, EVENTS)].append(entry)
+
+    def say(self, text: str, level: str, stamp: Stamp) -> None:
+        """Take up what happened to the recording itself."""
+        self._lines[layout.join(layout.LOG, RECORDING)].append(LogEntry(stamp, RECORDING, text, level))
+
+    def pieces(self) -> Iterator[Columns]:
+        """Yield everything as columns, once."""
+        for entity, entries in self._lines.items():
+            texts, levels = [e.text for e in entries], [e.level for e in entries]
+            yield entity, [e.stamp for e in entries], rr.TextLog.columns(text=texts, level=levels)
+        for entity, stamps in self._fired.items():
+            yield entity, stamps, rr.Scalars.columns(scalars=np.ones(len(stamps)))
+        self._lines.clear()
+        self._fired.clear()
+
+
+_TOGETHER = 10  # iterations that a plot's chunk holds
+
+Point = tuple[Stamp, float]
+Piece = tuple[str, list[Stamp], Any]
+
+
+class TrainingScalars:
+    """The scalars that are not in the file yet.
+
+    Attributes:
+        keys: every key so far, in the order in which they came.
+    """
+
+    def __init__(self) -> None:
+        self.keys: list[str] = []
+        self._points: dict[str, list[Point]] = defaultdict(list)
+        self._row: tuple[Stamp, list[float]] | None = None
+        self._waiting = 0
+
+    def add(self, stamp: Stamp, values: Mapping[str, float]) -> bool:
+        """Take up an iteration's scalars and return whether there was a new key."""
+        new = [key for key in values if key not in self.keys]
+        self.keys += new
+        for key, value in values.items():
+            self._points[key].append((stamp, float(value)))
+        self._row = (stamp, [float(values.get(key, math.nan)) for key in self.keys])
+        self._waiting += 1
+        return bool(new)
+
+    def restore(self, keys: list[str], points: Mapping[str, list[Point]]) -> None:
+        """Go on with what is already in a file.
+
+        Args:
+            keys: the journal's keys.
+            points: what stands in the journal alone.
+        """
+        self.keys = list(keys)
+        for key, found in points.items():
+            self._points[key] += found
+            self._waiting = max(self._waiting, len(found))
+
+    def row(self) -> Piece | None:
+        """Return the last iteration's row, once."""
+        if self._row is None:
+            return None
+        stamp, values = self._row
+        self._row = None
+        columns = rr.Scalars.columns(scalars=np.array(values)).partition([len(values)])
+        return layout.JOURNAL, [stamp], columns
+
+    def pieces(self, *, everything: bool) -> Iterator[Piece]:
+        """Yield the columns of the plots' entities when there is enough for a chunk, or in any case, once."""
+        if self._waiting < _TOGETHER and not everything:
+            return
+        for key, points in self._points.items():
+            values = np.array([value for _, value in points])
+            entity = layout.join_key(layout.TRAINING, key)
+            yield entity, [stamp for stamp, _ in points], rr.Scalars.columns(scalars=values)
+        self._points.clear()
+        self._waiting = 0

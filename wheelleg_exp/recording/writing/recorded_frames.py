@@ -1,0 +1,333 @@
+"""The numbers of one frame, read from the environment's buffers, and the frames that wait in memory to be written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.mdp.commands import UniformVelocityCommand
+from wheelleg_exp.recording.layout import EnvPaths
+from wheelleg_exp.rendering.render_scene import Array
+from wheelleg_exp.sim.sensors import ContactSensor
+from wheelleg_exp.state.tensor_trees import host_copy
+
+VELOCITY_NAMES = ("v_x", "v_y", "w_z")
+_GRAVITY = ("g_x", "g_y", "g_z")
+_FREE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One row of numbers a frame.
+
+    Attributes:
+        key: name within a frame.
+        names: name of each number.
+        read: returns the row, (len(names),).
+        entities: one entity for the whole row, or one a number; none keeps the row for drawing only.
+    """
+
+    key: str
+    names: tuple[str, ...]
+    read: Callable[[], Any]
+    entities: tuple[str, ...]
+
+
+def robot_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """Return what is recorded of one environment's robot and commands at every control step.
+
+    Poses are not among it: they follow from ``qpos``, and are worked out when the frames are sent.
+    """
+    return [
+        *_base(env, env_id, paths),
+        *_commands(env, env_id, paths),
+        *_joints(env, env_id, paths),
+        *_contacts(env, env_id, paths),
+    ]
+
+
+def velocity_command(env: ManagerBasedRLEnv) -> str | None:
+    """Return the name of the first command that is a planar velocity (v_x, v_y, w_z) in the base's axes."""
+    manager = env.command_manager
+    for name in manager.active_terms:
+        if isinstance(manager.get_term(name), UniformVelocityCommand):
+            return name
+    return None
+
+
+def has_forces(sensor: Any) -> bool:
+    """Return whether a sensor of the scene measures contact forces."""
+    return isinstance(sensor, ContactSensor)
+
+
+def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+    """Return a channel whose numbers stand in one entity."""
+    return Channel(key, tuple(names), read, (entity,))
+
+
+def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+    """Return a reader of one environment's row."""
+    return lambda: host_copy(read()[env_id])
+
+
+def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    data, model = env.scene.robot.data, env.scene.model
+    qpos, qvel = (env.scene.sim.view(name)[env_id] for name in ("qpos", "qvel"))
+
+    def split(key: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+        return Channel(key, tuple(names), read, tuple(paths.data("base", name) for name in names))
+
+    return [
+        split("height", ["height"], lambda: host_copy(data.root_pos_w[env_id, 2])),
+        split("lin_vel", ["v_x", "v_y", "v_z"], row(lambda: data.root_lin_vel_b, env_id)),
+        split("ang_vel", ["w_x", "w_y", "w_z"], row(lambda: data.root_ang_vel_b, env_id)),
+        one("gravity", paths.data("base", "gravity"), _GRAVITY, row(lambda: data.projected_gravity_b, env_id)),
+        one("qpos", paths.data("state", "qpos"), _coordinates(model, _FREE), lambda: host_copy(qpos)),
+        one("qvel", paths.data("state", "qvel"), _coordinates(model, _FREE_VELOCITY), lambda: host_copy(qvel)),
+    ]
+
+
+def _coordinates(model: mujoco.MjModel, free: tuple[str, ...]) -> list[str]:
+    """Return a name for each coordinate of qpos (or qvel): the joint's, with a suffix where it has several."""
+    ball = ("w", "x", "y", "z") if len(free) == len(_FREE) else ("x", "y", "z")
+    names = []
+    for j in range(model.njnt):
+        joint = model.joint(j).name or f"joint_{j}"
+        kind = int(model.jnt_type[j])
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            names += [f"{joint}.{part}" for part in free]
+        elif kind == mujoco.mjtJoint.mjJNT_BALL:
+            names += [f"{joint}.{part}" for part in ball]
+        else:
+            names.append(joint)
+    return names
+
+
+def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """A velocity command stands in one entity a number, so that each can be plotted against what it is for."""
+    velocity, found = velocity_command(env), []
+    for name in env.command_manager.active_terms:
+        term = env.command_manager.get_term(name)
+        read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
+        if name == velocity:
+            names = tuple(f"{part} command" for part in VELOCITY_NAMES)
+            entities = tuple(paths.data("commands", name, part) for part in VELOCITY_NAMES)
+            found.append(Channel(f"commands/{name}", names, read, entities))
+        else:
+            names = tuple(f"{name}[{i}]" for i in range(term.command.shape[1]))
+            found.append(one(f"commands/{name}", paths.data("commands", name), names, read))
+    return found
+
+
+def _joints(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    data, names = env.scene.robot.data, env.scene.robot.joint_names
+    reads: dict[str, Callable[[], torch.Tensor]] = {
+        "position": lambda: data.joint_pos,
+        "position_target": lambda: data.joint_pos_target,
+        "velocity": lambda: data.joint_vel,
+        "velocity_target": lambda: data.joint_vel_target,
+        "effort": lambda: data.applied_torque,
+        "effort_computed": lambda: data.computed_torque,
+    }
+    return [
+        Channel(
+            f"joints/{kind}",
+            tuple(f"{name} target" if kind.endswith("target") else name for name in names),
+            row(read, env_id),
+            tuple(paths.data("joints", name, kind) for name in names),
+        )
+        for kind, read in reads.items()
+    ]
+
+
+def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """Net forces of the last physics step, and the largest norm within the sensor's history, which terms read."""
+    found = []
+    for name, sensor in env.scene.sensors.items():
+        if not has_forces(sensor):
+            continue
+        names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
+        read = flat(lambda sensor=sensor: sensor.data.net_forces_w, env_id)  # type: ignore[misc]
+        found.append(one(f"contacts/{name}", paths.data("contacts", name, "forces"), names, read))
+        peak = row(lambda sensor=sensor: sensor.max_force_norm(), env_id)  # type: ignore[misc]
+        found.append(one(f"peak/{name}", paths.data("contacts", name, "peak"), sensor.body_names, peak))
+    return found
+
+
+def flat(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+    """Return a reader of one environment's numbers in one row."""
+    return lambda: host_copy(read()[env_id]).ravel()
+
+
+_FIRST_CAPACITY = 256
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """The moment of a frame: control step, simulated time in ns, and the training iteration or -1."""
+
+    step: int
+    time_ns: int
+    iteration: int
+
+
+class Frames:
+    """The frames of one environment since the last flush; grows as needed.
+
+    Args:
+        channels: what a frame holds, in the order in which it is read.
+    """
+
+    def __init__(self, channels: Sequence[Channel]) -> None:
+        self.channels = list(channels)
+        ends = np.cumsum([len(channel.names) for channel in self.channels]).tolist()
+        starts = [0, *ends[:-1]]
+        self._slices = [slice(a, b) for a, b in zip(starts, ends, strict=True)]
+        self._readers = [(c.read, s) for c, s in zip(self.channels, self._slices, strict=True)]
+        self._rows = np.empty((_FIRST_CAPACITY, ends[-1]))
+        self.count = 0
+
+    def append(self) -> None:
+        """Read every channel into a new row."""
+        if self.count == len(self._rows):
+            self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
+        row = self._rows[self.count]
+        for read, columns in self._readers:
+            row[columns] = read()
+        self.count += 1
+
+    def blocks(self) -> dict[str, Array]:
+        """Return the rows (n, width) of each channel by its key."""
+        rows = self._rows[: self.count]
+        return {c.key: rows[:, s] for c, s in zip(self.channels, self._slices, strict=True)}
+
+    def clear(self) -> None:
+        """Forget the rows."""
+        self.count = 0
+
+
+class Episodes:
+    """Counts up whenever a row does not continue the one before: a reset, or a gap between two samples."""
+
+    def __init__(self) -> None:
+        self.number = -1
+        self._step, self._episode_step = -1, -1
+
+    def advance(self, step: int, episode_step: int) -> None:
+        """Take up a row: its control step and its step within the episode, from 1."""
+        if step != self._step + 1 or episode_step != self._episode_step + 1:
+            self.number += 1
+        self._step, self._episode_step = step, episode_step
+
+    def restore(self, number: int, step: int, episode_step: int) -> None:
+        """Go on after a row that is already recorded."""
+        self.number, self._step, self._episode_step = number, step, episode_step
+
+
+def learning_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
+    """Return what is recorded of one environment's managers at every control step."""
+    return [
+        *_actions(env, env_id, paths),
+        *_observations(env, env_id, paths),
+        *_rewards(env, env_id, paths),
+        *_terminations(env, env_id, paths),
+        *_episode(env, env_id, paths, episodes),
+    ]
+
+
+def _actions(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """The policy's output, and what the terms made of it."""
+    manager = env.action_manager
+    terms = {name: manager.get_term(name) for name in manager.active_terms}
+    raw = {name: term.action_dim for name, term in terms.items()}
+    processed = {name: int(term.processed_actions.shape[1]) for name, term in terms.items()}
+
+    def made() -> Any:
+        parts = [host_copy(term.processed_actions[env_id]) for term in terms.values()]
+        return np.concatenate(parts) if parts else []
+
+    return [
+        one("actions/raw", paths.data("actions", "raw"), _action_names(env, raw), row(lambda: manager.action, env_id)),
+        one("actions/processed", paths.data("actions", "processed"), _action_names(env, processed), made),
+    ]
+
+
+def _action_names(env: ManagerBasedRLEnv, widths: dict[str, int]) -> list[str]:
+    names: list[str] = []
+    for name, width in widths.items():
+        joints = getattr(env.action_manager.get_term(name), "joint_names", None)
+        if joints is None or len(joints) != width:
+            joints = [str(i) for i in range(width)]
+        names += [f"{name}[{joint}]" for joint in joints]
+    return names
+
+
+def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """The observation that led to the recorded action, term by term; NaN before the first one is computed."""
+    manager, found = env.observation_manager, []
+    for group, terms in manager.active_terms.items():
+        for term, shape in zip(terms, manager.group_obs_term_dim[group], strict=True):
+            if len(shape) > 2:  # pictures are not recorded number by number
+                continue
+            names = _labels(term, shape)
+            read = _observation(env, env_id, group, term, len(names))
+            key = ("observations", group, term)
+            found.append(one("/".join(key), paths.data(*key), names, read))
+    return found
+
+
+def _labels(term: str, shape: tuple[int, ...]) -> list[str]:
+    """Return a name for each number of a term; a history that is not flattened is its leading axis."""
+    if len(shape) == 1:
+        return [f"{term}[{i}]" for i in range(shape[0])]
+    return [f"{term}[{i}]@{h}" for h in range(shape[0]) for i in range(shape[1])]
+
+
+def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, width: int) -> Callable[[], Any]:
+    manager, nothing = env.observation_manager, np.full(width, np.nan)
+
+    def read() -> Any:
+        value = manager.obs_buf.get(group)
+        if value is None:
+            return nothing
+        mine = value[env_id : env_id + 1] if isinstance(value, torch.Tensor) else value
+        part = manager.part(group, term, mine)
+        return host_copy(part[0 if mine is not value else env_id]).ravel()
+
+    return read
+
+
+def _rewards(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    """Each term's weighted value per second, and their sum per second as the learner got it."""
+    manager, names = env.reward_manager, env.reward_manager.active_terms
+    places = tuple(paths.data("rewards", name) for name in names)
+    terms = Channel("rewards", tuple(names), lambda: host_copy(manager.step_reward[:, env_id]), places)
+    total = paths.data("rewards", "total")
+    return [terms, one("total", total, ["total"], lambda: host_copy(env.reward_buf[env_id]) / env.step_dt)]
+
+
+def _terminations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
+    manager, names = env.termination_manager, env.termination_manager.active_terms
+    fired = [manager.get_term(name) for name in names]
+    places = tuple(paths.data("terminations", name) for name in names)
+    read = (lambda: host_copy(torch.stack(fired)[:, env_id])) if fired else list
+    return [Channel("terminations", tuple(names), read, places)]
+
+
+def _episode(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
+    """Which episode a row belongs to, how far it is, and whether it ends with this row."""
+    manager = env.termination_manager
+
+    def read() -> Sequence[float]:
+        failed, over = bool(manager.terminated[env_id]), bool(manager.time_outs[env_id])
+        return (episodes.number, int(host_copy(env.episode_length_buf[env_id])), failed, over)
+
+    names = ("number", "step", "terminated", "truncated")
+    return [Channel("episode", names, read, tuple(paths.data("episode", name) for name in names))]

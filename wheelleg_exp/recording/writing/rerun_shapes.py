@@ -1,0 +1,263 @@
+"""Convert the MuJoCo model and the recorded frames to rerun's shapes: geoms, body poses, arrows, the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import rerun as rr
+
+from wheelleg_exp.recording.layout import GROUND, EnvPaths
+from wheelleg_exp.recording.writing.recorded_frames import Channel
+from wheelleg_exp.rendering.render_scene import Array
+from wheelleg_exp.rendering.scene_models import colour, mesh
+from wheelleg_exp.sim.robot import Robot
+
+
+def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
+    """Return the positions (nq,) with every joint at its default; the base is where the model has it.
+
+    Not the present pose: what is drawn in units of the robot's height must not depend on when a recording begins.
+    """
+    qpos: Array = model.qpos0.copy()
+    for joint, position in zip(robot.joint_names, robot.layout.default_joint_pos.flatten().tolist(), strict=True):
+        qpos[model.joint(joint).qposadr[0]] = position
+    return qpos
+
+
+def weight(model: mujoco.MjModel, root: int) -> float:
+    """Return the weight of the tree below ``root``, N (1 N when it weighs nothing or there is no gravity)."""
+    weight = float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
+    return weight if weight > 0 else 1.0
+
+
+def roll_pitch_yaw(quaternion: Array) -> Array:
+    """Return the angles (n, 3), rad, of R = Rz(yaw) Ry(pitch) Rx(roll) for unit quaternions (n, 4), wxyz."""
+    w, x, y, z = quaternion.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.stack((roll, pitch, yaw), axis=1)
+
+
+def xyzw(wxyz: Array) -> Array:
+    """Return quaternions (..., 4) in rerun's order (x, y, z, w) from MuJoCo's (w, x, y, z)."""
+    return np.roll(wxyz, -1, axis=-1)
+
+
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """Return a geom's name, or one made of its number."""
+    return model.geom(geom).name or f"geom_{geom}"
+
+
+def shape(model: mujoco.MjModel, geom: int) -> list[Any]:
+    """Return what draws a geom in the frame of its body: one archetype, and a pose where that has none itself.
+
+    MuJoCo sizes are half sizes. A rerun capsule begins at the centre of one cap and extends along its z axis; a
+    MuJoCo capsule is centred, so that the origin is shifted by half the length along the geom's z axis.
+
+    Returns:
+        Archetypes for one entity; empty for a type that is not drawn (planes, signed distance fields).
+    """
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+    make = _SHAPES.get(kind)
+    return [] if make is None else make(model, geom)
+
+
+def _common(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    return {
+        "quaternions": [xyzw(model.geom_quat[geom])],
+        "colors": [colour(model, geom)],
+        "fill_mode": "solid",
+    }
+
+
+def _box(model: mujoco.MjModel, geom: int) -> list[Any]:
+    return [rr.Boxes3D(half_sizes=[model.geom_size[geom]], centers=[model.geom_pos[geom]], **_common(model, geom))]
+
+
+def _ellipsoid(model: mujoco.MjModel, geom: int) -> list[Any]:
+    size = model.geom_size[geom]
+    half = np.full(3, size[0]) if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE else size
+    return [rr.Ellipsoids3D(half_sizes=[half], centers=[model.geom_pos[geom]], **_common(model, geom))]
+
+
+def _cylinder(model: mujoco.MjModel, geom: int) -> list[Any]:
+    radius, half_length = model.geom_size[geom][:2]
+    centre = model.geom_pos[geom]
+    return [rr.Cylinders3D(lengths=[2 * half_length], radii=[radius], centers=[centre], **_common(model, geom))]
+
+
+def _capsule(model: mujoco.MjModel, geom: int) -> list[Any]:
+    radius, half_length = model.geom_size[geom][:2]
+    axis = np.zeros(3)
+    mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
+    origin = model.geom_pos[geom] - half_length * axis
+    return [rr.Capsules3D(lengths=[2 * half_length], radii=[radius], translations=[origin], **_common(model, geom))]
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> list[Any]:
+    surface = mesh(model, geom)
+    return [
+        rr.Mesh3D(
+            vertex_positions=surface.vertices,
+            vertex_normals=surface.normals,
+            triangle_indices=surface.faces,
+            albedo_factor=colour(model, geom),
+        ),
+        rr.InstancePoses3D(translations=[model.geom_pos[geom]], quaternions=[xyzw(model.geom_quat[geom])]),
+    ]
+
+
+_SHAPES = {
+    mujoco.mjtGeom.mjGEOM_BOX: _box,
+    mujoco.mjtGeom.mjGEOM_SPHERE: _ellipsoid,
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: _ellipsoid,
+    mujoco.mjtGeom.mjGEOM_CYLINDER: _cylinder,
+    mujoco.mjtGeom.mjGEOM_CAPSULE: _capsule,
+    mujoco.mjtGeom.mjGEOM_MESH: _mesh,
+    mujoco.mjtGeom.mjGEOM_HFIELD: _mesh,
+}
+
+
+COMMANDED, ACTUAL, FORCE = (60, 200, 90), (70, 130, 255), (255, 170, 40)
+
+ANGLES = ("roll", "pitch", "yaw")
+
+Columns = tuple[str, Any]
+Blocks = Mapping[str, Array]
+
+
+def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
+    """Yield the columns of every channel that stands in entities of its own."""
+    for channel in channels:
+        rows = blocks[channel.key]
+        if len(channel.entities) == 1:
+            yield channel.entities[0], vector_columns(rows)
+        else:
+            for entity, column in zip(channel.entities, rows.T, strict=False):
+                yield entity, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
+
+
+def vector_columns(rows: Array) -> Any:
+    """Return rows (n, width) as a column of vectors."""
+    flat = rr.Scalars.columns(scalars=np.ascontiguousarray(rows).ravel())
+    return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
+
+
+def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
+    """Yield roll, pitch and yaw of the base, rad."""
+    for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
+        yield paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
+
+
+def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
+    """Yield the pose columns of the bodies (model id to entity)."""
+    position, quaternion = blocks["xpos"], blocks["xquat"]
+    for body, entity in bodies.items():
+        yield (
+            entity,
+            rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body])),
+        )
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """The contact forces of one sensor, as numbers and as arrows at the bodies that are in contact.
+
+    Attributes:
+        sensor: the sensor's name.
+        bodies: model ids of the sensed bodies.
+        scale: arrow length, m/N.
+    """
+
+    sensor: str
+    bodies: tuple[int, ...]
+    scale: float
+
+    def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
+        """Yield the force norms, N, and the arrows, from the origin of each body that is touched."""
+        force = blocks[f"contacts/{self.sensor}"].reshape(-1, len(self.bodies), 3)
+        norm = np.linalg.norm(force, axis=2)
+        yield paths.data("contacts", self.sensor), vector_columns(norm)
+        position = blocks["xpos"][:, list(self.bodies)]
+        touching = norm > 0
+        arrows = rr.Arrows3D.columns(origins=position[touching], vectors=self.scale * force[touching])
+        yield paths.overlay("contacts", self.sensor), arrows.partition(touching.sum(axis=1))
+
+
+@dataclass(frozen=True)
+class VelocityArrows:
+    """Commanded and actual planar velocity above the base, in the base's yaw frame, as in Isaac Lab.
+
+    Attributes:
+        command: channel of the velocity command.
+        root: model id of the base.
+        lift: height of the arrows above the base, m.
+        scale: arrow length, m per m/s.
+    """
+
+    command: str
+    root: int
+    lift: float
+    scale: float
+
+    def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
+        """Yield one arrow a frame for the command and one for the robot's velocity."""
+        origin = blocks["xpos"][:, self.root] + [0.0, 0.0, self.lift]
+        yaw = blocks["orientation"][:, 2]
+        for name, velocity in (("command", blocks[self.command]), ("actual", blocks["lin_vel"])):
+            vectors = self.scale * in_world(velocity[:, :2], yaw)
+            yield paths.overlay("velocity", name), rr.Arrows3D.columns(origins=origin, vectors=vectors)
+
+
+def in_world(planar: Array, yaw: Array) -> Array:
+    """Return planar vectors (n, 2) of frames turned by ``yaw`` (n,), rad, as vectors (n, 3) in world axes."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = planar[:, 0], planar[:, 1]
+    return np.stack((c * x - s * y, s * x + c * y, np.zeros_like(x)), axis=1)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A checkered patch that follows the robot in whole tiles, so that it looks endless.
+
+    Attributes:
+        root: model id of the base.
+        tile: edge of a tile, m.
+        tiles: tiles along an edge of the patch, even.
+        origin: where the plane's point below the environment's origin is, m.
+    """
+
+    root: int
+    tile: float
+    tiles: int
+    origin: Array
+
+    def mesh(self, light: Sequence[int], dark: Sequence[int]) -> Any:
+        """Return the patch, centred."""
+        i, j = (axis.ravel() for axis in np.meshgrid(np.arange(self.tiles), np.arange(self.tiles)))
+        corner = np.stack((i, j), axis=1) - self.tiles / 2
+        square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        flat = ((corner[:, None] + square) * self.tile).reshape(-1, 2)
+        first = 4 * np.arange(len(i))[:, None]
+        triangles = np.concatenate((first + np.array([0, 1, 2]), first + np.array([0, 2, 3])))
+        shades = np.where(((i + j) % 2 == 0)[:, None], light, dark).astype(np.uint8)
+        return rr.Mesh3D(
+            vertex_positions=np.column_stack((flat, np.zeros(len(flat)))),
+            vertex_normals=np.tile([0.0, 0.0, 1.0], (len(flat), 1)),
+            vertex_colors=np.repeat(shades, 4, axis=0),
+            triangle_indices=triangles,
+        )
+
+    def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
+        """Yield where the patch is: the multiple of two tiles that is nearest to the base, so that colours stay."""
+        del paths
+        position = blocks["xpos"][:, self.root, :2]
+        step = 2 * self.tile
+        snapped = step * np.round(np.nan_to_num(position) / step)
+        translation = np.column_stack((snapped, np.full(len(snapped), self.origin[2])))
+        yield GROUND, rr.Transform3D.columns(translation=translation)

@@ -1,0 +1,124 @@
+"""Pictures of running simulations and of camera sensors.
+
+Both are drawn from copied positions alone, so that drawing never changes the simulation.
+"""
+
+from __future__ import annotations
+
+import weakref
+from contextlib import ExitStack
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from wheelleg_exp.rendering import render_scene
+from wheelleg_exp.rendering.camera_job import FORMS, CameraOrder, Layer, Poses
+from wheelleg_exp.rendering.render_job import Order, View
+from wheelleg_exp.rendering.render_scene import Array, points
+from wheelleg_exp.rendering.renderer import Worker, drawing, working
+from wheelleg_exp.rendering.scene_models import Kinematics, scene_of_model
+
+_SAMPLES = 4
+
+
+class LivePictures:
+    """Draws a compiled scene at positions; the camera follows the robot at one distance.
+
+    The process that draws begins with the first picture and ends with ``close``.
+
+    Args:
+        model: the compiled scene.
+        root: the name of the robot's root body.
+        width: px.
+        height: px.
+    """
+
+    def __init__(self, model: mujoco.MjModel, root: str, width: int, height: int) -> None:
+        self._model, self._root = model, int(model.body(root).id)
+        self._width, self._height = width, height
+        self._poses = Kinematics(model)
+        self._open = ExitStack()
+        self._started = False
+
+    def draw(self, qpos: Array) -> NDArray[np.uint8]:
+        """Return a picture (height, width, 3) of the scene at positions (nq,).
+
+        Raises:
+            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+            SimulationFailure: the graphics driver gave up.
+        """
+        qpos = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
+        if not self._started:
+            self._start(qpos)
+        self._poses.update(qpos)
+        pos, quat = self._poses.xpos[1:].copy(), self._poses.xquat[1:].copy()
+        lookat = pos[self._root - 1] + self._centre
+        view = View(pos, quat, (), lookat, self._distance, render_scene.AZIMUTH, render_scene.ELEVATION)
+        return self._process.draw(view).copy()
+
+    def close(self) -> None:
+        """End the process that draws; the next picture begins another."""
+        self._open.close()
+        self._started = False
+
+    def _start(self, qpos: Array) -> None:
+        scene = scene_of_model(self._model, self._root, self._poses.height(self._root, qpos))
+        cloud = points(scene, self._poses.xpos[1:], self._poses.xquat[1:]) - self._poses.xpos[self._root]
+        self._centre = np.array([0.0, 0.0, (cloud[:, 2].min() + cloud[:, 2].max()) / 2])
+        self._distance = render_scene.camera_distance(cloud - self._centre, self._width / self._height)
+        self._process = self._open.enter_context(drawing(Order(scene, self._width, self._height, _SAMPLES)))
+        self._started = True
+
+
+class CameraPictures:
+    """Draws the pictures of one camera; the process that draws begins with the first and ends with the object.
+
+    Args:
+        model: the compiled scene.
+        camera: the name of one of its cameras.
+        width: px.
+        height: px.
+        clipping_range: nearest and farthest distance along the camera's axis, m.
+        layers: what is drawn (see ``CameraOrder``).
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        camera: str,
+        width: int,
+        height: int,
+        clipping_range: tuple[float, float],
+        layers: tuple[Layer, ...],
+    ) -> None:
+        self._order = CameraOrder(model, camera, width, height, clipping_range, layers)
+        self._worker: Worker | None = None
+        self._open = ExitStack()
+        weakref.finalize(self, self._open.close)
+
+    def draw(self, qpos: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return each layer, (n, height, width, channels), of the scene at positions (n, nq).
+
+        Raises:
+            NoGraphics: nothing can be drawn on this machine; the message says what to install.
+            SimulationFailure: the graphics driver gave up.
+        """
+        if self._worker is None:
+            self._worker = self._open.enter_context(working("wheelleg_exp.rendering.camera_job", self._order))
+        order, forms = self._order, [(layer, *FORMS[layer]) for layer in self._order.layers]
+        pixels = order.width * order.height
+        row = np.dtype([(layer, kind, (pixels * channels,)) for layer, channels, kind in forms])
+        data = self._worker.ask(Poses(qpos.double().cpu().numpy()), row.itemsize * len(qpos))
+        rows = np.frombuffer(data, dtype=row)
+        size = (len(qpos), order.height, order.width)
+        return {
+            layer: torch.from_numpy(rows[layer].copy()).reshape(*size, channels).to(qpos.device)
+            for layer, channels, _ in forms
+        }
+
+    def close(self) -> None:
+        """End the process that draws; the next picture begins another."""
+        self._open.close()
+        self._worker = None

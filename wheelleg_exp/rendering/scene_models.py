@@ -1,0 +1,315 @@
+"""Convert between compiled MuJoCo models and scenes.
+
+``scene_of_model`` returns the visible geoms of a compiled model with their colours and surfaces. ``Kinematics``
+computes the poses of its bodies. ``build_model`` makes a MuJoCo model of a scene: every body is a mocap body, the
+floor is checkered, and a light follows the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelleg_exp.rendering.render_scene import Array, Ground, Scene, Shape
+
+VISUAL_GROUP = 2  # MuJoCo's convention for geoms that are only looked at
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
+_PLANE_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE),)
+_SOLIDS = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
+}
+_SURFACES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+_TILES_PER_HEIGHT = 2.0
+
+
+class Surface(NamedTuple):
+    """A surface of triangles: corners (n, 3), m, triangles (m, 3), and the normals at the corners, (n, 3)."""
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    normals: Array
+
+
+def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
+    """Return what is drawn of a compiled scene.
+
+    Args:
+        model: the scene; its bodies but the world are the scene's, in order.
+        root: the body that the eye follows.
+        size: how tall the robot stands, m.
+    """
+    bodies = {str(b): _shapes(model, b) for b in range(1, model.nbody)}
+    planes = [g for g in range(model.ngeom) if is_plane(model, g) and model.geom_bodyid[g] == 0]
+    ground = Ground(float(model.geom_pos[planes[0], 2]), size / _TILES_PER_HEIGHT) if planes else None
+    return Scene(bodies, _shapes(model, 0), ground, root - 1, size)
+
+
+def _shapes(model: mujoco.MjModel, body: int) -> list[Shape]:
+    found = (shape_of(model, geom) for geom in body_geoms(model, body)[0])
+    return [shape for shape in found if shape is not None]
+
+
+def shape_of(model: mujoco.MjModel, geom: int) -> Shape | None:
+    """Return a geom's shape in the frame of its body; None for a type that is not drawn (signed distance fields)."""
+    kind = int(model.geom_type[geom])
+    pos, quat = tuple(model.geom_pos[geom].tolist()), tuple(model.geom_quat[geom].tolist())
+    rgba = tuple((colour(model, geom) / 255).tolist())
+    size = model.geom_size[geom].tolist()
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return Shape("ellipsoid", (size[0],) * 3, pos, quat, rgba)
+    if kind in _SOLIDS:
+        name, count = _SOLIDS[kind]
+        return Shape(name, tuple(size[:count]), pos, quat, rgba)
+    return Shape("mesh", (), pos, quat, rgba, *mesh(model, geom)) if kind in _SURFACES else None
+
+
+def colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
+    """Return a geom's colour (4,), 0 to 255: its own unless that is MuJoCo's default, else its material's."""
+    rgba = model.geom_rgba[geom]
+    material = int(model.geom_matid[geom])
+    if material >= 0 and np.allclose(rgba, _DEFAULT_RGBA):
+        rgba = model.mat_rgba[material]
+    return np.round(np.clip(rgba, 0.0, 1.0) * 255).astype(np.uint8)
+
+
+def is_collider(model: mujoco.MjModel, geom: int) -> bool:
+    """Return whether a geom can touch others."""
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+
+
+def is_plane(model: mujoco.MjModel, geom: int) -> bool:
+    """Return whether a geom is an (infinite) plane, which is drawn as ground and not as a shape."""
+    return int(model.geom_type[geom]) in _PLANE_TYPES
+
+
+def body_geoms(model: mujoco.MjModel, body: int) -> tuple[list[int], list[int]]:
+    """Return a body's geoms to be drawn, and its colliders when they are not those.
+
+    Drawn are the geoms of the visual group; a body without any is drawn by its colliders.
+    """
+    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+    geoms = [g for g in range(first, first + count) if not is_plane(model, g)]
+    visual = [g for g in geoms if model.geom_group[g] == VISUAL_GROUP]
+    colliders = [g for g in geoms if is_collider(model, g)]
+    return (visual, colliders) if visual else (colliders, [])
+
+
+def mesh(model: mujoco.MjModel, geom: int) -> Surface:
+    """Return the surface of a mesh or of a height field, in the frame of the geom."""
+    is_field = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
+    return _height_field(model, geom) if is_field else _mesh(model, geom)
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> Surface:
+    """Return a mesh with one normal a face; MuJoCo's averaged ones are wrong at sharp edges."""
+    number = int(model.geom_dataid[geom])
+    faces = slice(model.mesh_faceadr[number], model.mesh_faceadr[number] + model.mesh_facenum[number])
+    corners = model.mesh_vertadr[number] + model.mesh_face[faces].ravel()
+    vertices = model.mesh_vert[corners].astype(float)
+    a, b, c = vertices.reshape(-1, 3, 3).transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return Surface(vertices, np.arange(len(corners)).reshape(-1, 3), np.repeat(normals, 3, axis=0))
+
+
+def _height_field(model: mujoco.MjModel, geom: int) -> Surface:
+    """Return the surface of a height field as a mesh; data is row by row along x, scaled by the elevation."""
+    field = int(model.geom_dataid[geom])
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    radius_x, radius_y, elevation, _ = model.hfield_size[field]
+    start = int(model.hfield_adr[field])
+    height = model.hfield_data[start : start + rows * columns] * elevation
+    x, y = np.meshgrid(np.linspace(-radius_x, radius_x, columns), np.linspace(-radius_y, radius_y, rows))
+    low = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    triangles = np.stack((low, low + 1, low + columns + 1, low, low + columns + 1, low + columns), axis=1)
+    vertices = np.column_stack((x.ravel(), y.ravel(), height))
+    return Surface(vertices, triangles.reshape(-1, 3), _grid_normals(height.reshape(rows, columns), x, y))
+
+
+def _grid_normals(height: Array, x: Array, y: Array) -> Array:
+    slope_y, slope_x = np.gradient(height, y[:, 0], x[0])
+    normals = np.stack((-slope_x, -slope_y, np.ones_like(height)), axis=-1).reshape(-1, 3)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+class Kinematics:
+    """Forward kinematics on an own ``MjData``, so that nothing of the simulations is touched.
+
+    Args:
+        model: the compiled scene.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+        self.xpos: Array = self._data.xpos
+        self.xquat: Array = self._data.xquat
+
+    def update(self, qpos: Array) -> None:
+        """Make ``xpos`` (B, 3), m, and ``xquat`` (B, 4), wxyz, the world poses of all bodies at ``qpos`` (nq,)."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+
+    def poses(self, qpos: Array) -> tuple[Array, Array]:
+        """Return positions (n, B, 3), m, and orientations (n, B, 4), wxyz, of all bodies for rows of qpos (n, nq)."""
+        count = len(qpos)
+        positions, orientations = np.empty((count, *self.xpos.shape)), np.empty((count, *self.xquat.shape))
+        for i, row in enumerate(qpos):
+            self.update(row)
+            positions[i], orientations[i] = self.xpos, self.xquat
+        return positions, orientations
+
+    def height(self, root: int, qpos: Array) -> float:
+        """Return how tall the tree below ``root`` stands at ``qpos``, m: its vertical extent by bounding spheres.
+
+        At least 1 cm, so that it can serve as a length scale.
+        """
+        self.update(qpos)
+        geoms = [g for g in tree_geoms(self._model, root) if not is_plane(self._model, g)]
+        if not geoms:
+            return 0.1
+        centre, radius = self._data.geom_xpos[geoms, 2], self._model.geom_rbound[geoms]
+        return max(float((centre + radius).max() - (centre - radius).min()), 0.01)
+
+
+def tree_bodies(model: mujoco.MjModel, root: int) -> list[int]:
+    """Return ``root`` and all bodies below it."""
+    bodies = [root]
+    for body in range(root + 1, model.nbody):
+        if int(model.body_parentid[body]) in bodies:
+            bodies.append(body)
+    return bodies
+
+
+def tree_geoms(model: mujoco.MjModel, root: int) -> list[int]:
+    """Return the geoms of ``root`` and of all bodies below it."""
+    return np.flatnonzero(np.isin(model.geom_bodyid, tree_bodies(model, root))).tolist()
+
+
+FOV = 30.0  # degrees, as MuJoCo wants it: a long lens, so that small robots are not distorted
+RIG = "rig"
+_FINE_SHADOWS_FROM = 800  # px
+_FLOOR_LIGHT, _FLOOR_DARK = (0.80, 0.815, 0.83), (0.70, 0.725, 0.75)
+_SKY_TOP, _SKY_HORIZON = (0.74, 0.83, 0.93), (0.95, 0.965, 0.98)
+_KINDS = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
+}
+
+
+def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.MjModel:
+    """Return the compiled model.
+
+    Args:
+        scene: the shapes; the mocap bodies stand in their order, after the light's rig.
+        width: of the pictures, px.
+        height: of the pictures, px.
+        samples: of a pixel, against jagged edges; 0 when the driver can do none.
+    """
+    spec = mujoco.MjSpec()
+    _look(spec, scene.size, width, height, samples)
+    _shadows(spec.visual, is_fine=height > _FINE_SHADOWS_FROM, is_wide=bool(scene.fixed))
+    if scene.ground is not None:
+        _floor(spec, scene.ground.height, scene.ground.tile)
+    _lights(spec, scene.size)
+    for i, shape in enumerate(scene.fixed):
+        _add(spec, spec.worldbody, shape, f"fixed_{i}")
+    for b, shapes in enumerate(scene.bodies.values()):
+        body = spec.worldbody.add_body(name=f"body_{b}", mocap=True)
+        for i, shape in enumerate(shapes):
+            _add(spec, body, shape, f"body_{b}_{i}")
+    return spec.compile()
+
+
+def _look(spec: Any, size: float, width: int, height: int, samples: int) -> None:
+    spec.stat.extent = 2.5 * size
+    spec.stat.center = [0.0, 0.0, 0.0]
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = width, height
+    visual.global_.fovy = FOV
+    visual.quality.offsamples = samples
+    visual.quality.numslices, visual.quality.numstacks = 56, 28
+    visual.map.znear, visual.map.zfar = 0.05, 120.0
+    visual.map.haze = 0.35
+    visual.headlight.ambient = [0.42, 0.42, 0.43]
+    visual.headlight.diffuse = [0.22, 0.22, 0.22]
+    visual.headlight.specular = [0.1, 0.1, 0.1]
+    visual.rgba.haze = [*np.mean((_SKY_TOP, _SKY_HORIZON), axis=0), 1.0]
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        width=64, height=384, rgb1=_SKY_TOP, rgb2=_SKY_HORIZON,
+    )  # fmt: skip
+
+
+def _shadows(visual: Any, *, is_fine: bool, is_wide: bool) -> None:
+    """Set how far around the robot there are shadows: on a terrain their border shows, and has to be out of sight."""
+    visual.map.shadowclip = 8.0 if is_wide else 2.5
+    visual.quality.shadowsize = 4096 if is_fine or is_wide else 2048
+
+
+def _floor(spec: Any, height: float, tile: float) -> None:
+    texture = spec.add_texture(
+        name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
+    )  # fmt: skip
+    # A texture holds two tiles along an edge.
+    material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
+    material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
+    spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, height], material="floor",
+        contype=0, conaffinity=0,
+    )  # fmt: skip
+
+
+def _lights(spec: Any, size: float) -> None:
+    """Add a key light with shadows and a fill light from the other side, both at a rig that follows the robot."""
+    rig = spec.worldbody.add_body(name=RIG, mocap=True)
+    for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
+        position = np.array(place) * 4.0 * size
+        rig.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=position, dir=-position / np.linalg.norm(position),
+            castshadow=shadow, ambient=[0, 0, 0], diffuse=[strength] * 3, specular=[0.25 * shadow] * 3,
+        )  # fmt: skip
+
+
+def _add(spec: Any, body: Any, shape: Shape, name: str) -> None:
+    fields: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+    if shape.kind == "mesh":
+        if not _add_mesh(spec, shape, name):
+            return
+        fields["meshname"] = name
+    else:
+        fields["size"] = _three([max(float(part), 1e-6) for part in shape.size])
+    body.add_geom(type=_KINDS[shape.kind], pos=shape.pos, quat=shape.quat, rgba=shape.rgba, **fields)
+
+
+def _add_mesh(spec: Any, shape: Shape, name: str) -> bool:
+    """Add a mesh as an open shell, since a terrain has no volume; a mesh without an area is left out."""
+    if shape.vertices is None or shape.faces is None or len(shape.vertices) < 4:
+        return False
+    a, b, c = shape.vertices[shape.faces].transpose(1, 0, 2)
+    if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
+        return False
+    mesh = spec.add_mesh(
+        name=name,
+        uservert=shape.vertices.ravel(),
+        userface=shape.faces.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    if shape.normals is not None:
+        mesh.usernormal = shape.normals.ravel()
+    return True
+
+
+def _three(size: Sequence[float]) -> list[float]:
+    return [*size, 0.0, 0.0, 0.0][:3]

@@ -1,0 +1,84 @@
+"""Encode pictures as a video file: H.264, the format that browsers play."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.files import for_people, require_new
+
+KINDS = {".mp4": "mp4", ".mkv": "matroska", ".mov": "mov"}
+_CODECS = ("libx264", "h264", "libopenh264", "mpeg4")
+_QUALITY = {"crf": "20", "preset": "medium"}
+
+
+def write(
+    path: Path,
+    pictures: Iterable[NDArray[np.uint8]],
+    fps: float,
+    size: tuple[int, int],
+    progress: Callable[[int], None] | None = None,
+) -> str:
+    """Write pictures (height, width, 3) as a video, whole or not at all, and return the codec's name.
+
+    Args:
+        path: the file: .mp4, .mkv or .mov; it must not be there yet.
+        pictures: one after the other.
+        fps: pictures a second.
+        size: width and height, px, even.
+        progress: called with the pictures so far.
+
+    Raises:
+        WheellegError: the file cannot be written, or there is no encoder.
+    """
+    import av
+
+    kind = KINDS[path.suffix.lower()]
+
+    aside = path.with_name(f".{path.name}.tmp")
+    try:
+        with for_people(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with av.open(str(aside), "w", format=kind, options=_options(kind)) as container:
+                stream, codec = _stream(container, fps, size)
+                for done, pixels in enumerate(pictures, start=1):
+                    container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), "rgb24")))
+                    if progress is not None:
+                        progress(done)
+                container.mux(stream.encode())
+            require_new(path)
+            aside.replace(path)
+    finally:
+        with suppress(OSError):
+            aside.unlink(missing_ok=True)
+    return codec
+
+
+def _options(kind: str) -> dict[str, str]:
+    """Return the container's options: the index at the front, so that a browser starts before it has read all."""
+    return {"movflags": "+faststart"} if kind in ("mp4", "mov") else {}
+
+
+def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
+    """Return an encoder and its name: H.264 where this PyAV brings one, else what every player knows."""
+    import av
+
+    for codec in _CODECS:
+        if codec not in av.codecs_available:
+            continue
+        try:
+            stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
+        except (ValueError, av.FFmpegError):  # the name is a decoder's
+            continue
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"
+        stream.options = dict(_QUALITY) if codec == "libx264" else {}
+        return stream, codec
+    raise WheellegError("PyAV has no encoder for videos", expected="PyAV from its wheels: pip install av")

@@ -1,0 +1,268 @@
+"""Headline of a report: one sentence that says whether the robot stands, and the key figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from typing import Any
+
+from wheelleg_exp.definitions import LAST, settled_window
+from wheelleg_exp.report.page_blocks import Card, Tone
+from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
+from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
+
+_GOOD, _FAIR = 0.95, 0.5  # shares of episodes that reach the time-out
+_TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
+
+
+def tone(subject: Subject) -> Tone:
+    """Return how to take the run's status."""
+    return _TONES.get(subject.status, "")
+
+
+def played(subject: Subject) -> dict[str, Any]:
+    """Return the figures of the run's last play, or of the agent's run; empty without."""
+    if subject.status == AGENT:
+        figures = subject.agent_figures.get("figures")
+        return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
+    plays = subject.additions("play")
+    return numbers(dict(plays[-1].get("results") or {})) if plays else {}
+
+
+def ended(figures: Mapping[str, Any]) -> int | None:
+    """Return how many episodes of a play ended; None where it does not tell."""
+    episodes, unfinished = figures.get("episodes"), figures.get("unfinished", 0)
+    return episodes - unfinished if isinstance(episodes, int) and isinstance(unfinished, int) else None
+
+
+def planned(subject: Subject) -> int | None:
+    """Return up to how many iterations the training was to go: as configured, or as its last resume says."""
+    found = subject.setting("agent.max_iterations")
+    for entry in subject.manifest.get("resumes", []):
+        for text in entry.get("overrides") or []:
+            key, _, value = str(text).lstrip("+").partition("=")
+            found = int(value) if key == "agent.max_iterations" and value.isdigit() else found
+    return found if isinstance(found, int) else None
+
+
+def done(subject: Subject) -> int:
+    """Return how many iterations were done."""
+    last = max((series.at[-1] for series in subject.scalars.values()), default=-1)
+    kept = (subject.manifest.get("results") or {}).get("iterations")
+    return kept if isinstance(kept, int) and subject.status == "finished" else last + 1
+
+
+def seconds(subject: Subject) -> float | None:
+    """Return the seconds of the training as its results tell, else from its start to its end.
+
+    None when they are not known: a resumed run was stopped in between.
+    """
+    if subject.manifest.get("resumes"):
+        return None
+    kept = (subject.manifest.get("results") or {}).get("seconds")
+    if isinstance(kept, (int, float)):
+        return float(kept)
+    started, ended = subject.manifest.get("started"), subject.manifest.get("ended")
+    if not (isinstance(started, str) and isinstance(ended, str)):
+        return None
+    return (datetime.fromisoformat(ended) - datetime.fromisoformat(started)).total_seconds()
+
+
+def target_height(subject: Subject) -> float | None:
+    """Return the base height, m, that a reward of the task names; None when none does."""
+    rewards = subject.setting("env.rewards")
+    for term in rewards.values() if isinstance(rewards, Mapping) else ():
+        height = term.get("target_height") if isinstance(term, Mapping) else None
+        if isinstance(height, (int, float)):
+            return float(height)
+    return None
+
+
+def time_outs(subject: Subject) -> list[str]:
+    """Return the terminations that end an episode because its time is up."""
+    terms = subject.setting("env.terminations")
+    found = terms.items() if isinstance(terms, Mapping) else ()
+    return [str(name) for name, term in found if isinstance(term, Mapping) and term.get("time_out")]
+
+
+def reached_end(subject: Subject) -> float | None:
+    """Return the share of environments whose last episode of the training ran to the time-out and did not fail.
+
+    A run that does not count them tells the share of the time-outs, those at which it failed included.
+    """
+    names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
+    if isinstance(counts, Mapping) and sum(counts.values()):
+        survived = [count for ended_by, count in counts.items() if set(str(ended_by).split(" and ")) <= set(names)]
+        return float(sum(survived) / sum(counts.values()))
+    shares = [subject.last(f"Episode_Termination/{name}") for name in names]
+    return max((share for share in shares if share is not None), default=None)
+
+
+def sentence(subject: Subject) -> str:
+    """Return what became of it, in one or two sentences."""
+    figures, status = played(subject), subject.status
+    if status == AGENT:
+        agent = str(subject.agent_figures.get("agent", "an agent without a policy"))
+        return f"No policy: the {agent} agent's actions on this task. {_stood(subject, figures)}".strip()
+    count, total = done(subject), planned(subject)
+    progress = f"iteration {number(count)} of {number(total)}" if total else counted(count, "iteration")
+    if status == "running":
+        return f"Training is under way: {progress} is done. {_stood(subject, figures)}".strip()
+    if status != "finished":
+        return f"{_broken(subject, progress)} {_stood(subject, figures)}".strip()
+    if figures:
+        return _stood(subject, figures)
+    share = reached_end(subject)
+    tail = "" if share is None else f" In {percent(share)} of the environments the last episode ran to the time-out."
+    return f"Trained for {counted(count, 'iteration')}.{tail} The policy has not been played yet."
+
+
+def _broken(subject: Subject, progress: str) -> str:
+    error = subject.manifest.get("error")
+    why = f": {error.get('message')}" if isinstance(error, Mapping) and error.get("message") else ""
+    if subject.status == "interrupted":
+        return f"Training was interrupted after {progress}; it can be resumed."
+    if subject.status == "crashed":
+        return f"The process of this training is gone; {progress} was written. It can be resumed."
+    return f"Training failed after {progress}{why.rstrip('.')}."
+
+
+def _stood(subject: Subject, figures: Mapping[str, Any]) -> str:
+    episodes, survival = ended(figures), figures.get("survival")
+    if not episodes or not isinstance(survival, (int, float)):
+        return ""
+    length = subject.setting("env.episode_length_s")
+    full = f" of {exact(length)} s" if isinstance(length, (int, float)) else ""
+    stood = round(survival * episodes)
+    who = "It" if subject.status == AGENT else "The policy"
+    told = (
+        f"all {counted(episodes, 'episode')}"
+        if stood == episodes
+        else f"{number(stood)} of {number(episodes)} episodes"
+    )
+    if episodes == 1:
+        told = "its one episode"
+    text = f"{who} stays up through {told}{full}" if stood else f"{who} falls in {_every(episodes)}{full}"
+    error, goal = figures.get("height_rmse_m"), target_height(subject)
+    if not stood or not isinstance(error, (int, float)) or goal is None:
+        return text + "."
+    when = settled_window(figures.get("settle_s"))
+    return f"{text}, {number(1e3 * error, 2)} mm (RMS, {when}) off its target height of {exact(1e3 * goal)} mm."
+
+
+def _every(episodes: int) -> str:
+    return "its one episode" if episodes == 1 else f"every one of {counted(episodes, 'episode')}"
+
+
+def cards(subject: Subject, verdict: Card | None) -> list[Card]:
+    """Return the key figures: how it stands first, what it cost and whether to trust it last."""
+    figures = played(subject)
+    found = list(_of_play(subject, figures) if figures else _of_training(subject))
+    if subject.status != AGENT:
+        found.append(_effort(subject))
+    return [*found, *([verdict] if verdict else [])]
+
+
+def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
+    survival, episodes, when = figures.get("survival"), ended(figures), settled_window(figures.get("settle_s"))
+    if isinstance(survival, (int, float)) and episodes:
+        note = f"{number(round(survival * episodes))} of {counted(episodes, 'episode')} reached the time-out"
+        yield _with_unit("Survival", percent(survival), note, tone_of(survival))
+    height, error, goal = figures.get("height_mean_m"), figures.get("height_rmse_m"), target_height(subject)
+    if isinstance(height, (int, float)):
+        note = f"; RMS error {_mm(error)} against {exact(1e3 * goal)} mm" if goal and is_number(error) else ""
+        yield Card("Base height", number(1e3 * height), "mm", f"mean {when}{note}")
+    if is_number(figures.get("pitch_rms_deg")):
+        lean = figures.get("pitch_mean_deg")
+        note = f"; mean lean {number(lean, 2)}°" if is_number(lean) else ""
+        yield Card("Pitch", number(figures["pitch_rms_deg"], 2), "°", f"RMS {when}{note}")
+    yield from _of_motion(figures, when)
+    if is_number(figures.get("mean_return")):
+        note = f"mean of {counted(episodes, 'ended episode')}" if episodes else "mean of an episode"
+        yield Card("Return", number(figures["mean_return"]), "", note)
+
+
+def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
+    """Yield where it strayed, how smooth it is and what its motors bear; an older play does not tell."""
+    turned = figures.get("yaw_drift_deg")
+    if is_number(figures.get("drift_m")):
+        note = f"; turned by {number(turned, 2)}°" if is_number(turned) else ""
+        yield Card("Drift", number(1e3 * figures["drift_m"], 2), "mm", f"largest {when}, mean of its episodes{note}")
+    torques = {group: value for group, value in (figures.get("torque_rms_nm") or {}).items() if is_number(value)}
+    if torques:
+        group = max(torques, key=lambda name: torques[name])
+        limit, signs = (figures.get(key, {}).get(group) for key in ("at_limit", "sign_changes_per_s"))
+        told = (
+            f"RMS of the {group} {when}; {percent(limit)} at the limit; changes its sign {number(signs, 2)} times a s"
+        )
+        yield Card("Torque", number(torques[group], 2), "N·m", told)
+    if is_number(figures.get("action_rate_per_s")):
+        yield Card("Action rate", number(figures["action_rate_per_s"], 2), "/s", f"mean change of an action {when}")
+    if is_number(figures.get("power_net_w")):
+        yield Card("Power", number(figures["power_net_w"], 2), "W", f"mechanical, net of armature, mean {when}")
+
+
+def _of_training(subject: Subject) -> Iterator[Card]:
+    share = reached_end(subject)
+    if share is not None:
+        yield _with_unit(
+            "Reached the time-out", percent(share), "of the environments, in their last episode", tone_of(share)
+        )
+    steps, step_s = subject.last("Train/mean_episode_length"), subject.step_s
+    if steps is not None and step_s is not None:
+        length = subject.setting("env.episode_length_s")
+        note = f", of {exact(length)} s at most" if is_number(length) else ""
+        yield Card("Episode length", number(steps * step_s), "s", f"mean of {LAST}{note}")
+    if subject.last("Train/mean_reward") is not None:
+        yield Card("Return", number(subject.last("Train/mean_reward")), "", f"mean of {LAST}, with exploration")
+
+
+def _effort(subject: Subject) -> Card:
+    count, total, spent = done(subject), planned(subject), seconds(subject)
+    note = f"in {duration(spent)}" if spent is not None else ""
+    if total and count < total:
+        note = f"of {number(total)} planned" + (f", {note}" if note else "")
+    return Card("Iterations", number(count), "", note)
+
+
+def tone_of(share: float) -> Tone:
+    """Return how to take a share of episodes that reached the time-out."""
+    return "good" if share >= _GOOD else "warn" if share >= _FAIR else "bad"
+
+
+def facts(subject: Subject) -> list[tuple[str, str]]:
+    """Return what was run: robot, size, seed, when, on what."""
+    manifest, choices = subject.manifest, subject.choices
+    asset, profile = subject.setting("env.robot.asset"), subject.setting("env.robot.profile")
+    robot = f"{asset} ({profile})" if asset and profile else str(asset or choices.get("robot") or "")
+    seeds = manifest.get("seeds") or [subject.config.get("seed")]
+    envs, step = subject.setting("env.num_envs"), subject.step_s
+    hardware = manifest.get("hardware") or {}
+    rows = [
+        ("Task", subject.task),
+        ("Robot", robot),
+        ("Environments", number(envs) if is_number(envs) else ""),
+        ("Control step", f"{number(1e3 * step)} ms" if step else ""),
+        ("Seed", ", ".join(str(seed) for seed in seeds if seed is not None)),
+        ("Started", moment(manifest["started"]) if manifest.get("started") else ""),
+        ("Ended", moment(manifest["ended"]) if manifest.get("ended") else ""),
+        ("Machine", str(hardware.get("cpu") or "")),
+    ]
+    return [(name, value) for name, value in rows if value]
+
+
+def command(subject: Subject) -> str:
+    """Return the command line that made the run, as one would type it."""
+    import shlex
+
+    words = subject.manifest.get("command")
+    return shlex.join(str(word) for word in words) if isinstance(words, list) else ""
+
+
+def _with_unit(label: str, text: str, note: str, mood: Tone) -> Card:
+    value, _, unit = text.partition(" ")
+    return Card(label, value, unit, note, mood)
+
+
+def _mm(value: Any) -> str:
+    return f"{number(1e3 * value, 2 if value < 0.01 else 3)} mm"

@@ -1,0 +1,155 @@
+"""Plots as inline SVG of a page.
+
+``drawn`` draws panels one by one, as narrow as a phone, with their titles as text of the page. ``clean`` makes an
+SVG safe inside a page: only known elements and attributes stay, ids get a prefix, and no reference leaves the page.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+from wheelleg_exp.report.page_blocks import Plot, Plots
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from wheelleg_exp.inspection.plot_style import Panel
+
+
+_SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+_SHAPES = """
+    svg g defs clipPath path rect circle ellipse line polyline polygon text tspan title desc use marker symbol
+    linearGradient radialGradient stop mask pattern
+"""
+_SETTINGS = """
+    id x y x1 y1 x2 y2 cx cy r rx ry d dx dy points width height viewBox transform style class fill stroke opacity
+    stroke-width stroke-linecap stroke-linejoin stroke-dasharray stroke-dashoffset stroke-opacity stroke-miterlimit
+    fill-opacity fill-rule clip-path clip-rule mask font-family font-size font-weight font-style text-anchor
+    dominant-baseline offset stop-color stop-opacity gradientUnits gradientTransform patternUnits refX refY
+    markerWidth markerHeight orient marker-start marker-end preserveAspectRatio overflow textLength lengthAdjust
+    letter-spacing
+"""
+_ELEMENTS, _ATTRIBUTES = frozenset(_SHAPES.split()), frozenset(_SETTINGS.split())
+_LOCAL = re.compile(r"url\(\s*['\"]?#([^)'\"\s]+)['\"]?\s*\)")
+_FOREIGN = re.compile(r"url\(\s*['\"]?(?!#)|@import|expression\(|javascript:|\\", re.IGNORECASE)
+
+
+def clean(svg: str, prefix: str, title: str) -> str:
+    """Return the drawing without prolog, scripts, links and styles of foreign origin.
+
+    Args:
+        svg: a whole SVG document.
+        prefix: what its names begin with from now on, so that two drawings of a page share none.
+        title: what it shows, for those who do not see it.
+
+    Raises:
+        ValueError: it is no SVG.
+    """
+    try:
+        root = ElementTree.fromstring(re.sub(r"<!DOCTYPE[^>\[]*>", "", svg))
+    except ElementTree.ParseError as error:
+        raise ValueError(f"this is no SVG: {error}") from error
+    if _local(root.tag) != "svg":
+        raise ValueError("this is no SVG")
+    kept = _copy(root, prefix)
+    box = (root.get("viewBox") or f"0 0 {_length(root, 'width')} {_length(root, 'height')}").split()
+    kept.set("viewBox", " ".join(box))
+    kept.set("width", box[2])
+    kept.set("height", box[3])
+    kept.set("stroke-linejoin", "round")  # what a style sheet of the drawing's own would say of the whole page
+    kept.set("role", "img")
+    kept.set("aria-label", title)
+    return ElementTree.tostring(kept, encoding="unicode")
+
+
+def _copy(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
+    """Return a copy with what is allowed, free of namespaces, which HTML does not need."""
+    copy = ElementTree.Element(_local(element.tag), dict(_attributes(element, prefix)))
+    copy.text, copy.tail = element.text, element.tail
+    for child in element:
+        if isinstance(child.tag, str) and _local(child.tag) in _ELEMENTS:
+            copy.append(_copy(child, prefix))
+    return copy
+
+
+def _attributes(element: ElementTree.Element, prefix: str) -> Iterator[tuple[str, str]]:
+    for name, value in element.attrib.items():
+        local = _local(name)
+        if local == "href" and value.startswith("#"):
+            yield "href", f"#{prefix}-{value[1:]}"
+        elif local == "id":
+            yield "id", f"{prefix}-{value}"
+        elif local in _ATTRIBUTES and not name.startswith("{") and not _FOREIGN.search(value):
+            yield local, _LOCAL.sub(rf"url(#{prefix}-\1)", value)
+
+
+def _local(tag: str) -> str:
+    return re.sub(rf"^\{{(?:{re.escape(_SVG)}|{re.escape(_XLINK)})\}}", "", tag)
+
+
+def _length(root: ElementTree.Element, name: str) -> str:
+    return re.sub(r"[^\d.]", "", root.get(name, "")) or "100"
+
+
+# in; a phone's column is about 345 px, on which letters of 8.5 pt are then as large as they should be.
+_WIDTH, _HEIGHT = 3.9, 2.15
+_MOST_COLUMNS = 3
+_LETTER, _LEGEND_ROW = 0.075, 0.17  # in, of a legend below its panel
+
+
+def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plots:
+    """Return panels as drawings of the page.
+
+    Args:
+        panels: what is drawn.
+        prefix: what the names inside the drawings begin with; of one page's calls each needs its own.
+        paired: whether they belong together two by two.
+    """
+    return Plots(tuple(_plot(panel, f"{prefix}-{i}") for i, panel in enumerate(panels)), paired)
+
+
+def _plot(panel: Panel, prefix: str) -> Plot:
+    from wheelleg_exp.inspection.plot_style import figure_svg, styled, tile
+
+    height = max(_HEIGHT, min(0.85 * panel.height, 4.0))
+    figure = tile([replace(panel, title="")], size=(_WIDTH, height))
+    said = _only_words(figure)
+    if said:
+        return Plot("", panel.title, said)
+    with styled():
+        rows = _legends_below(figure)
+    figure.set_size_inches(_WIDTH, height + _LEGEND_ROW * rows)
+    return Plot(_rounded(clean(figure_svg(figure), prefix, panel.title)), panel.title)
+
+
+def _only_words(figure: Figure) -> str:
+    """Return what a panel says when it draws nothing else."""
+    axes = figure.axes[0]
+    drawn_ = [*axes.lines, *axes.collections, *axes.patches, *axes.images]
+    return "" if drawn_ or axes.axison else " ".join(text.get_text() for text in axes.texts)
+
+
+def _legends_below(figure: Figure) -> int:
+    """Move legends that stand beside the axes below them, where a narrow page has room; return their rows."""
+    rows = 0
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        if legend is None or legend.get_bbox_to_anchor().x0 < axes.bbox.x1:
+            continue
+        labels = [text.get_text() for text in legend.get_texts()]
+        longest = max(map(len, labels), default=1) * _LETTER + 0.45
+        columns = max(1, min(_MOST_COLUMNS, len(labels), int(_WIDTH / longest)))
+        handles = [handle for handle in legend.legend_handles if handle is not None]
+        legend.remove()
+        figure.legend(handles, labels, loc="outside lower left", ncols=columns)
+        rows += -(-len(labels) // columns)
+    return rows
+
+
+def _rounded(svg: str) -> str:
+    """Return the drawing with coordinates of a hundredth of a point, which nobody can tell from finer ones."""
+    return re.sub(r"(?<=[\s\"(,])-?\d+\.\d{3,}(?=[\s\"),])", lambda match: f"{float(match.group()):.2f}", svg)

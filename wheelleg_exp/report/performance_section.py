@@ -1,0 +1,443 @@
+"""Report sections on performance: figures of plays, measures of the last play's recording, and evaluations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.definitions import MOTION, recorded_headings, rollout_label, settled_window
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.report.headline import ended, played, tone_of
+from wheelleg_exp.report.inline_svg import drawn
+from wheelleg_exp.report.page_blocks import Beside, Block, Cell, Code, More, Note, Table, Text
+from wheelleg_exp.report.report_subject import AGENT, Subject
+from wheelleg_exp.report.value_format import brief, capital, counted, exact, moment, number, numbers, percent, spoken
+
+if TYPE_CHECKING:
+    from wheelleg_exp.inspection.episode_measures import EffortUse, ForceExtreme, TrackingError
+    from wheelleg_exp.inspection.plot_style import Panel
+    from wheelleg_exp.inspection.recording_plots import Plot
+    from wheelleg_exp.inspection.recording_summary import Summary
+    from wheelleg_exp.recording.reading.recording_reader import Recording
+
+
+_UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
+_NOTES = 3
+_HIGH, _FULL = 0.01, 0.1  # shares of the time at the effort limit that are worth a colour
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Tables of a recording, and what they are of; a subject that it does not hold has none."""
+
+    scope: Sequence[Block] = ()
+    tracking: Sequence[Block] = ()
+    forces: Sequence[Block] = ()
+    efforts: Sequence[Block] = ()
+
+
+def measured(recording: Recording) -> Measured:
+    """Return the tables of a recording.
+
+    Raises:
+        RunDirectoryError: rows are damaged.
+    """
+    from wheelleg_exp.inspection.recording_summary import summarize
+
+    found = summarize(recording)
+    return Measured(_scope(found), _tracking(found.tracking), _forces(found.forces), _efforts(found.efforts))
+
+
+def _scope(found: Summary) -> list[Block]:
+    """Return what curves and tables are of: of a play one environment alone, but every episode of it."""
+    steps, count = (found.frames or (0, 0))[0], found.figures.count
+    which = ", ".join(map(str, found.env_ids))
+    many = len(found.env_ids) > 1
+    whose = f"The curves are of environment {found.env_ids[0]}, the tables of environments {which}" if many else ""
+    whose = whose or f"The curves and tables are of environment {which} alone"
+    return [Text(f"{whose}: all {counted(steps, 'recorded step')}, of {counted(count, 'episode')}.")] if steps else []
+
+
+def health(recording: Recording) -> list[Block]:
+    """Return what is missing in a recording and why, and what mends its file; nothing when it is whole."""
+    told = [Note(f"Of the recording: {event.text}.") for event in recording.events("recording")[-_NOTES:]]
+    if recording.health.is_whole:
+        return list(told)
+    what = "; ".join(line.rstrip(". ") for line in recording.health.lines())
+    mends = "'wheelleg inspect --repair' writes a copy that holds the rest and opens everywhere"
+    return [Note(f"The recording is {what}. What can be read of it is shown; {mends}."), *told]
+
+
+def _tracking(errors: Sequence[TrackingError]) -> list[Block]:
+    rows = [
+        [Cell(e.name, code=True), *(Cell(_with(value, e.name), number=True) for value in (e.rmse, e.mean, e.largest))]
+        for e in errors
+    ]
+    columns = ("Velocity", *map(capital, recorded_headings("tracking", "rmse", "mean", "largest")))
+    return [Table("Velocities against their commands", columns, rows)] if rows else []
+
+
+def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
+    touched = [force for force in forces if force.contact_share > 0]
+    rows = [
+        [
+            Cell(force.body, code=True),
+            Cell(number(force.mean_n), number=True),
+            Cell(number(force.largest_n), number=True),
+            Cell(percent(force.contact_share), bar=force.contact_share),
+        ]
+        for force in touched
+    ]
+    columns = ("Body", *map(capital, recorded_headings("contact forces", "mean_n", "largest_n", "contact_share")))
+    what = "mean and contact at the end of steps, largest in the sensor's history"
+    return [Table(f"Contact forces of the bodies that touched something: {what}", columns, rows)] if rows else []
+
+
+def _efforts(efforts: Sequence[EffortUse]) -> list[Block]:
+    rows = [
+        [
+            Cell(use.joint, code=True),
+            Cell(number(use.rms), number=True),
+            Cell(number(use.largest), number=True),
+            Cell(exact(use.limit), number=True),
+            _saturated(use.saturated_share),
+        ]
+        for use in efforts
+    ]
+    columns = ("Joint", *map(capital, recorded_headings("efforts")))
+    return [Table("Efforts of the joints", columns, rows)] if rows else []
+
+
+def _saturated(share: float | None) -> Cell:
+    tone = "" if share is None or share < _HIGH else "warn" if share < _FULL else "bad"
+    return Cell("–") if share is None else Cell(percent(share), bar=share, tone=tone)  # type: ignore[arg-type]
+
+
+def _with(value: float, name: str) -> str:
+    return f"{number(value)} {_UNITS.get(name, '')}".strip()
+
+
+_WORDS: Mapping[str, Callable[[Any], str]] = {
+    "episodes": number,
+    "unfinished": number,
+    "survival": percent,
+    "height_rmse_m": lambda v: _scaled(v, 1e3, "mm"),
+    "height_mean_m": lambda v: _scaled(v, 1e3, "mm"),
+    "pitch_rms_deg": lambda v: _scaled(v, 1.0, "°"),
+    "pitch_mean_deg": lambda v: _scaled(v, 1.0, "°"),
+    "mean_return": number,
+    "drift_m": lambda v: _scaled(v, 1e3, "mm"),
+    "yaw_drift_deg": lambda v: _scaled(v, 1.0, "°"),
+    "action_rate_per_s": lambda v: _scaled(v, 1.0, "/s"),
+    "power_net_w": lambda v: _scaled(v, 1.0, "W"),
+    "torque_rms_nm": lambda v: _scaled(v, 1.0, "N·m"),
+    "at_limit": percent,
+    "sign_changes_per_s": lambda v: _scaled(v, 1.0, "/s"),
+}
+_TOLD = ("settle_s", "settled_episodes", "settled_steps", "ended_by", "non_finite")  # told elsewhere
+_OF_PLAY = ("checkpoint", "checkpoint_sha256", "seed", "overrides")
+_PLAYS_SHOWN = 12
+_FIRST = ("Height", "Pitch")  # the panels of the tracking plot that tell whether it stands
+
+
+def performance_blocks(subject: Subject) -> list[Block]:
+    """Return the tables of what was played and evaluated; where nothing was, how to do it."""
+    figures = played(subject)
+    found: list[Block] = [*_evaluations(subject)]
+    if figures:
+        found.append(Beside([_figures(subject, figures), *_endings(figures)]))
+        found += _settled(figures)
+    elif subject.status != AGENT:
+        found.append(Note("The policy has not been played, so these are only the figures of its training.", ""))
+        found.append(Code(f"wheelleg play {subject.id}", "To see how it stands without exploration noise:"))
+    return [*found, *_plays(subject)]
+
+
+def recording_of_play(subject: Subject) -> Path | None:
+    """Return the recording of the last play, or of the agent's run."""
+    if subject.status == AGENT:
+        return subject.file("recording.rrd")
+    for entry in reversed(subject.additions("play")):
+        names = [name for name in entry.get("files", {}) if name.endswith(".rrd")]
+        return subject.file(names[0]) if names else None
+    return None
+
+
+def motion(recording: Recording) -> list[Block]:
+    """Return the curves of a play's recording: height and pitch at once; velocities, forces and joints on demand."""
+    from wheelleg_exp.inspection.recording_plots import PLOTS
+
+    tracking = _panels(PLOTS["tracking"], recording)
+    first = [panel for panel in tracking if panel.title.startswith(_FIRST)]
+    rest = [panel for panel in tracking if panel not in first]
+    tables = _measured_blocks(recording)
+    groups = [
+        ("Velocities and tilt", rest, tables.tracking),
+        ("Contact forces", _panels(PLOTS["contact_forces"], recording), tables.forces),
+        ("Joints", _panels(PLOTS["joints"], recording), tables.efforts),
+    ]
+    found: list[Block] = list(tables.scope)
+    found += [drawn(first, "play")] if first else []
+    for i, (title, panels, measures) in enumerate(groups):
+        shown = [*measures, *([drawn(panels, f"play-{i}", paired=title == "Joints")] if panels else [])]
+        found += [More(title, shown)] if shown else []
+    return found
+
+
+def _measured_blocks(recording: Recording) -> Measured:
+    try:
+        return measured(recording)
+    except RunDirectoryError:
+        return Measured()
+
+
+def _panels(plot: Plot, recording: Recording) -> list[Panel]:
+    """Return a plot's panels, none where the recording lacks what they need."""
+    try:
+        return plot.each(recording)
+    except RunDirectoryError:
+        return []
+
+
+def _figures(subject: Subject, figures: Mapping[str, Any]) -> Table:
+    settle_s = figures.get("settle_s")
+    rows = [
+        [
+            Cell(capital(rollout_label(key, settle_s) + group)),
+            Cell(words(value), number=True, tone=tone_of(value) if key == "survival" else ""),
+            Cell(_of(key, figures)),
+        ]
+        for key, words in _WORDS.items()
+        if key in figures and not (key == "unfinished" and not figures[key])
+        for group, value in _by_group(figures[key])
+    ]
+    others = [key for key in figures if key not in (*_WORDS, *_TOLD, *_OF_PLAY)]
+    rows += [[Cell(capital(spoken(str(key)))), Cell(number(figures[key]), number=True), Cell("")] for key in others]
+    return Table("The agent" if subject.status == AGENT else "The last play", ("Figure", "Value", "Of"), rows)
+
+
+def _by_group(value: Any) -> list[tuple[str, Any]]:
+    """Return a figure's values, each with what stands behind the label: the actuator group where it has several."""
+    return [(f" ({group})", each) for group, each in value.items()] if isinstance(value, Mapping) else [("", value)]
+
+
+def _of(key: str, figures: Mapping[str, Any]) -> str:
+    """Return what a figure is of, as far as the play tells."""
+    if key == "episodes":
+        return "the first of each environment"
+    if key in ("survival", "mean_return"):
+        count = ended(figures)
+        return "" if count is None else counted(count, "ended episode")
+    steps, settled = figures.get("settled_steps"), figures.get("settled_episodes")
+    if key in ("drift_m", "yaw_drift_deg"):
+        return counted(settled, "episode") if isinstance(settled, int) else ""
+    if (
+        not (key.startswith(("height_", "pitch_")) or key in MOTION)
+        or not isinstance(steps, int)
+        or not isinstance(settled, int)
+    ):
+        return ""
+    return f"{counted(steps, 'step')} of {counted(settled, 'episode')}"
+
+
+def _settled(figures: Mapping[str, Any]) -> list[Block]:
+    """Return why there is no height and no pitch, where there is none."""
+    if figures.get("pitch_rms_deg", 0.0) is not None:
+        return []
+    return [Text("Height and pitch count once an episode has settled; none lasted that long.")]
+
+
+def _endings(figures: Mapping[str, Any]) -> list[Block]:
+    endings, count = figures.get("ended_by"), ended(figures)
+    if not isinstance(endings, Mapping) or not count:
+        return []
+    counts = {str(name): times for name, times in endings.items() if isinstance(times, int)}
+    rows = [
+        [Cell(spoken(name)), Cell(number(times), number=True), Cell(percent(times / count), bar=times / count)]
+        for name, times in counts.items()
+    ]
+    twice = " (what two terminations ended counts for both)" if sum(counts.values()) > count else ""  # older plays
+    title = f"How its {counted(count, 'ended episode')} ended{twice}"
+    return [Table(title, ("Ended by", "Episodes", "Share"), rows)]
+
+
+def _plays(subject: Subject) -> list[Block]:
+    """Return one row a play, when there was more than one."""
+    plays = subject.additions("play")[-_PLAYS_SHOWN:]
+    if len(plays) < 2:
+        return []
+    rows = [[Cell(moment(entry.get("when"))), *_play_row(numbers(entry.get("results") or {}))] for entry in plays]
+    columns = (
+        "When",
+        "Checkpoint",
+        "Changed",
+        "Episodes",
+        "Survival",
+        "Height RMSE",
+        "Pitch RMS",
+        "Of",
+        "Return, mean",
+    )
+    return [Table("All plays", columns, rows)]
+
+
+def _play_row(results: Mapping[str, Any]) -> list[Cell]:
+    changed = " ".join(str(text) for text in results.get("overrides") or []) or "–"
+    told = [_WORDS[key](results.get(key)) for key in ("episodes", "survival", "height_rmse_m", "pitch_rms_deg")]
+    cells = [
+        Cell(text, number=True)
+        for text in [*told, settled_window(results.get("settle_s")), number(results.get("mean_return"))]
+    ]
+    return [Cell(str(results.get("checkpoint", "–")), code=True), Cell(changed, code=True), *cells]
+
+
+def _evaluations(subject: Subject) -> list[Block]:
+    """Return the figures of the last evaluation that is none of a protocol, as they were recorded."""
+    entries = [one for one in subject.additions("evaluation") if "protocol" not in (one.get("results") or {})]
+    results = entries[-1].get("results") if entries else None
+    if not isinstance(results, Mapping) or not results:
+        return []
+    rows = [[Cell(spoken(name)), Cell(number(value), number=True)] for name, value in _flat(numbers(results))]
+    return [Table(f"Evaluation of {moment(entries[-1].get('when'))}", ("Figure", "Value"), rows)]
+
+
+def _flat(results: Mapping[str, Any], head: str = "") -> list[tuple[str, Any]]:
+    found: list[tuple[str, Any]] = []
+    for name, value in results.items():
+        label = f"{head}{name}"
+        if isinstance(value, Mapping):
+            found += _flat(value, f"{label}: ")
+        else:
+            found.append((label, value if not isinstance(value, (list, tuple)) else brief(value)))
+    return found
+
+
+def _scaled(value: Any, factor: float, unit: str) -> str:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return number(value)
+    return f"{number(float(value) * factor)}{'' if unit == '°' else ' '}{unit}"
+
+
+_DEGREES = {"rad": "°", "rad/s": "°/s"}
+_TITLES = {
+    "stand": "Standing",
+    "walk": "Following commands",
+    "steps": "Steps of the command",
+    "push": "Pushes",
+    "terrain": "Rough ground",
+    "strip": "Onto rough ground and off it",
+    "robust": "A changed world",
+}
+_SHOWN_FIRST = 12  # metrics of a test, before the others are a click away
+
+
+def evaluated(subject: Subject) -> bool:
+    """Return whether the run has been evaluated on the scenarios of a protocol."""
+    return _last(subject, "evaluation") is not None
+
+
+def evaluation_blocks(subject: Subject) -> list[Block]:
+    """Return what the last evaluation found, test by test, with its plots."""
+    entry = _last(subject, "evaluation")
+    if entry is None:
+        return []
+    content = _content(subject, entry)
+    if content is None:
+        return [Note("The files of the last evaluation cannot be read."), *_again(subject, "PROTOCOL")]
+    reference = _reference(subject, str(content.get("scenarios_sha256")))
+    found: list[Block] = [Text(_about_evaluation(entry, content, reference is not None))]
+    plots = _plots(subject, entry)
+    for test, names in groupby(content["metrics"], lambda name: str(name).partition("/")[0]):
+        listed = list(names)
+        title = _TITLES.get(test, capital(spoken(test)))
+        found.append(_table(title, content["metrics"], reference, listed[:_SHOWN_FIRST]))
+        found += [drawn(plots[test], f"evaluation-{test}", paired=True)] if test in plots else []
+        if rest := listed[_SHOWN_FIRST:]:
+            found.append(More(f"More of {title.lower()}", [_table(title, content["metrics"], reference, rest)]))
+    found += [Text(entry["results"]["verdict"]) for entry in subject.additions("comparison")[-1:] if _said(entry)]
+    return found if reference is not None else [*found, *_again(subject, str(content["protocol"]["name"]))]
+
+
+def _last(subject: Subject, kind: str) -> Mapping[str, Any] | None:
+    """Return the last addition of a kind that holds metrics of a protocol."""
+    for entry in reversed(subject.additions(kind)):
+        results = entry.get("results")
+        if isinstance(results, Mapping) and isinstance(results.get("metrics"), Mapping) and "protocol" in results:
+            return entry
+    return None
+
+
+def _file(subject: Subject, entry: Mapping[str, Any], ending: str) -> Path | None:
+    names = [name for name in entry.get("files", {}) if str(name).endswith(ending)]
+    return subject.file(names[0]) if names else None
+
+
+def _content(subject: Subject, entry: Mapping[str, Any]) -> dict[str, Any] | None:
+    from wheelleg_exp.jobs.evaluate_policy import RESULT, read_content
+
+    path = _file(subject, entry, f"/{RESULT}")
+    return None if path is None or not path.is_file() else read_content(path.parent)
+
+
+def _reference(subject: Subject, scenarios: str) -> Mapping[str, Any] | None:
+    """Return the metrics of the reference controller in the same scenarios; None where there are none."""
+    entry = _last(subject, "reference")
+    if entry is None or entry["results"].get("scenarios_sha256") != scenarios:
+        return None
+    found: Mapping[str, Any] = entry["results"]["metrics"]
+    return found
+
+
+def _plots(subject: Subject, entry: Mapping[str, Any]) -> dict[str, Any]:
+    from wheelleg_exp.inspection.evaluation_plots import panels
+    from wheelleg_exp.jobs.evaluate_policy import EPISODES, read_episodes
+
+    path = _file(subject, entry, f"/{EPISODES}")
+    return {} if path is None or not path.is_file() else panels(read_episodes(path))
+
+
+def _about_evaluation(entry: Mapping[str, Any], content: Mapping[str, Any], has_reference: bool) -> str:
+    about = content.get("about") or {}
+    told = (
+        f"Protocol {content['protocol']['name']}, {moment(entry.get('when'))}, checkpoint {content.get('checkpoint')}, "
+        f"robot profile {about.get('profile')}; scenarios {str(content['scenarios_sha256'])[:12]}, the same for every "
+        "policy. Intervals of 95 % are over episodes: another training seed is not in them."
+    )
+    return f"{told} The reference is a linear-quadratic controller without noise or delay." if has_reference else told
+
+
+def _table(title: str, metrics: Mapping[str, Any], reference: Mapping[str, Any] | None, names: list[str]) -> Table:
+    columns = ("Metric", "Value", "95 % interval", *(("Reference",) if reference is not None else ()))
+    return Table(title, columns, [_row(name, metrics[name], reference) for name in names])
+
+
+def _row(name: str, figure: Mapping[str, Any], reference: Mapping[str, Any] | None) -> list[Cell]:
+    unit = str(figure.get("unit") or "")
+    factor = 180.0 / math.pi if unit in _DEGREES else 1.0
+    unit = _DEGREES.get(unit, unit)
+    ends = [_scaled_figure(figure.get(end), factor) for end in ("low", "high")]
+    value = _scaled_figure(figure.get("value"), factor)
+    told = f"{value}{'' if unit.startswith('°') or not unit else ' '}{unit}" if value != "–" else value
+    cells = [
+        Cell(capital(spoken(name.partition("/")[2]))),
+        Cell(told, number=True),
+        Cell("–" if "–" in ends else " to ".join(ends), number=True),
+    ]
+    return cells if reference is None else [*cells, Cell(_scaled_figure(reference.get(name), factor), number=True)]
+
+
+def _scaled_figure(value: Any, factor: float) -> str:
+    return number(factor * value) if isinstance(value, (int, float)) and not isinstance(value, bool) else "–"
+
+
+def _said(entry: Mapping[str, Any]) -> bool:
+    results = entry.get("results")
+    return isinstance(results, Mapping) and bool(results.get("verdict"))
+
+
+def _again(subject: Subject, protocol: str) -> list[Block]:
+    return [Code(f"wheelleg evaluate {subject.id} protocol={protocol} --reference", "Beside the reference controller:")]

@@ -1,0 +1,260 @@
+"""Report section on recordings: the run's recordings, and pictures of the robot from them."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.report import performance_section as standing
+from wheelleg_exp.report.page_blocks import Block, Note, Picture, Strip
+from wheelleg_exp.report.performance_section import health
+from wheelleg_exp.report.report_subject import AGENT, Subject
+from wheelleg_exp.report.value_format import number, spoken
+
+if TYPE_CHECKING:
+    from wheelleg_exp.inspection.plot_data import Sample, Series, Source
+    from wheelleg_exp.inspection.recording_pictures import Scenery
+    from wheelleg_exp.recording.reading.recording_reader import Recording
+
+
+_HERO, _STRIP = (960, 720), (480, 360)  # px
+_MOMENTS = 4
+_FIRST, _LAST, _PLAY = 0, -1, 1  # which episode of a recording is shown
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recorded episode: its simulated time at the first and the last row, s, and what ended it, if it ended.
+
+    Attributes:
+        is_whole: whether it was recorded from beginning to end.
+    """
+
+    start: float
+    end: float
+    step_s: float
+    ended_by: tuple[str, ...]
+    is_whole: bool
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasted as far as it is recorded, s."""
+        return self.end - self.start + self.step_s
+
+
+@dataclass
+class Look:
+    """A run's recordings, each opened once; one that cannot be read is told of where it would stand.
+
+    Args:
+        subject: the run.
+        pictures: whether pictures of the robot are made.
+    """
+
+    subject: Subject
+    pictures: bool = True
+    _missing: str | None = field(default=None, init=False)
+    _sceneries: dict[Path, Scenery] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def training(self) -> Recording | WheellegError | None:
+        """The training's recording, why it cannot be read, or None where there is none."""
+        return None if self.subject.status == AGENT else _opened(self.subject.file("recording.rrd"))
+
+    @cached_property
+    def play(self) -> Recording | WheellegError | None:
+        """The recording of the last play, or of the agent's run; why it cannot be read; None where there is none."""
+        return _opened(standing.recording_of_play(self.subject))
+
+    def hero(self) -> Picture | None:
+        """Return the picture at the top: how the robot stood last."""
+        for recording in (self.play, self.training):
+            episode = _last_episode(recording, is_play=recording is self.play)
+            if episode is not None and recording is not None and not isinstance(recording, WheellegError):
+                where = "in the last play" if recording is self.play else "in the last recorded episode of the training"
+                where = "in this run" if self.subject.status == AGENT else where
+                at = episode.start + 0.5 * (episode.end - episode.start)
+                caption = f"The robot {where}, {_clock(at - episode.start)} into the episode."
+                return next(iter(self._pictures(recording, [at], _HERO, [caption], [caption])), None)
+        return None
+
+    def of_play(self) -> list[Block]:
+        """Return the pictures and curves of the last play."""
+        recording = self.play
+        if recording is None:
+            return []
+        if isinstance(recording, WheellegError):
+            return [Note(f"The recording cannot be shown: {recording}.")]
+        return [
+            *health(recording),
+            *self._strip(recording, _PLAY, "The agent" if self.subject.status == AGENT else "The play"),
+            *standing.motion(recording),
+        ]
+
+    def of_training(self) -> list[Block]:
+        """Return the pictures of the first and the last recorded episode of the training, one below the other."""
+        recording = self.training
+        if recording is None:
+            return [Note("This training was not recorded, so there are no pictures of it.", "")]
+        if isinstance(recording, WheellegError):
+            return [Note(f"The recording of the training cannot be shown: {recording}.")]
+        found: list[Block] = [*health(recording), *self._strip(recording, _FIRST, "At first")]
+        samples = _source(recording).samples()
+        if not samples:
+            found.append(Note("No motion of this training was recorded, so there are no pictures of it.", ""))
+        if len(samples) > 1:
+            found += self._strip(recording, _LAST, "At last")
+        return [*found, *self._without()]
+
+    def _strip(self, recording: Recording, which: int, label: str) -> list[Block]:
+        source = _source(recording)
+        found = _shown(source, which)
+        if found is None:
+            return []
+        sample, episode = found
+        times = [float(time) for time in np.linspace(episode.start, episode.end, _MOMENTS)]
+        title = _title(label, sample, episode, source.whose, is_play=which == _PLAY)
+        clocks = [_clock(time - episode.start) for time in times]
+        alts = [f"The robot after {clock}. {title}" for clock in clocks]
+        pictures = self._pictures(recording, times, _STRIP, alts, clocks)
+        return [Strip(title, pictures)] if pictures else []
+
+    def _pictures(
+        self, recording: Recording, times: list[float], size: tuple[int, int], alts: list[str], captions: list[str]
+    ) -> list[Picture]:
+        """Return pictures; after one that could not be made there are no more."""
+        if not self.pictures or self._missing is not None:
+            return []
+        try:
+            from wheelleg_exp.inspection.recording_pictures import scenery
+
+            if recording.path not in self._sceneries:
+                self._sceneries[recording.path] = scenery(recording)
+            uris = shots(self._sceneries[recording.path], times, size)
+        except WheellegError as error:
+            self._missing = str(error)
+        except Exception as error:  # whatever the driver says: the report does without pictures
+            self._missing = f"{type(error).__name__}: {error}"
+        else:
+            return [Picture(u, *size, alt=a, caption=c) for u, a, c in zip(uris, alts, captions, strict=True)]
+        return []
+
+    def _without(self) -> list[Block]:
+        return [Note(f"There are no pictures of the robot: {self._missing}.", "")] if self._missing else []
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What the command says: why pictures are missing."""
+        return [f"no pictures of the robot: {self._missing}"] if self._missing else []
+
+
+def _opened(path: Path | None) -> Recording | WheellegError | None:
+    if path is None:
+        return None
+    from wheelleg_exp.recording.reading.recording_reader import Recording
+
+    try:
+        return Recording(path)
+    except WheellegError as error:
+        return error
+    except Exception as error:  # a damaged file may break the reader anywhere
+        return WheellegError(f"{type(error).__name__}: {error}")
+
+
+def _source(recording: Recording) -> Source:
+    from wheelleg_exp.inspection.plot_data import Source
+
+    return Source(recording)
+
+
+def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
+    """Return the episode that is shown, and its sample.
+
+    At first how it fell. Of a play the first, which is what the figures are of. At last the first of the last sample
+    that holds a whole one; where none does, as of older recordings that begin in mid-episode, the longest of the last.
+    """
+    samples = source.samples()
+    if which == _LAST:
+        for sample in reversed(samples):
+            whole = next((one for one in _episodes(source, sample) if one.is_whole), None)
+            if whole is not None:
+                return sample, whole
+        found = _episodes(source, samples[-1]) if samples else []
+        return (samples[-1], max(found, key=lambda one: one.seconds)) if found else None
+    found = _episodes(source, samples[0]) if samples else []
+    return (samples[0], found[0]) if found else None
+
+
+def _last_episode(recording: Recording | WheellegError | None, *, is_play: bool) -> Episode | None:
+    if recording is None or isinstance(recording, WheellegError):
+        return None
+    found = _shown(_source(recording), _PLAY if is_play else _LAST)
+    return None if found is None else found[1]
+
+
+def _episodes(source: Source, sample: Sample) -> list[Episode]:
+    """Return the episodes of a stretch of recorded steps, the first and the last of which may be cut."""
+    clock = source.clock()
+    if clock is None:
+        return []
+    rows = sample.of(clock)
+    lasts = [int(step) for step in source.ends() if sample.first <= step <= sample.last]
+    lasts += [] if lasts and lasts[-1] == sample.last else [sample.last]
+    firsts = [sample.first, *(step + 1 for step in lasts[:-1])]
+    found = [rows.rows((rows.step >= a) & (rows.step <= b)) for a, b in zip(firsts, lasts, strict=True)]
+    return [_episode(source, episode) for episode in found if len(episode.step)]
+
+
+def _episode(source: Source, rows: Series) -> Episode:
+    last, time = int(rows.step[-1]), rows.time
+    causes = [name for name, series in source.fired().items() if bool(series.first[series.step == last].any())]
+    step_s = float(time[1] - time[0]) if len(time) > 1 else 0.0
+    age = source.maybe("episode", "step")
+    begins = age is None or bool((age.first[age.step == int(rows.step[0])] == 1).any())
+    return Episode(float(time[0]), float(time[-1]), step_s, tuple(causes), begins and bool(causes))
+
+
+def _title(label: str, sample: Sample, episode: Episode, whose: str, *, is_play: bool) -> str:
+    when = "" if sample.iteration is None else f", iteration {number(sample.iteration)}"
+    which = f", first episode{f' of {whose}' if whose else ''}" if is_play else f", {whose}" if whose else ""
+    causes = " and ".join(spoken(cause) for cause in episode.ended_by)
+    how = f"ended by {causes}" if causes else f"still going on where the {'recording' if is_play else 'sample'} ends,"
+    return f"{label}{when}{which}: {how} after {_clock(episode.seconds)}"
+
+
+def _clock(seconds: float) -> str:
+    return f"{seconds:.2f} s"
+
+
+def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list[str]:
+    """Return pictures of moments, all from one distance, as data URIs.
+
+    Args:
+        shown: the recording's scene and motion.
+        times: simulated times, s.
+        size: width and height, px.
+
+    Raises:
+        WheellegError: a moment is not in the recording, or nothing can be drawn on this machine.
+    """
+    from wheelleg_exp.inspection.recording_pictures import pictures, row_at
+
+    rows = [row_at(shown, time_s=time) for time in times]
+    return [_jpeg(pixels) for pixels in pictures(shown, rows, *size)]
+
+
+def _jpeg(pixels: NDArray[np.uint8]) -> str:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "JPEG", quality=84, optimize=True)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

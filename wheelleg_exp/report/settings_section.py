@@ -1,0 +1,176 @@
+"""Report section on settings.
+
+The section lists how the run's config differs from its task's defaults, who set each value, and what the user's
+files set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.config.explaining.config_diff import ABSENT, changes, same
+from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.report.page_blocks import Block, Cell, Code, More, Note, Table, Text
+from wheelleg_exp.report.report_subject import AGENT, Subject
+from wheelleg_exp.report.value_format import brief, counted
+from wheelleg_exp.terms.key_syntax import Keys, dotted
+
+if TYPE_CHECKING:
+    from wheelleg_exp.config.composing.compose import Composed
+    from wheelleg_exp.config.composing.provenance import Mount
+
+
+_PARTS = ("env", "agent")
+_NOT_SET = "not there"
+_THEN = "the configs of that time"
+_ROWS = 200
+_NOT_COMPOSED = ("hydra", "${", "..")
+_LETTERS = 20_000
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One value that the run has and its task by itself has not.
+
+    Attributes:
+        path: the key.
+        default: the task's own value, as text.
+        value: the run's value, as text.
+        origin: who set it.
+    """
+
+    path: str
+    default: str
+    value: str
+    origin: str
+
+
+def blocks(subject: Subject) -> list[Block]:
+    """Return the overrides, the values that differ from the task's own, and those of the user's files."""
+    found: list[Block] = [_typed(subject)]
+    try:
+        default, again = _composed(subject)
+    except WheellegError as error:
+        return [*found, Note(f"The task cannot be composed here, so only the overrides are told: {error.message}.")]
+    settings = list(differences(subject, default, again))
+    if settings:
+        rows = [
+            [Cell(s.path, code=True), Cell(s.default, code=True), Cell(s.value, code=True), Cell(s.origin)]
+            for s in settings
+        ]
+        found.append(_table("Values that differ from the task's own", rows))
+    else:
+        found.append(Text("Every other value is the task's own: nothing differs from what the task says here today."))
+    found.append(Text("Compared are env and agent. The seed is told above; recording and run decide no number."))
+    own = list(own_leaves(again))
+    if own:
+        rows = [[Cell(s.path, code=True), Cell(s.value, code=True), Cell(s.origin, code=True)] for s in own[:_ROWS]]
+        table = Table("Values set by own files", ("Key", "Value", "Set by"), rows, titled=False)
+        found.append(More(f"{counted(len(own), 'value')} set by files outside the stock configs", [table]))
+    return found
+
+
+def differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[Setting]:
+    """Yield where the run's parameters differ from the task composed by itself.
+
+    Args:
+        subject: the run.
+        default: the task without any override.
+        again: the task with the run's overrides, composed here; it tells who set a value when it has the same.
+    """
+    mounts = again.mounts if again else ()
+    for part in _PARTS:
+        if subject.config.get(part):
+            for change in changes(default.config.get(part), subject.config[part], same, (part,)):
+                one_sided = ABSENT in (change.a, change.b)
+                origin = _origin(again, mounts, change.keys, change.b, one_sided)
+                yield Setting(change.key, _shown(change.a), _shown(change.b), origin)
+
+
+def own_leaves(composed: Composed | None) -> Iterator[Setting]:
+    """Yield the values that files of the user's own set."""
+    if composed is None:
+        return
+    folders = composed.config_dirs
+    for source in composed.provenance.values():
+        if source.file is not None and any(Path(source.file).is_relative_to(folder) for folder in folders):
+            yield Setting(source.path, "", brief(source.value), source.where)
+
+
+def _typed(subject: Subject) -> Block:
+    if subject.overrides is None:
+        return Note("What was typed on the command line is not kept in this run.", "")
+    if not subject.overrides:
+        return Text("Nothing was changed on the command line.")
+    label = f"{counted(len(subject.overrides), 'override')} on the command line:"
+    return Code("\n".join(subject.overrides), label)
+
+
+def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
+    """Return the task by itself, and with the run's overrides where they still compose.
+
+    Raises:
+        WheellegError: the task cannot be composed here.
+    """
+    from wheelleg_exp.config.composing.compose import compose
+
+    folders = list(subject.config_dirs)
+    task = str(subject.choices.get("task") or subject.task)
+    if subject.status == AGENT:
+        task = str((subject.config.get("task") or {}).get("name") or task)
+    words = subject.overrides or []
+    _require_harmless([task])
+    default = compose([f"task={task}"], config_dirs=folders)
+    try:
+        _require_harmless(words)
+        return default, compose(words, config_dirs=folders) if words else default
+    except WheellegError:
+        return default, None
+
+
+def _require_harmless(words: Sequence[str]) -> None:
+    """Raise ConfigError for recorded words that would name folders and modules to Hydra, or ask for variables."""
+    if sum(map(len, words)) > _LETTERS or any(part in word for word in words for part in _NOT_COMPOSED):
+        raise ConfigError("what the run recorded of its command line is not composed here")
+
+
+def _shown(value: Any) -> str:
+    return _NOT_SET if value is ABSENT else brief(value)
+
+
+def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
+    """Return who set a value: known only where composing here gives the run's value."""
+    if again is None:
+        return _THEN
+    node: Any = again.config
+    for key in keys:
+        node = node.get(key, ABSENT) if isinstance(node, Mapping) else ABSENT
+    if (node is ABSENT) != (value is ABSENT) or (node is not ABSENT and not same(node, value)):
+        return _THEN
+    return _who(keys, again, mounts if one_sided else ()) or _THEN
+
+
+def _who(keys: Keys, again: Composed, mounts: Sequence[Mount]) -> str | None:
+    """Return who set or removed a key, or who chose the terms of its section, if that is one of ``mounts``."""
+    places, path = again.provenance, dotted(keys)
+    found = places.below(path) or places.deleted_below(path)
+    chosen = _chosen(keys, mounts)
+    if chosen is not None and (not found or chosen.startswith("override")):
+        return chosen
+    return found[0].where if found else None
+
+
+def _chosen(keys: Keys, mounts: Sequence[Mount]) -> str | None:
+    """Return who last chose the terms among which a key stands, or would stand."""
+    mount = next((m for m in mounts if m.several and m.package == dotted(keys[:-1])), None)
+    return str(mount.choices[-1].where) if mount is not None and mount.choices else None
+
+
+def _table(title: str, rows: list[list[Cell]]) -> Block:
+    shown = Table(title, ("Key", "Task's own", "This run", "Set by"), rows[:_ROWS])
+    if len(rows) <= _ROWS:
+        return shown
+    return More(f"{counted(len(rows), 'value')} differ; the first {_ROWS}", [shown])

@@ -1,0 +1,125 @@
+"""Format numbers, durations, sizes, and values for readers."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LONGEST = 160  # letters of a value before it is cut
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """Return a number with that many significant digits, without a needless exponent; a dash for none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return "–" if value is None else brief(value)
+    if isinstance(value, int):
+        return f"{value:,}".replace(",", " ").replace("-", "−")
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "infinite"
+    if value != 0 and not 1e-3 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa}×10".replace("-", "−") + str(int(exponent)).translate(_RAISED)
+    places = max(0, digits - 1 - (math.floor(math.log10(abs(value))) if value else 0))
+    return f"{value:.{places}f}".replace("-", "−")
+
+
+def numbers(value: Any) -> Any:
+    """Return a value of a JSON file in which ``nan``, which JSON has no word for, is None."""
+    if isinstance(value, Mapping):
+        return {key: numbers(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [numbers(inner) for inner in value]
+    none = value == "nan" if isinstance(value, str) else isinstance(value, float) and math.isnan(value)
+    return None if none else value
+
+
+def exact(value: Any) -> str:
+    """Return a number as somebody chose it: ``5``, ``0.07``, ``−50``; a dash for none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return "–" if value is None else brief(value)
+    return f"{value:.6g}".replace("-", "−")
+
+
+def percent(share: Any) -> str:
+    """Return a share as per cent: whole where it is whole, never rounded up to 100 %."""
+    if isinstance(share, bool) or not isinstance(share, (int, float)) or not math.isfinite(share):
+        return "–"
+    value = 100.0 * share
+    if value == round(value):
+        return f"{value:.0f} %"
+    shown = min(max(round(value, 1), 0.1), 99.9) if 0 < value < 100 else round(value, 1)
+    return f"{shown:.1f} %".replace("-", "−")
+
+
+def duration(seconds: Any) -> str:
+    """Return a duration in its two largest units."""
+    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < 1e12:
+        return "–"
+    if seconds < 60:
+        return f"{seconds:.0f} s" if seconds >= 10 else f"{number(float(seconds), 2)} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:
+        return f"{hours} h {minutes} min"
+    return f"{hours // 24} d {hours % 24} h"
+
+
+def size(octets: Any) -> str:
+    """Return a size in bytes, kB, MB or GB (powers of 1000)."""
+    if isinstance(octets, bool) or not isinstance(octets, (int, float)) or not math.isfinite(octets):
+        return "–"
+    value = float(octets)
+    for unit in ("B", "kB", "MB"):
+        if abs(value) < 1000:
+            return f"{value:.0f} {unit}" if unit == "B" or value >= 100 else f"{value:.3g} {unit}"
+        value /= 1000
+    return f"{value:.3g} GB"
+
+
+def moment(text: Any) -> str:
+    """Return a moment of a manifest to the second: ``2026-01-31 17:05:09 UTC``."""
+    if not isinstance(text, str) or len(text) < 19:
+        return "–"
+    return f"{text[:10]} {text[11:19]} UTC"
+
+
+def brief(value: Any) -> str:
+    """Return a value as YAML would have it on one line, cut where it is long."""
+    text = plain(value)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+
+
+def plain(value: Any) -> str:
+    """Return a value as YAML would have it on one line."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(plain(item) for item in value) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {plain(item)}" for key, item in value.items()) + "}"
+    return str(value)
+
+
+def counted(count: int, one: str, several: str | None = None) -> str:
+    """Return ``1 episode``, ``2 episodes``."""
+    return f"{number(count)} {one if count == 1 else several or one + 's'}"
+
+
+def spoken(name: str) -> str:
+    """Return an identifier as words: ``base_contact`` is ``base contact``."""
+    return name.replace("_", " ").strip() or name
+
+
+def capital(text: str) -> str:
+    """Return a text with a capital at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
+def whole_units(text: str) -> str:
+    """Return a text in which no line ends between a number and its unit."""
+    return re.sub(r"(?<=\d) (?=(?:s|mm|%)\b|%)", "\u00a0", text)

@@ -1,0 +1,190 @@
+"""Find the mirror image of each joint and each body of a robot that is mirrored left to right."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.errors import ConfigError, nearest_name
+
+JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
+_MAX_JOINT_DISTANCE = 0.02  # of the robot's size: farther off is no image
+_MIN_AXIS_COSINE = 0.99  # cosine between an axis and the other's image
+_FLIP = np.array([1.0, -1.0, 1.0])  # a mirror in the plane of the base's x and z axes
+
+
+def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
+    r"""Return the index of each joint's image; a joint that no expression names is its own.
+
+    Args:
+        names: the joints.
+        pairs: expressions of whole names of the one side, and what the name of the image is, with ``\1`` for groups;
+            None where there is none.
+
+    Raises:
+        ConfigError: an expression fits no joint, or there is no joint of the image's name.
+    """
+    found = list(range(len(names)))
+    for expression, image in pairs.items():
+        if image is None:
+            continue
+        key = f"{JOINT_PAIRS_KEY}[{expression}]"
+        try:
+            matches = [match for name in names if (match := re.fullmatch(expression, name))]
+            images = [match.expand(image) for match in matches]
+        except (re.error, IndexError) as error:
+            raise ConfigError(
+                f"cannot be read: {error}", key=key, expected="expressions, such as 'l(.*)': 'r\\1'"
+            ) from error
+        if not matches:
+            nearest = nearest_name(expression, names)
+            raise ConfigError(
+                "fits no joint", key=key, expected="the whole name of one of " + ", ".join(names), nearest=nearest
+            )
+        for match, other in zip(matches, images, strict=True):
+            if other not in names:
+                expected, nearest = "one of " + ", ".join(names), nearest_name(other, names)
+                raise ConfigError(f"there is no joint '{other}'", key=key, expected=expected, nearest=nearest)
+            one, two = names.index(match.string), names.index(other)
+            found[one], found[two] = two, one
+    return found
+
+
+def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
+    """Return the sign with which each joint's image moves.
+
+    A mirror M turns the axis of a rotation about: the image of a turn by q about a is one by q about -M a; that of a
+    slide along a is one along M a. Anchors, and the centres and masses of what the joints carry, must be images too.
+
+    Args:
+        model: the compiled scene.
+        root: name of the robot's root body.
+        names: the joints.
+        images: the index of each one's image.
+
+    Raises:
+        ConfigError: two joints are no mirror images.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    base = model.body(root).id
+    turn, origin = data.xmat[base].reshape(3, 3).T, data.xpos[base].copy()
+    ids = [model.joint(name).id for name in names]
+    places = np.array([[turn @ (data.xanchor[j] - origin), _centre_of_mass(model, data, j, turn, origin)] for j in ids])
+    axes = np.array([turn @ data.xaxis[j] for j in ids])
+    size = float(np.abs(places).max()) or 1.0
+    found = []
+    for name, joint, place, axis, other in zip(names, ids, places, axes, images, strict=True):
+        hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        cosine = float(axes[other] @ (_FLIP * axis)) * (-1.0 if hinge else 1.0)
+        apart = float(np.linalg.norm(places[other] - _FLIP * place, axis=1).max())
+        mass, its = (float(model.body_mass[model.jnt_bodyid[j]]) for j in (joint, ids[other]))
+        same_kind = model.jnt_type[joint] == model.jnt_type[ids[other]]
+        for wrong in (
+            *([] if same_kind else ["one is a hinge and one a slide"]),
+            *(
+                []
+                if apart <= _MAX_JOINT_DISTANCE * size
+                else [f"they, or what they carry, lie {1e3 * apart:.1f} mm off the image"]
+            ),
+            *(
+                []
+                if abs(cosine) >= _MIN_AXIS_COSINE
+                else [f"the axes differ by {np.degrees(np.arccos(abs(cosine))):.1f} degrees"]
+            ),
+            *(
+                []
+                if abs(mass - its) <= _MAX_JOINT_DISTANCE * max(mass, its)
+                else [f"they carry {mass:.4g} and {its:.4g} kg"]
+            ),
+        ):
+            what = f"joint '{name}' is no mirror image of itself" if names[other] == name else ""
+            what = what or f"joints '{name}' and '{names[other]}' are no mirror images"
+            raise ConfigError(
+                f"{what}: {wrong}", key=JOINT_PAIRS_KEY, expected="pairs of joints to the left and right of the base"
+            )
+        found.append(1.0 if cosine > 0 else -1.0)
+    return found
+
+
+def _centre_of_mass(
+    model: mujoco.MjModel, data: mujoco.MjData, joint: int, turn: np.ndarray, origin: np.ndarray
+) -> np.ndarray:
+    """Return the centre of mass of what a joint carries, in the base's axes, m."""
+    return turn @ (data.xipos[model.jnt_bodyid[joint]] - origin)
+
+
+_MAX_BODY_DISTANCE = 0.02  # of the robot's size: farther off is no image
+_MAX_FRAME_ERROR = 0.02  # of the entries of two frames' matrices: more is no image
+MIRROR = np.diag([1.0, -1.0, 1.0])  # in the plane of the base's x and z axes
+
+
+class BodyImages:
+    """The images of a robot's bodies, found from its joints' images and, where a body has none, from the places.
+
+    Args:
+        model: the compiled scene.
+        names: the robot's bodies, the root first.
+        joint_names: its joints.
+        joint_images: the index of each joint's image.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, names: Sequence[str], joint_names: Sequence[str], joint_images: Sequence[int]
+    ) -> None:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        self.names = list(names)
+        ids = [model.body(name).id for name in names]
+        turn, origin = data.xmat[ids[0]].reshape(3, 3), data.xpos[ids[0]]
+        self._places = (data.xpos[ids] - origin) @ turn
+        self._frames = turn.T @ data.xmat[ids].reshape(-1, 3, 3)
+        size = float(np.abs(self._places).max()) or 1.0
+        self._far = _MAX_BODY_DISTANCE * size
+        number = {body: i for i, body in enumerate(ids)}
+        moved = [number[int(model.jnt_bodyid[model.joint(name).id])] for name in joint_names]
+        self._images: list[int | None] = [None] * len(ids)
+        self._images[0] = 0
+        for joint, image in enumerate(joint_images):
+            self._images[moved[joint]] = moved[image]
+        parents = [number.get(int(model.body_parentid[body])) for body in ids]
+        for body in sorted(range(len(ids)), key=lambda i: ids[i]):
+            if self._images[body] is None:
+                self._images[body] = self._by_place(body, parents)
+
+    def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
+        """Return the name of a body's image.
+
+        Args:
+            name: the body.
+            key: the config key that names it.
+            with_axes: whether its axes must be images of each other too.
+
+        Raises:
+            ConfigError: it has none.
+        """
+        body = self.names.index(name)
+        image = self._images[body]
+        far = np.inf if image is None else np.linalg.norm(self._places[image] - MIRROR @ self._places[body])
+        if image is None or far > self._far:
+            message = f"the body '{name}' has no image to the other side of the robot"
+            raise ConfigError(message, key=key, expected="bodies of both sides, or in the middle")
+        turned = MIRROR @ self._frames[body] @ MIRROR
+        if with_axes and np.abs(turned - self._frames[image]).max() > _MAX_FRAME_ERROR:
+            raise ConfigError(
+                f"the axes of the body '{name}' are no mirror images of those of '{self.names[image]}'",
+                key=key,
+                expected="bodies whose frames are images, or a rule of your own",
+            )
+        return self.names[image]
+
+    def _by_place(self, body: int, parents: Sequence[int | None]) -> int | None:
+        """Return the body below the image of the parent that lies where the image is to be."""
+        parent = parents[body]
+        above = None if parent is None else self._images[parent]
+        others = [i for i, other in enumerate(parents) if above is not None and other == above]
+        wanted = MIRROR @ self._places[body]
+        return min(others, key=lambda i: float(np.linalg.norm(self._places[i] - wanted)), default=None)

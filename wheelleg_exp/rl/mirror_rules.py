@@ -1,0 +1,301 @@
+"""How each kind of observation changes in a mirror in the plane of the base's x and z axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers.observation_term import ObservationTerm
+from wheelleg_exp.rl.mirror_images import MIRROR, BodyImages
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.sensors import Imu, RayCaster
+
+RULES_KEY = "agent.symmetry.terms"
+# The signs of rows of fixed width, by rule.
+SIGNS: Mapping[str, tuple[float, ...]] = {
+    "vector": (1, -1, 1),  # velocity, acceleration, force, gravity
+    "pseudovector": (-1, 1, -1),  # angular velocity, torque
+    "planar_velocity": (1, -1, -1),  # forwards, to the left, yaw rate
+    "quaternion": (1, -1, 1, -1),
+    "roll_pitch": (-1, 1),
+    "travel": (1, -1),  # forwards, turned
+    "place": (1, -1, 1, -1),  # the way to a place, and the turn that is left
+    "base_pose": (1, -1, 1),  # height, roll, pitch
+    "pose": (1, -1, 1, 1, -1, 1, -1),  # position and quaternion
+}
+# Rules of any width: what does not change; a number, or a sine and then a cosine, of each joint; raw actions; sines and
+# cosines of a gait's clock; a number of each ray.
+FREE_WIDTH_RULES = ("invariant", "joints", "joints_sin_cos", "actions", "phases", "rays")
+# Rules of some numbers a body: their signs, the parameter that chooses the bodies, whether their axes must be images.
+BODY_RULES: Mapping[str, tuple[tuple[float, ...], str, bool]] = {
+    "sensed_bodies": ((1,), "sensor_cfg", False),
+    "sensed_body_vectors": ((1, -1, 1), "sensor_cfg", False),
+    "bodies": ((1,), "asset_cfg", False),
+    "body_vectors": ((1, -1, 1), "asset_cfg", True),
+    "body_poses": ((1, -1, 1, 1, -1, 1, -1), "asset_cfg", True),
+}
+# Rules of what an IMU measures in its own axes.
+IMU_RULES: Mapping[str, str] = {
+    "imu_vector": "vector",
+    "imu_pseudovector": "pseudovector",
+    "imu_quaternion": "quaternion",
+}
+COMMAND_RULE = "command"  # stands for the rule of the command's class
+RULE_NAMES = (*SIGNS, *FREE_WIDTH_RULES, *BODY_RULES, *IMU_RULES)
+
+_OBSERVATIONS = "wheelleg_exp.mdp.observations"
+# Stock observations by the name of their function.
+TERM_RULES: Mapping[str, str] = {
+    "base_lin_vel": "vector",
+    "root_link_lin_vel": "vector",
+    "projected_gravity": "vector",
+    "root_pos_w": "vector",
+    "root_lin_vel_w": "vector",
+    "base_ang_vel": "pseudovector",
+    "root_ang_vel_w": "pseudovector",
+    "root_quat_w": "quaternion",
+    "base_roll_pitch": "roll_pitch",
+    "base_pos_z": "invariant",
+    "base_height": "invariant",
+    "current_time_s": "invariant",
+    "remaining_time_s": "invariant",
+    "joint_pos": "joints",
+    "joint_pos_rel": "joints",
+    "joint_pos_limit_normalized": "joints",
+    "joint_vel": "joints",
+    "joint_vel_rel": "joints",
+    "joint_acc": "joints",
+    "joint_effort": "joints",
+    "joint_effort_commanded": "joints",
+    "joint_pos_sin_cos": "joints_sin_cos",
+    "last_action": "actions",
+    "generated_commands": COMMAND_RULE,
+    "travel_error": "travel",
+    "gait_phase": "phases",
+    "height_scan": "rays",
+    "imu_orientation": "imu_quaternion",
+    "imu_projected_gravity": "imu_vector",
+    "imu_ang_vel": "imu_pseudovector",
+    "imu_lin_acc": "imu_vector",
+    "body_contacts": "sensed_bodies",
+    "body_air_time": "sensed_bodies",
+    "body_contact_forces": "sensed_body_vectors",
+    "body_pose_w": "body_poses",
+    "body_projected_gravity_b": "body_vectors",
+}
+# Stock commands by the name of their class.
+COMMAND_RULES: Mapping[str, str] = {
+    "UniformVelocityCommand": "planar_velocity",
+    "UniformVelocityTravelCommand": "planar_velocity",
+    "NormalVelocityCommand": "planar_velocity",
+    "UniformPose2dCommand": "place",
+    "UniformBasePoseCommand": "base_pose",
+    "UniformPoseCommand": "pose",
+    "NullCommand": "invariant",
+}
+
+
+def rule_of_target(target: str) -> str | None:
+    """Return the rule of a stock observation by its dotted name; None when there is none."""
+    module, _, name = target.rpartition(".")
+    return TERM_RULES.get(name) if f"{module}.".startswith(f"{_OBSERVATIONS}.") else None
+
+
+def unknown_rule_error(rule: str, term: str) -> ConfigError:
+    """Return what is told of a rule that there is not."""
+    expected, nearest = "one of " + ", ".join(RULE_NAMES), nearest_name(rule, RULE_NAMES)
+    return ConfigError(f"'{rule}' is no rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
+
+
+SignedSources = list[tuple[int, float]]
+_MAX_OFFSET = 1e-4  # m, and of unit directions: rays that differ by more are no images
+_MAX_SIGN_ERROR = 1e-3  # of a matrix of signs
+
+
+def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
+    """Return which ray each ray's image is: from the mirrored place, in the mirrored direction.
+
+    Raises:
+        ConfigError: the sensor casts no rays, or they are not the same to both sides.
+    """
+    if not isinstance(sensor, RayCaster):
+        raise ConfigError("is no ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
+    _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
+    flip = torch.tensor([1.0, -1.0, 1.0], device=sensor.device)
+    found = torch.cat([part.expand(sensor.num_rays, 3) for part in sensor.rays], dim=1)
+    distance, source = torch.cdist(found * flip.repeat(2), found).min(dim=1)
+    if float(distance.max()) > _MAX_OFFSET:
+        expected = "an offset on the base's middle, and a pattern with a ray to the right for each to the left"
+        raise ConfigError("its rays are not the same to both sides", key=sensor.key, expected=expected)
+    return [(int(number), 1.0) for number in source]
+
+
+def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
+    """Return how a vector, a pseudovector or the quaternion of an IMU turns.
+
+    With R its axes in its body's, the image of a vector is R^T M R times it, of a pseudovector -R^T M R; where that is
+    no matrix of signs, the IMU's place is none in a mirror.
+
+    Raises:
+        ConfigError: the sensor is no IMU, or its place or its axes are not their own image.
+    """
+    if not isinstance(sensor, Imu):
+        raise ConfigError("is no IMU", key=f"{path}.asset_cfg.name", expected="an Imu")
+    _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")
+    pos, quat = sensor.offset_pose
+    turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0].double().cpu().numpy()
+    if abs(float(pos[1])) > _MAX_OFFSET:
+        raise ConfigError("it does not sit in the middle", key=f"{sensor.key}.offset.pos", expected="y = 0")
+    mirrored = turn.T @ MIRROR @ turn
+    signs = np.round(mirrored)
+    if np.abs(mirrored - signs).max() > _MAX_SIGN_ERROR or (kind == "quaternion" and np.abs(signs - MIRROR).max() > 0):
+        expected = "axes along the body's" if kind != "quaternion" else "a turn about y, or none"
+        raise ConfigError(
+            "its axes are no mirror image of themselves", key=f"{sensor.key}.offset.rot", expected=expected
+        )
+    if kind == "quaternion":
+        return [(0, 1.0), (1, -1.0), (2, 1.0), (3, -1.0)]
+    sign = -1.0 if kind == "pseudovector" else 1.0
+    sources = np.abs(signs).argmax(axis=1)
+    return [(int(source), sign * float(signs[i, source])) for i, source in enumerate(sources)]
+
+
+def _require_own_image(name: str, bodies: BodyImages, key: str) -> None:
+    image = bodies.image(name, key, with_axes=True)
+    if image != name:
+        message = f"it sits on '{name}', whose image is '{image}'"
+        raise ConfigError(message, key=key, expected="a body in the middle of the robot")
+
+
+# Where each number of an image comes from, and its sign.
+SignedSourcesOfTerm = list[tuple[int, float]]
+Rule = str | Sequence[float]
+_MAX_PHASE_ERROR = 1e-6  # of a cycle
+
+
+class TermMirror:
+    """Knows of each rule what it makes of a term.
+
+    Args:
+        env: the environment.
+        joint_images: the index of each joint's image.
+        joint_signs: the sign with which it moves.
+        action: how the action vector turns.
+    """
+
+    def __init__(
+        self,
+        env: ManagerBasedRLEnv,
+        joint_images: Sequence[int],
+        joint_signs: Sequence[float],
+        action: SignedSourcesOfTerm,
+    ) -> None:
+        self._env, self._images, self._signs, self._action = env, list(joint_images), list(joint_signs), action
+        robot = env.scene.robot
+        self._bodies = BodyImages(env.scene.model, robot.body_names, robot.joint_names, joint_images)
+
+    def frame(self, rule: Rule, term: ObservationTerm) -> SignedSourcesOfTerm:
+        """Return where each number of a frame's image comes from, and its sign."""
+        path = term.term.path
+        if not isinstance(rule, str):
+            return [(i, float(sign)) for i, sign in enumerate(rule)]
+        if rule in SIGNS:
+            return [(i, float(sign)) for i, sign in enumerate(SIGNS[rule])]
+        if rule == "invariant":
+            return [(i, 1.0) for i in range(term.width)]
+        if rule == "phases":
+            return self._phases(term, path)
+        if rule == "actions":
+            return self._action_of(term)
+        if rule in BODY_RULES:
+            return self._bodies_of(rule, term, path)
+        if rule == "rays":
+            return mirror_rays(self._sensor(term, "sensor_cfg"), self._bodies, path)
+        if rule in IMU_RULES:
+            return mirror_imu(self._sensor(term, "asset_cfg"), IMU_RULES[rule], self._bodies, path)
+        joints = self._joints_of(term, path)
+        if rule == "joints_sin_cos":
+            return joints + [(len(joints) + source, 1.0) for source, _ in joints]
+        return joints
+
+    def command(self, term: ObservationTerm) -> str | None:
+        """Return the rule of the command that a term shows."""
+        found: Any = self._env.command_manager.get_term(str(term.term.params["command_name"]))
+        if hasattr(found, "body_name"):
+            key = f"env.commands.{term.term.params['command_name']}.body_name"
+            image = self._bodies.image(found.body_name, key, with_axes=True)
+            if image != found.body_name:
+                message = f"the image of a pose of '{found.body_name}' is one of '{image}'"
+                raise ConfigError(message, key=key, expected="a body in the middle of the robot")
+        names = (kind.__name__ for kind in type(found).__mro__)
+        return next((COMMAND_RULES[name] for name in names if name in COMMAND_RULES), None)
+
+    def _sensor(self, term: ObservationTerm, parameter: str) -> Any:
+        return self._env.scene[self._entity(term, parameter).name]
+
+    def _entity(self, term: ObservationTerm, parameter: str) -> Any:
+        found = term.term.params.get(parameter)
+        if found is None:
+            raise ConfigError(f"has no {parameter}", key=term.term.path, expected="a parameter that names the sensor")
+        return found
+
+    def _phases(self, term: ObservationTerm, path: str) -> SignedSourcesOfTerm:
+        """Return the clock half a cycle later, if that lets the legs of both sides change their parts."""
+        offsets = [float(offset) % 1.0 for offset in term.term.params.get("offsets", (0.0,))]
+        for offset in offsets:
+            apart = [abs((offset + 0.5 - other + 0.5) % 1.0 - 0.5) for other in offsets]
+            if min(apart) > _MAX_PHASE_ERROR:
+                raise ConfigError(
+                    f"the clock at {offset:g} of the cycle has none half a cycle later",
+                    key=f"{path}.offsets",
+                    expected="offsets of both sides, such as [0.0, 0.5]; or agent.symmetry.terms with 'invariant' for"
+                    " legs that move together, or a list of a sign for each number",
+                )
+        return [(i, -1.0) for i in range(term.width)]
+
+    def _bodies_of(self, rule: str, term: ObservationTerm, path: str) -> SignedSourcesOfTerm:
+        signs, parameter, with_axes = BODY_RULES[rule]
+        entity = self._entity(term, parameter)
+        owner = self._env.scene[entity.name]
+        names = _chosen(entity.body_ids, owner.body_names)
+        found: SignedSourcesOfTerm = []
+        for name in names:
+            image = self._bodies.image(name, path, with_axes=with_axes)
+            if image not in names:
+                raise ConfigError(
+                    f"'{name}' is observed, and its image '{image}' is not", key=path, expected="bodies of both sides"
+                )
+            first = names.index(image) * len(signs)
+            found += [(first + i, float(sign)) for i, sign in enumerate(signs)]
+        return found
+
+    def _joints_of(self, term: ObservationTerm, path: str) -> SignedSourcesOfTerm:
+        entity = term.term.params.get("asset_cfg")
+        names = self._env.scene.robot.joint_names
+        ids = _chosen(getattr(entity, "joint_ids", slice(None)), list(range(len(names))))
+        for joint in ids:
+            if self._images[joint] not in ids:
+                raise ConfigError(
+                    f"'{names[joint]}' is observed, and its image '{names[self._images[joint]]}' is not",
+                    key=path,
+                    expected="joints of both sides",
+                )
+        return [(ids.index(self._images[joint]), self._signs[joint]) for joint in ids]
+
+    def _action_of(self, term: ObservationTerm) -> SignedSourcesOfTerm:
+        """Return how the last action turns, of the whole vector or of one term's part."""
+        manager, name = self._env.action_manager, term.term.params.get("action_name")
+        if name is None:
+            return self._action
+        start = sum(manager.action_term_dim[: manager.active_terms.index(name)])
+        part = self._action[start : start + manager.get_term(name).action_dim]
+        return [(source - start, sign) for source, sign in part]
+
+
+def _chosen(ids: Any, every: list[Any]) -> list[Any]:
+    return every[ids] if isinstance(ids, slice) else [every[int(i)] for i in ids]

@@ -1,0 +1,93 @@
+"""Load networks from a checkpoint: to start a training, to teach a student, or to play."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rsl_rl.models import MLPModel
+
+from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.algorithm import build_algorithm
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+
+@dataclass(frozen=True)
+class Initial:
+    """What a training begins with in place of networks that were drawn.
+
+    Attributes:
+        state: a checkpoint, or a part of one.
+        parts: what is loaded of it: ``actor``, ``critic``, ``optimizer``.
+        facts: whose it is, plain.
+    """
+
+    state: Mapping[str, Any]
+    parts: tuple[str, ...]
+    facts: Mapping[str, Any]
+
+
+def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
+    """Give the teacher what a checkpoint's policy has learned."""
+    try:
+        algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
+    except RuntimeError as error:
+        raise ConfigError(
+            "the teacher's network is not the one of this checkpoint",
+            key="agent.teacher_checkpoint",
+            expected="agent.teacher and agent.obs_groups.teacher as the actor and its groups that were trained",
+        ) from error
+
+
+def load_initial(algorithm: Any, initial: Initial) -> None:
+    """Give the networks what a checkpoint's have learned; nothing is drawn, so that all else begins as without."""
+    whose = initial.facts.get("named") or initial.facts.get("checkpoint")
+    wrong = []
+    for role in (part for part in initial.parts if part in checkpoint.ROLES):
+        has = {name: list(value.shape) for name, value in initial.state[f"{role}_state_dict"].items()}
+        needs = {name: list(value.shape) for name, value in getattr(algorithm, role).state_dict().items()}
+        name = next((name for name in dict.fromkeys([*needs, *has]) if needs.get(name) != has.get(name)), None)
+        if name is not None:
+            wrong.append(f"the {role}'s {name} is {has.get(name, 'absent')} there and {needs.get(name, 'absent')} here")
+    if wrong:
+        raise ConfigError(
+            f"the networks of '{whose}' do not fit: {'; '.join(wrong)}",
+            key="init_from",
+            expected="the observations, actions and networks that it was trained with, or null",
+        )
+    try:
+        algorithm.load(dict(initial.state), dict.fromkeys(initial.parts, True), True)
+    except (RuntimeError, LookupError, ValueError, TypeError) as error:
+        raise ConfigError(
+            f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}",
+            key="init_from_what",
+            expected="networks, or the algorithm and the optimiser that it was trained with",
+        ) from error
+
+
+def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:
+    """Return the policy of a checkpoint, in evaluation mode: its mean action, without exploration noise.
+
+    Args:
+        path: the checkpoint.
+        env: an environment with the same observations and actions.
+        agent: the run's ``agent`` section.
+
+    Raises:
+        RunDirectoryError: the checkpoint is damaged or does not fit the environment.
+    """
+    state = checkpoint.load(path)
+    policy = build_algorithm(env, {**agent, "device": str(env.env.device)}).get_policy()
+    try:
+        policy.load_state_dict(checkpoint.policy_state(state))
+    except (RuntimeError, TypeError, AttributeError) as error:
+        raise RunDirectoryError(
+            "does not fit this environment's observations and actions",
+            key=str(path),
+            expected="the observations, actions and networks that it was trained with",
+        ) from error
+    policy.eval()
+    return policy

@@ -1,0 +1,83 @@
+"""Average a policy's weights over its last iterations: the average is played, training continues with the weights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.state import cloned
+
+STATE = "averaged_state_dict"  # of a checkpoint: the mean, under the names of the policy's own state
+_COUNT = "averaged_iterations"  # under what each process has for itself
+
+
+class PolicyAverage:
+    """Exponential mean of a policy's parameters.
+
+    While a policy explores, its weights never come to rest: they wander about those that do well, and so does what the
+    policy does. Their mean lies in the middle (Polyak and Juditsky, "Acceleration of stochastic approximation by
+    averaging", SIAM J. Control Optim. 30, 1992). Nothing of the training depends on it.
+
+    Args:
+        policy: the network.
+        iterations: n; the mean is that of all at first, then m += (w - m) / n. 0 is no mean.
+
+    Attributes:
+        is_on: whether there is to be a mean.
+    """
+
+    def __init__(self, policy: torch.nn.Module, iterations: int) -> None:
+        self._policy, self._iterations = policy, iterations
+        self.is_on = iterations > 0
+        self._count = 0
+        self._mean: dict[str, torch.Tensor] = {}
+
+    @torch.no_grad()
+    def take(self) -> None:
+        """Take the weights into the mean, as they are behind an update."""
+        if not self.is_on:
+            return
+        now = self._policy.state_dict()
+        self._mean = self._mean or cloned(now)
+        self._count += 1
+        share = 1.0 / min(self._count, self._iterations)
+        for name, value in now.items():
+            if value.is_floating_point():
+                self._mean[name].lerp_(value, share)
+            else:
+                self._mean[name].copy_(value)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the part of a checkpoint that is the mean; none before the first update."""
+        return {STATE: cloned(self._mean)} if self._count else {}
+
+    def unsaved(self) -> dict[str, int]:
+        """Return how many iterations the mean is over."""
+        return {_COUNT: self._count} if self._count else {}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Go on with a checkpoint's mean; it begins with the next update where there is none.
+
+        Raises:
+            ValueError: it is the mean of another network, or of no number of iterations.
+        """
+        if not self.is_on:
+            return
+        mean, own = saved.get(STATE) or {}, self._policy.state_dict()
+        count = saved["unsaved"].get(_COUNT, 0)
+        if mean and (type(count) is not int or count < 1 or _forms(mean) != _forms(own)):
+            raise ValueError("the mean of the policy's weights is that of another network")
+        self._count = count if mean else 0
+        self._mean = {name: value.to(own[name].device, copy=True) for name, value in mean.items()}
+
+
+def without_average(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a checkpoint's state as it is for a training that takes no mean."""
+    unsaved = {key: value for key, value in saved["unsaved"].items() if key != _COUNT}
+    return {**{key: value for key, value in saved.items() if key != STATE}, "unsaved": unsaved}
+
+
+def _forms(state: Mapping[str, torch.Tensor]) -> dict[str, torch.Size]:
+    return {name: value.shape for name, value in state.items()}

@@ -1,0 +1,291 @@
+"""rsl_rl's PPO as CUDA graphs: acting, and the update of the networks.
+
+rsl_rl waits for the GPU in every minibatch (for the divergence that sets the learning rate, and for three losses)
+and launches some three hundred kernels. Here one minibatch is one graph, and an update waits for the GPU once. The
+learning rate and the sums of the losses stay on the GPU. Networks, losses, gradient clipping, and Adam are the same
+functions as in rsl_rl. With several ranks, their communication is part of the graph. Algorithms that ``can``
+rejects are updated by rsl_rl itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
+from rsl_rl.modules.distribution import GaussianDistribution
+from torch import nn
+
+from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
+
+_LOSSES = ("value", "surrogate", "entropy")
+_MIRROR_LOSS = "symmetry"  # its name among them, where there is one
+_SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5  # rsl_rl's bounds of an adaptive learning rate, and its step
+
+
+def can_capture_update(algorithm: Any) -> bool:
+    """Return whether an algorithm's update is one that this does: plain PPO, or with the mirror loss, on a GPU."""
+    return torch.device(algorithm.device).type == "cuda" and is_plain_ppo(algorithm)
+
+
+def is_plain_ppo(algorithm: Any) -> bool:
+    """Return whether it is rsl_rl's PPO, with Adam, no more beside it than a mirror loss, and perceptrons."""
+    if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
+        return False
+    symmetry = algorithm.symmetry
+    beside = algorithm.rnd or algorithm.use_mixed_precision or not (symmetry is None or is_mirror_loss_only(symmetry))
+    networks = (algorithm.actor, algorithm.critic)
+    others = any(type(network).forward is not MLPModel.forward for network in networks)
+    compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
+    return not (beside or others or compiled)
+
+
+class CapturedUpdate:
+    """Updates the networks of a PPO of rsl_rl's as its own ``update`` does.
+
+    The first update runs minibatch by minibatch; the second is captured. Between updates the optimiser is as rsl_rl has
+    it, so that it is saved and loaded as ever; other memory than was captured is noticed, and captured anew.
+
+    Args:
+        algorithm: the algorithm.
+    """
+
+    def __init__(self, algorithm: PPO) -> None:
+        self._algorithm = algorithm
+        self._on_gpu = torch.device(algorithm.device).type == "cuda"
+        self._stream = torch.cuda.Stream(algorithm.device) if self._on_gpu else None
+        self._graph: Any = None
+        self._captured: tuple[int, ...] = ()
+        self._ran = False
+        storage = algorithm.storage
+        rows = storage.num_envs * storage.num_transitions_per_env // algorithm.num_mini_batches
+        self._rows = torch.zeros(rows, dtype=torch.long, device=algorithm.device)
+        self._advantages = torch.zeros_like(storage.returns)
+        self._rate = torch.zeros((), device=algorithm.device)
+        symmetry = algorithm.symmetry
+        # What is only logged has no weight.
+        self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
+        self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
+        self._sums = torch.zeros(len(self._losses), device=algorithm.device)
+
+    def __call__(self) -> dict[str, float]:
+        """Do what ``PPO.update`` does; return its mean losses."""
+        algorithm, storage = self._algorithm, self._algorithm.storage
+        count = algorithm.num_mini_batches
+        order = torch.randperm(count * len(self._rows), device=algorithm.device).view(count, -1)
+        self._advantages.copy_(storage.advantages)
+        self._rate.fill_(algorithm.learning_rate)
+        self._sums.zero_()
+        kept = self._lend_the_optimizer()
+        self._minibatches(order)
+        observations = storage.observations.flatten(0, 1)
+        for network in (algorithm.actor, algorithm.critic):
+            _normalize(network, observations)
+        rate, *sums = torch.cat([self._rate.view(1), self._sums]).tolist()
+        self._take_back(kept, rate)
+        storage.clear()
+        updates = algorithm.num_learning_epochs * count
+        return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
+
+    def _minibatches(self, order: torch.Tensor) -> None:
+        """Go through the minibatches (B, n) of every pass."""
+        if self._stream is None:
+            self._each(order, self._minibatch)
+        elif self._ran:
+            if self._graph is None or self._captured != self._memory():
+                self._capture(order)
+            self._each(order, self._graph.replay)
+        else:  # on a stream of its own, as a capture asks for: gradients would be added up on this one
+            self._stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(self._stream):
+                self._each(order, self._minibatch)
+            torch.cuda.current_stream().wait_stream(self._stream)
+            self._ran = True
+
+    def _each(self, order: torch.Tensor, work: Any) -> None:
+        for _ in range(self._algorithm.num_learning_epochs):
+            for rows in order:
+                self._rows.copy_(rows)
+                work()
+
+    def _capture(self, order: torch.Tensor) -> None:
+        """Record a minibatch; nothing of it is done."""
+        self._rows.copy_(order[0])
+        torch.cuda.synchronize()
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph, stream=self._stream, capture_error_mode="thread_local"):
+            self._minibatch()
+        self._captured = self._memory()
+
+    def _memory(self) -> tuple[int, ...]:
+        """Return where that lies which is replaced when a state is loaded."""
+        algorithm, storage = self._algorithm, self._algorithm.storage
+        states = [v for state in algorithm.optimizer.state.values() for v in state.values()]
+        networks = (algorithm.actor, algorithm.critic)
+        parameters = [v for network in networks for v in (*network.parameters(), *network.buffers())]
+        beside = [storage.returns, storage.values, *(storage.distribution_params or ())]
+        return tuple(v.data_ptr() for v in (*states, *parameters, *beside) if isinstance(v, torch.Tensor))
+
+    def _lend_the_optimizer(self) -> list[dict[str, Any]]:
+        """Let Adam take its learning rate from the GPU, and be one kernel; return its own settings."""
+        optimizer = self._algorithm.optimizer
+        kept = [{key: group[key] for key in ("capturable", "fused", "foreach")} for group in optimizer.param_groups]
+        for group in optimizer.param_groups:
+            group["lr"] = self._rate
+            if self._on_gpu:
+                group.update(capturable=True, fused=True, foreach=False)
+        if self._on_gpu:
+            for parameter, state in optimizer.state.items():
+                if isinstance(state.get("step"), torch.Tensor):
+                    state["step"] = state["step"].to(parameter.device)
+        return kept
+
+    def _take_back(self, kept: list[dict[str, Any]], rate: float) -> None:
+        self._algorithm.learning_rate = rate
+        for group, own in zip(self._algorithm.optimizer.param_groups, kept, strict=True):
+            group.update(own, lr=rate)
+
+    def _minibatch(self) -> None:
+        """Take one step of the optimiser with the rows of now."""
+        algorithm, storage, rows = self._algorithm, self._algorithm.storage, self._rows
+        observations = storage.observations.flatten(0, 1)[rows]
+        actions, old_values, returns, old_log_prob, advantages = (
+            values.flatten(0, 1)[rows]
+            for values in (storage.actions, storage.values, storage.returns, storage.actions_log_prob, self._advantages)
+        )
+        old_params = tuple(values.flatten(0, 1)[rows] for values in storage.distribution_params or ())
+        if algorithm.normalize_advantage_per_mini_batch:
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        actor = algorithm.actor
+        # Not the actor itself, which draws as well: nobody uses it, and torch waits for the GPU to look at deviations.
+        actor.distribution.update(actor.mlp(actor.get_latent(observations)))
+        log_prob = actor.get_output_log_prob(actions)
+        values = algorithm.critic(observations)
+        entropy = actor.output_entropy.mean()
+        if algorithm.desired_kl is not None and algorithm.schedule == "adaptive":
+            with torch.no_grad():
+                divergence = actor.get_kl_divergence(old_params, actor.output_distribution_params).mean()
+                if algorithm.is_multi_gpu:
+                    torch.distributed.all_reduce(divergence)
+                    divergence /= algorithm.gpu_world_size
+                self._adapt(divergence)
+        surrogate = self._surrogate(log_prob - old_log_prob.squeeze(-1), advantages.squeeze(-1))
+        value = self._value(values, old_values, returns)
+        loss = surrogate + algorithm.value_loss_coef * value - algorithm.entropy_coef * entropy
+        found: list[torch.Tensor] = []
+        if algorithm.symmetry:
+            found = [mirror_loss(algorithm.symmetry, actor, observations)]
+            loss = loss + self._mirror_weight * found[0]
+        algorithm.optimizer.zero_grad()
+        loss.backward()
+        if algorithm.is_multi_gpu:
+            algorithm.reduce_parameters()
+        for network in (algorithm.actor, algorithm.critic):
+            nn.utils.clip_grad_norm_(network.parameters(), algorithm.max_grad_norm)
+        algorithm.optimizer.step()
+        self._sums += torch.stack([one.detach() for one in (value, surrogate, entropy, *found)])
+
+    def _adapt(self, divergence: torch.Tensor) -> None:
+        """Take a slower or faster learning rate when the policy has changed by more or less than is desired."""
+        desired, rate = self._algorithm.desired_kl, self._rate
+        slower, faster = (rate / _FACTOR).clamp(min=_SLOWEST), (rate * _FACTOR).clamp(max=_FASTEST)
+        raised = torch.where((divergence < desired / 2) & (divergence > 0), faster, rate)
+        rate.copy_(torch.where(divergence > desired * 2, slower, raised))
+
+    def _surrogate(self, change: torch.Tensor, advantages: torch.Tensor) -> torch.Tensor:
+        """Return the clipped surrogate of the return (Schulman et al. 2017, eq. 7), negative."""
+        ratio, clip = change.exp(), self._algorithm.clip_param
+        clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
+        return torch.max(-advantages * ratio, -advantages * clipped).mean()
+
+    def _value(self, values: torch.Tensor, old: torch.Tensor, returns: torch.Tensor) -> torch.Tensor:
+        """Return the critic's squared error, that of a clipped change where that is larger."""
+        error = (values - returns).pow(2)
+        if not self._algorithm.use_clipped_value_loss:
+            return error.mean()
+        clip = self._algorithm.clip_param
+        clipped = old + (values - old).clamp(-clip, clip)
+        return torch.max(error, (clipped - returns).pow(2)).mean()
+
+
+def _normalize(network: Any, observations: Any) -> None:
+    """Let a network learn means and deviations of observations, in the memory that it has had them in."""
+    before = dict(network.named_buffers())
+    network.update_normalization(observations)
+    for name, static in before.items():
+        now = network.get_buffer(name)
+        if now is not static:
+            static.copy_(now)
+            holder, _, last = name.rpartition(".")
+            setattr(network.get_submodule(holder), last, static)
+
+
+def can_capture_acting(algorithm: Any) -> bool:
+    """Return whether an algorithm, whose update is one of graphs, draws actions from normal distributions."""
+    return getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
+
+
+class CapturedActing:
+    """Acts as ``PPO.act`` does: draws actions, and notes what the update needs of them.
+
+    The first rollout acts by rsl_rl's own method; a graph is captured at the beginning of a rollout, and anew when
+    the networks lie in other memory.
+
+    Args:
+        algorithm: the algorithm, on a GPU, with networks that are not recurrent.
+    """
+
+    def __init__(self, algorithm: PPO) -> None:
+        self._algorithm = algorithm
+        self._graph: Any = None
+        self._captured: tuple[int, ...] = ()
+        self._observations: Any = None
+        self._found: dict[str, Any] = {}
+        self._acted = False
+
+    def __call__(self, observations: Any) -> torch.Tensor:
+        """Return actions (N, A) for observations by group."""
+        algorithm = self._algorithm
+        if algorithm.storage.step == 0:
+            if self._acted and self._captured != self._memory():
+                self._capture(observations)
+            self._acted = True
+        if self._graph is None:
+            return algorithm.act(observations)
+        for group, values in self._observations.items():
+            values.copy_(observations[group])
+        self._graph.replay()
+        transition, found = algorithm.transition, self._found
+        transition.hidden_states = (None, None)
+        transition.actions = found["actions"].clone()  # whoever keeps them shall keep these
+        for name in ("values", "actions_log_prob", "distribution_params"):
+            setattr(transition, name, found[name])
+        transition.observations = observations
+        return transition.actions
+
+    def _capture(self, observations: Any) -> None:
+        """Record acting; nothing is drawn."""
+        self._observations = observations.clone()
+        torch.cuda.synchronize()
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+            self._found = self._computed()
+        self._captured = self._memory()
+
+    def _computed(self) -> dict[str, Any]:
+        """Return what ``PPO.act`` notes; drawn without torch's look at deviations, which waits for the GPU."""
+        actor, observations = self._algorithm.actor, self._observations
+        actor.distribution.update(actor.mlp(actor.get_latent(observations)))
+        mean, deviation = actor.output_mean, actor.output_std
+        actions = mean + deviation * torch.randn_like(mean)
+        return {
+            "actions": actions,
+            "values": self._algorithm.critic(observations),
+            "actions_log_prob": actor.get_output_log_prob(actions),
+            "distribution_params": tuple(actor.output_distribution_params),
+        }
+
+    def _memory(self) -> tuple[int, ...]:
+        networks = (self._algorithm.actor, self._algorithm.critic)
+        return tuple(v.data_ptr() for network in networks for v in (*network.parameters(), *network.buffers()))

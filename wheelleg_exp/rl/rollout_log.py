@@ -1,0 +1,203 @@
+"""Collect what a rollout reports: episode returns and lengths, logs of the managers, failures, and means over steps."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import torch
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.rl.determinism import one_thread
+from wheelleg_exp.rl.options import Agent
+
+SCALAR = "Diagnostics/non_finite/"  # before the config key, of what is logged
+
+
+class FailureCount:
+    """Counts such episodes: one now and then is an event of its own, many are a mistake.
+
+    Args:
+        num_envs: number of environments, N.
+        agent: the ``agent`` section; its ``max_non_finite`` times N episodes may end so, and one in any case.
+    """
+
+    def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
+        self._num_envs = num_envs
+        self._allowed = max(1, int(float(agent.get("max_non_finite", Agent.max_non_finite)) * num_envs))
+        self._evidence: Mapping[str, Any] = {}
+        self.episodes = 0
+        self.by_key: Counter[str] = Counter()
+
+    def take(self, extras: Mapping[str, Any]) -> None:
+        """Take up what a step reports."""
+        found = extras.get("non_finite")
+        if found is not None:
+            self.episodes += len(found["keys"])
+            for keys in found["keys"].values():
+                self.by_key.update(keys)
+            self._evidence = self._evidence or found["evidence"]
+
+    def require_few(self, when: str) -> None:
+        """Raise SimulationFailure, with the key that failed most, when there were more than may be.
+
+        Args:
+            when: by when, for the message.
+        """
+        if self.episodes > self._allowed:
+            key, count = self.by_key.most_common(1)[0]
+            others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
+            raise SimulationFailure(
+                f"its numbers were not finite and ended {count} episodes{others} {when}",
+                key=key,
+                expected=f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)",
+                evidence=self._evidence,
+            )
+
+
+def logged(scalars: Mapping[str, float]) -> dict[str, int]:
+    """Return the episodes by config key that an iteration's scalars tell of."""
+    return {key.removeprefix(SCALAR): int(n) for key, n in scalars.items() if key.startswith(SCALAR)}
+
+
+_EPISODES = 100  # finished episodes that the running means cover, as in rsl_rl
+
+
+class EpisodeLog:
+    """Collects what steps report and returns it once per iteration, under rsl_rl's keys.
+
+    Args:
+        num_envs: number of environments, N.
+        device: where the environments' tensors are.
+    """
+
+    def __init__(self, num_envs: int, device: torch.device | str = "cpu") -> None:
+        self._return = torch.zeros(num_envs, device=device)
+        self._length = torch.zeros(num_envs, device=device)
+        self._ended: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
+        self._returns: deque[float] = deque(maxlen=_EPISODES)
+        self._lengths: deque[float] = deque(maxlen=_EPISODES)
+        self._values: defaultdict[str, list[float]] = defaultdict(list)
+        self._pending: list[dict[str, Any]] = []
+        self._non_finite: Counter[str] = Counter()
+
+    def step(self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]) -> None:
+        """Take up one step's rewards (N,), dones (N,) and extras."""
+        self._return += rewards
+        self._length += 1
+        for keys in extras.get("non_finite", {"keys": {}})["keys"].values():
+            self._non_finite.update(keys)
+        if extras.get("log_is_fresh"):
+            self._pending.append(extras["log"])
+            done = dones > 0
+            self._ended.append((done, self._return.clone(), self._length.clone()))
+            self._return.masked_fill_(done, 0.0)
+            self._length.masked_fill_(done, 0.0)
+
+    def _take_pending(self) -> None:
+        for log in self._pending:
+            for key, value in _numbers(log).items():
+                self._values[key].append(value)
+        self._pending.clear()
+        for done, returns, lengths in self._ended:
+            self._returns.extend(returns[done].tolist())
+            self._lengths.extend(lengths[done].tolist())
+        self._ended.clear()
+
+    def collect(self) -> dict[str, float]:
+        """Return the scalars since the last call: means over the reset batches, and over the last episodes."""
+        self._take_pending()
+        scalars = {key: sum(values) / len(values) for key, values in self._values.items()}
+        self._values.clear()
+        scalars |= {f"{SCALAR}{key}": float(n) for key, n in self._non_finite.items()}
+        self._non_finite.clear()
+        if self._returns:
+            scalars["Train/mean_reward"] = sum(self._returns) / len(self._returns)
+            scalars["Train/mean_episode_length"] = sum(self._lengths) / len(self._lengths)
+        return scalars
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return running sums, the last episodes, and what has not been collected yet."""
+        self._take_pending()
+        return {
+            "return": self._return.clone(),
+            "length": self._length.clone(),
+            "returns": list(self._returns),
+            "lengths": list(self._lengths),
+            "values": {key: list(values) for key, values in self._values.items()},
+            "non_finite": dict(self._non_finite),
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._return.copy_(saved["return"])
+        self._length.copy_(saved["length"])
+        self._returns = deque(saved["returns"], maxlen=_EPISODES)
+        self._lengths = deque(saved["lengths"], maxlen=_EPISODES)
+        self._values = defaultdict(list, {key: list(values) for key, values in saved["values"].items()})
+        self._pending.clear()
+        self._ended.clear()
+        self._non_finite = Counter(saved["non_finite"])
+
+
+def _numbers(log: Mapping[str, Any]) -> dict[str, float]:
+    """Return what a log holds as numbers; those of one kind come from a GPU together."""
+    kinds: defaultdict[tuple[torch.dtype, torch.device], list[str]] = defaultdict(list)
+    for key, value in log.items():
+        if isinstance(value, torch.Tensor):
+            kinds[value.dtype, value.device].append(key)
+    found: dict[str, Any] = dict(log)
+    for keys in kinds.values():
+        found.update(zip(keys, torch.stack([log[key].reshape(()) for key in keys]).tolist(), strict=True))
+    return {key: float(value) for key, value in found.items()}
+
+
+REWARDS, METRICS, TERMINATIONS = "Rewards_per_step", "Metrics_per_step", "Terminations_per_step"
+
+
+class StepMeans:
+    """Adds up what each control step was worth, and returns the means once per iteration.
+
+    What managers log when environments are reset is of the episodes that end, and of those who fall early more
+    often: here each environment counts alike in each step. Between iterations nothing is kept, so there is no state.
+
+    Args:
+        env: the environment.
+    """
+
+    def __init__(self, env: ManagerBasedRLEnv) -> None:
+        self._env = env
+        self._sums: dict[tuple[str, tuple[str, ...]], torch.Tensor] = {}
+        self._steps = 0
+
+    def take(self) -> None:
+        """Add the step that the environment has just made."""
+        for key, rows in self._rows():
+            if key in self._sums:
+                self._sums[key] += rows
+            else:
+                self._sums[key] = rows.double()
+        self._steps += 1
+
+    def collect(self) -> dict[str, float]:
+        """Return the means since the last call, over steps and environments, and forget them."""
+        with one_thread():
+            scalars = {
+                f"{head}/{name}": value / self._steps
+                for (head, names), sums in self._sums.items()
+                for name, value in zip(names, sums.mean(dim=1).tolist(), strict=True)
+            }
+        self._sums.clear()
+        self._steps = 0
+        return scalars
+
+    def _rows(self) -> Iterator[tuple[tuple[str, tuple[str, ...]], torch.Tensor]]:
+        """Yield what each manager has for this step: head and names of the keys, and a row (N,) for each name."""
+        rewards, terminations = self._env.reward_manager, self._env.termination_manager
+        yield (REWARDS, tuple(rewards.active_terms)), rewards.step_reward
+        yield (TERMINATIONS, tuple(terminations.active_terms)), terminations.fired
+        for command, errors in self._env.command_manager.step_errors.items():
+            names = self._env.command_manager.get_term(command).metric_names
+            yield (METRICS, tuple(f"{command}/{name}" for name in names)), errors

@@ -1,0 +1,276 @@
+"""Mirror whole observations and actions left to right, for rsl_rl's symmetry extension, and its mirror loss."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.extensions import Symmetry
+from tensordict import TensorDict
+from torch import nn
+
+from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.managers import ActionTerm
+from wheelleg_exp.managers.observation_term import ObservationTerm
+from wheelleg_exp.rl import mirror_rules
+from wheelleg_exp.rl.mirror_images import JOINT_PAIRS_KEY, joint_images, joint_signs
+from wheelleg_exp.rl.mirror_rules import SignedSourcesOfTerm, TermMirror
+from wheelleg_exp.rl.options import SymmetryOptions
+
+__all__ = ["Mirror", "left_right"]
+
+
+_MAX_TARGET_ERROR = 1e-4  # rad, or the units of targets: defaults and targets that differ by more are no images
+
+
+class Mirror:
+    """Mirrors observations and actions of an environment left to right.
+
+    Args:
+        env: the environment.
+        options: the ``agent.symmetry`` section.
+        groups: the observation groups that networks see.
+        device: where batches are.
+
+    Raises:
+        ConfigError: the robot is no mirror image of itself, or it is not known how a term turns.
+    """
+
+    def __init__(
+        self, env: ManagerBasedRLEnv, options: SymmetryOptions, groups: Iterable[str], device: str | torch.device
+    ) -> None:
+        self._env, self._options, self.device = env, options, device
+        self._require_known_terms(groups)
+        robot = env.scene.robot
+        self._images = joint_images(robot.joint_names, options.joint_pairs)
+        self._signs = joint_signs(env.scene.model, robot.body_names[0], robot.joint_names, self._images)
+        self._require_defaults()
+        self._action = self._actions()
+        self._turning = TermMirror(env, self._images, self._signs, self._action)
+        self._groups = {group: _index_and_sign_tensors(self._group(group), device) for group in dict.fromkeys(groups)}
+        self._action_tensors = _index_and_sign_tensors(self._action, device)
+
+    def observations(self, observations: TensorDict) -> TensorDict:
+        """Return the image of a batch; groups that no network sees stay as they are."""
+        turned = {**dict(observations.items()), **self.images(observations)}
+        return TensorDict(turned, batch_size=observations.batch_size)
+
+    def images(self, observations: Mapping[str, Any] | TensorDict) -> dict[str, torch.Tensor]:
+        """Return the images of the groups that networks see."""
+        return {name: _apply_signs(observations[name], *tensors) for name, tensors in self._groups.items()}
+
+    def actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Return the image of raw actions (B, A)."""
+        return _apply_signs(actions, *self._action_tensors)
+
+    def _actions(self) -> SignedSourcesOfTerm:
+        """Return how the action vector turns: what an action makes of a joint's target must be the image's target."""
+        manager = self._env.action_manager
+        columns: dict[tuple[str, str], int] = {}
+        made: list[tuple[str, str, float, float]] = []
+        for name in manager.active_terms:
+            term = manager.get_term(name)
+            kind, joints = str(term.drives), list(getattr(term, "joint_names", []))
+            path = f"env.actions.{name}"
+            if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
+                expected = "terms with one action for each joint"
+                raise ConfigError("it is not known how its actions turn in a mirror", key=path, expected=expected)
+            offset, scale = _offset_and_scale(term)
+            for joint, o, s in zip(joints, offset, scale, strict=True):
+                columns[kind, joint] = len(columns)
+                made.append((kind, joint, o, s))
+        names, turned = self._env.scene.robot.joint_names, []
+        for kind, joint, offset_, scale_ in made:
+            source = names.index(joint)
+            image = (kind, names[self._images[source]])
+            sign = self._signs[source]
+            if image not in columns:
+                raise ConfigError(
+                    f"'{joint}' has an action, and its image '{image[1]}' has none of that kind",
+                    key="env.actions",
+                    expected="actions for both sides",
+                )
+            _, _, its_offset, its_scale = made[columns[image]]
+            if abs(its_scale - scale_) > _MAX_TARGET_ERROR or abs(its_offset - sign * offset_) > _MAX_TARGET_ERROR:
+                raise ConfigError(
+                    f"an action means another target for '{joint}' than for its image '{image[1]}'",
+                    key="env.actions",
+                    expected="one scale, and offsets that are images",
+                )
+            turned.append((columns[image], sign))
+        return turned
+
+    def _group(self, group: str) -> SignedSourcesOfTerm:
+        """Return how a group's vector turns: each frame of each term's history by itself."""
+        manager = self._env.observation_manager
+        terms, slices = manager.terms(group), manager.term_slices(group)
+        found: dict[int, tuple[int, float]] = {}
+        for name, term in terms.items():
+            frame, start = self._frame(group, name, term), slices[name].start
+            frames = (slices[name].stop - start) // term.width
+            for number in range(frames):
+                first = start + number * term.width
+                found |= {first + i: (first + source, sign) for i, (source, sign) in enumerate(frame)}
+        return [found[i] for i in range(len(found))]
+
+    def _frame(self, group: str, name: str, term: ObservationTerm) -> SignedSourcesOfTerm:
+        """Return how one frame of a term turns."""
+        path, rule = term.term.path, self._rule(group, name, term)
+        width, turned = term.width, self._turning.frame(rule, term)
+        if len(turned) != width:
+            told = rule if isinstance(rule, str) else list(rule)
+            message = f"the mirror rule {told} is of {len(turned)} numbers, and the term has {width}"
+            raise ConfigError(message, key=path, expected=f"{mirror_rules.RULES_KEY}.{name}: a sign for each number")
+        self._require_even(term, turned, path)
+        return turned
+
+    def _rule(self, group: str, name: str, term: ObservationTerm) -> str | Sequence[float]:
+        """Return a term's rule: the config's, else that of a stock term."""
+        given = self._options.terms.get(name)
+        rule = given if given is not None else mirror_rules.rule_of_target(term.term.target)
+        if rule == mirror_rules.COMMAND_RULE:
+            rule = self._turning.command(term)
+        if rule is None:
+            raise ConfigError(
+                f"it is not known how '{term.term.target}' turns in a mirror (observation '{name}' of '{group}')",
+                key=f"{mirror_rules.RULES_KEY}.{name}",
+                expected="one of " + ", ".join(mirror_rules.RULE_NAMES) + ", or a list of a sign for each number",
+            )
+        return rule
+
+    def _require_even(self, term: ObservationTerm, turned: SignedSourcesOfTerm, path: str) -> None:
+        """Raise ConfigError where clip or scale treat a number and its image differently."""
+        clip, scale = term.term.fields.get("clip"), term.term.fields.get("scale")
+        if clip is not None and float(clip[0]) != -float(clip[1]) and any(sign < 0 for _, sign in turned):
+            raise ConfigError(
+                "is not even, and some of it changes its sign in a mirror", key=f"{path}.clip", expected="[-x, x]"
+            )
+        if isinstance(scale, Sequence) and any(not math.isclose(scale[i], scale[s]) for i, (s, _) in enumerate(turned)):
+            raise ConfigError(
+                "differs for numbers that are images", key=f"{path}.scale", expected="one factor for both"
+            )
+
+    def _require_defaults(self) -> None:
+        """Raise ConfigError unless the default pose is its own image."""
+        robot = self._env.scene.robot
+        pose = robot.layout.default_joint_pos.tolist()
+        for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):
+            if abs(pose[image] - sign * pose[joint]) > _MAX_TARGET_ERROR:
+                names = robot.joint_names
+                raise ConfigError(
+                    f"'{names[joint]}' and its image '{names[image]}' begin at {pose[joint]:g} and {pose[image]:g} rad",
+                    key="env.robot.init_state.joint_pos",
+                    expected=f"{sign * pose[joint]:g} rad for '{names[image]}'; or other {JOINT_PAIRS_KEY}",
+                )
+
+    def _require_known_terms(self, groups: Iterable[str]) -> None:
+        manager = self._env.observation_manager
+        names = dict.fromkeys(name for group in groups for name in manager.terms(group))
+        for name, rule in self._options.terms.items():
+            if name not in names:
+                key, message = f"{mirror_rules.RULES_KEY}.{name}", "no network sees such an observation"
+                expected, nearest = "one of " + ", ".join(names), nearest_name(name, names)
+                raise ConfigError(message, key=key, expected=expected, nearest=nearest)
+            if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
+                raise mirror_rules.unknown_rule_error(rule, name)
+
+
+class MirroredHalf:
+    """Every second environment's robot, met in a mirror: its observations and actions are images, the others' are not.
+
+    Args:
+        mirror: what images are made by, where the environments' tensors are.
+        num_envs: number of environments.
+    """
+
+    def __init__(self, mirror: Mirror, num_envs: int) -> None:
+        self._mirror = mirror
+        self._mirrored = (torch.arange(num_envs, device=mirror.device) % 2 == 1).unsqueeze(1)
+
+    def actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Return raw actions (N, A) as the environments take them."""
+        return torch.where(self._mirrored, self._mirror.actions(actions), actions)
+
+    def observations(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+        """Return observations (N, ...) by group as networks see them; groups that none sees stay as they are."""
+        images = self._mirror.images(observations)
+        return {**observations, **{g: torch.where(self._mirrored, v, observations[g]) for g, v in images.items()}}
+
+
+def left_right(
+    env: Any, obs: TensorDict | None = None, actions: torch.Tensor | None = None
+) -> tuple[TensorDict | None, torch.Tensor | None]:
+    """Return a batch followed by its mirror image, as rsl_rl's ``data_augmentation_func``.
+
+    Args:
+        env: the adapter that rsl_rl trains with.
+        obs: observations, or None.
+        actions: raw actions (B, A), or None.
+    """
+    mirror: Mirror = env.mirror
+    both = None if obs is None else torch.cat((obs, mirror.observations(obs)), dim=0)
+    return both, None if actions is None else torch.cat((actions, mirror.actions(actions)), dim=0)
+
+
+def _index_and_sign_tensors(
+    turned: SignedSourcesOfTerm, device: str | torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    sources = torch.tensor([source for source, _ in turned], dtype=torch.long, device=device)
+    return sources, torch.tensor([sign for _, sign in turned], device=device)
+
+
+def _apply_signs(values: torch.Tensor, sources: torch.Tensor, factors: torch.Tensor) -> torch.Tensor:
+    return values[:, sources] * factors
+
+
+def _offset_and_scale(term: ActionTerm) -> tuple[list[float], list[float]]:
+    """Return the offset and the scale of an action term, for each action, and leave its state as it was."""
+    kept = term.state_dict()
+    zeros = torch.zeros_like(term.raw_actions)
+    term.process_actions(zeros)
+    offset = term.processed_actions[0].clone()
+    term.process_actions(zeros + 1.0)
+    scale = term.processed_actions[0] - offset
+    term.load_state_dict(kept)
+    return offset.tolist(), scale.tolist()
+
+
+def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
+    """Return the ``agent.symmetry`` section, or None."""
+    section = agent.get("symmetry")
+    return None if section is None else SymmetryOptions(**section)
+
+
+def is_mirror_loss_only(symmetry: Any) -> bool:
+    """Return whether a symmetry is rsl_rl's own, of our images, and adds no samples: ``mirror_loss`` is its loss."""
+    ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right
+    return ours and not symmetry.use_data_augmentation
+
+
+def replace_mirror_loss(algorithm: Any) -> None:
+    """Let the mirror loss of rsl_rl's PPO be ours; what is a user's own, or recurrent, keeps its own."""
+    if type(algorithm) is not PPO or algorithm.actor.is_recurrent or not is_mirror_loss_only(algorithm.symmetry):
+        return
+    symmetry = algorithm.symmetry
+    symmetry.compute_loss = lambda actor, batch, _: mirror_loss(symmetry, actor, batch.observations)
+
+
+def mirror_loss(symmetry: Symmetry, actor: Any, observations: Any) -> torch.Tensor:
+    """Return how far the policy's means for images are from the images of its means, squared.
+
+    The same as ``Symmetry.compute_loss`` of rsl_rl 5.5, and with the same gradient. That one asks the policy for its
+    means once more, and sends a gradient of 0 back through them; here they are those that it has just answered with.
+
+    Args:
+        symmetry: the extension.
+        actor: the policy; it has answered to these observations.
+        observations: of B samples, by group.
+    """
+    mirror = symmetry.env.mirror
+    wanted = mirror.actions(actor.output_mean.detach())
+    with torch.set_grad_enabled(symmetry.use_mirror_loss):
+        return nn.functional.mse_loss(actor(mirror.observations(observations)), wanted)

@@ -1,0 +1,138 @@
+"""The files of a run directory: size and sha256 of each, and the differences from the recorded ones."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TypedDict
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import TEMPORARY_SUFFIX, for_people, sha256
+from wheelleg_exp.run.run_lock import MANIFEST_LOCK, RUN_LOCK
+
+MANIFEST_NAME = "manifest.json"
+_OWN_FILES = {MANIFEST_NAME, RUN_LOCK, MANIFEST_LOCK}
+
+
+class FileRecord(TypedDict):
+    """What the manifest says of a file: content digest and size in bytes."""
+
+    sha256: str
+    size: int
+
+
+@dataclass
+class FileFindings:
+    """How a run's files differ from what its manifest recorded, as sorted relative paths.
+
+    ``links`` are symbolic links that the manifest does not name; one in place of a recorded file is ``missing``.
+    """
+
+    missing: list[str] = field(default_factory=list)
+    changed: list[str] = field(default_factory=list)
+    unlisted: list[str] = field(default_factory=list)
+    unreadable: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        """Return whether anything differs."""
+        return bool(self.missing or self.changed or self.unlisted or self.unreadable or self.links)
+
+
+def inventory(directory: Path) -> dict[str, FileRecord]:
+    """Return the record of every file at or below ``directory``, by relative path with forward slashes.
+
+    The manifest itself, lock files and unfinished temporary files are left out.
+    """
+    return record_files(directory, _files(directory))
+
+
+def record_files(directory: Path, paths: Iterable[Path]) -> dict[str, FileRecord]:
+    """Return the records of ``paths``, sorted by relative path.
+
+    Raises:
+        RunDirectoryError: a path is no file, or is not below ``directory``.
+    """
+    names = {relative_name(directory, path) for path in paths}
+    return {name: _record(directory / name) for name in sorted(names)}
+
+
+def compare_files(directory: Path, recorded: Mapping[str, FileRecord]) -> FileFindings:
+    """Hold the files of ``directory`` against their records."""
+    present = {relative_name(directory, path) for path in _files(directory)}
+    found = FileFindings(missing=sorted(set(recorded) - present), unlisted=sorted(present - set(recorded)))
+    for name in sorted(present & set(recorded)):
+        try:
+            if not _is_as_recorded(directory / name, recorded[name]):
+                found.changed.append(name)
+        except RunDirectoryError:
+            found.unreadable.append(name)
+    found.links.extend(name for name in sorted(_links(directory)) if name not in recorded)
+    return found
+
+
+def odd_entries(directory: Path) -> dict[str, str]:
+    """Return what below ``directory`` is neither a folder nor an ordinary file, by relative name: what it is instead.
+
+    A link may lead anywhere, and reading from a pipe or a device may never end. A file that goes meanwhile is none.
+    """
+    found: dict[str, str] = {}
+    for folder, folders, names in os.walk(directory):
+        for path in (Path(folder, name) for name in [*folders, *names]):
+            try:
+                mode = path.lstat().st_mode
+            except FileNotFoundError:  # as temporary files of a run that is being written do
+                continue
+            if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+                name = path.relative_to(directory).as_posix()
+                found[name] = "a symbolic link" if stat.S_ISLNK(mode) else "a pipe, a socket or a device"
+    return dict(sorted(found.items()))
+
+
+def relative_name(directory: Path, path: Path) -> str:
+    """Return ``path`` relative to ``directory``, with forward slashes.
+
+    A relative path counts from the working directory when that leads below ``directory``, else from
+    ``directory`` itself.
+
+    Raises:
+        RunDirectoryError: the path lies outside.
+    """
+    base = directory.resolve()
+    for full in (path.resolve(), (base / path).resolve()):
+        if full.is_relative_to(base):
+            return full.relative_to(base).as_posix()
+    raise RunDirectoryError(f"'{path}' lies outside the run directory", expected=f"a path below '{directory}'")
+
+
+def is_inside(name: str) -> bool:
+    """Return whether a recorded relative name stays below its directory."""
+    path = PurePosixPath(name)
+    return bool(name) and not path.is_absolute() and ".." not in path.parts and not {"\\", "\0"} & set(name)
+
+
+def _is_as_recorded(path: Path, record: FileRecord) -> bool:
+    with for_people(path, "read"):
+        size = path.stat().st_size
+    return size == record["size"] and sha256(path) == record["sha256"]
+
+
+def _record(path: Path) -> FileRecord:
+    digest = sha256(path)
+    with for_people(path, "read"):
+        return {"sha256": digest, "size": path.stat().st_size}
+
+
+def _links(directory: Path) -> Iterator[str]:
+    return (path.relative_to(directory).as_posix() for path in directory.rglob("*") if path.is_symlink())
+
+
+def _files(directory: Path) -> Iterator[Path]:
+    for path in directory.rglob("*"):
+        own = path.parent == directory and path.name in _OWN_FILES
+        unfinished = path.name.startswith(".") and path.name.endswith(TEMPORARY_SUFFIX)
+        if path.is_file() and not path.is_symlink() and not own and not unfinished:
+            yield path

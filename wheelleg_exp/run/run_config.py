@@ -1,0 +1,289 @@
+"""Read back what a run was built from: parameters, config, overrides, robot.
+
+``params/env.yaml`` and ``params/agent.yaml`` build the same environment and agent again. Hydra's
+``.hydra/config.yaml`` contains ``${...}`` as written, and anybody may have written it. It is resolved from its own
+keys and from the environment variables stored with the run. No variable of this process is read, and no function
+is called. Recorded overrides can change the config only.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import read_json, read_yaml, require_mapping, write_text
+from wheelleg_exp.plain_data import dump_yaml
+from wheelleg_exp.run.manifest import mistyped_keys
+from wheelleg_exp.run.secrecy import is_secret_variable
+from wheelleg_exp.terms.key_syntax import is_override
+
+if TYPE_CHECKING:
+    from omegaconf.base import Container
+
+
+PARTS = ("env", "agent")
+# Keys of ``agent`` that a trained policy depends on; all others are of the training.
+POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
+
+
+def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
+    """Raise RunDirectoryError, with the key, where a value holds ``${``: parameters are what a run was made with.
+
+    Args:
+        params: ``env`` and ``agent``, or one of them.
+        where: the file that they stand in.
+    """
+    for key in _unresolved(params, ""):
+        raise RunDirectoryError(
+            "holds '${', and parameters are not resolved again", key=key, where=where, expected="a plain value"
+        )
+
+
+def _unresolved(value: Any, key: str) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _unresolved(name, f"{key}.{name}".lstrip("."))
+            yield from _unresolved(item, f"{key}.{name}".lstrip("."))
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _unresolved(item, f"{key}[{index}]")
+    elif isinstance(value, str) and "${" in value:
+        yield key
+
+
+def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
+    """Write both files below ``directory/params``.
+
+    Raises:
+        RunDirectoryError: a part is missing or holds something that is not plain (nothing is written then).
+    """
+    if set(params) != set(PARTS):
+        raise RunDirectoryError(f"parameters for {sorted(params)}", expected=" and ".join(PARTS))
+    texts = {part: dump_yaml(params[part]) for part in PARTS}
+    for part, text in texts.items():
+        write_text(directory / "params" / f"{part}.yaml", text)
+
+
+def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the environment's and the agent's parameters of a run directory.
+
+    Raises:
+        RunDirectoryError: a file is missing or is not the YAML of a mapping, with file and line; or a value in it holds
+            ``${``.
+    """
+    paths = {part: Path(directory) / "params" / f"{part}.yaml" for part in PARTS}
+    params = {part: _load_mapping(path) for part, path in paths.items()}
+    for part, path in paths.items():
+        require_resolved({part: params[part]}, str(path))
+    return params["env"], params["agent"]
+
+
+def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an environment's parameters, perhaps an older version's, as this one writes them.
+
+    Until 0.1 the ground was a plane whose material stood in ``scene.ground``, and there was one engine.
+    """
+    scene, sim = env.get("scene"), env.get("sim")
+    if not isinstance(scene, Mapping) or not isinstance(sim, Mapping):
+        return dict(env)  # who checks it tells
+    scene, sim = dict(scene), {"engine": "mujoco", "device": "cpu", **sim}
+    if isinstance(scene.get("ground"), Mapping):
+        plane = {"_target_": "wheelleg_exp.sim.terrain.Plane", **scene.pop("ground")}
+        scene = {name: scene.get(name, plane) for name in dict.fromkeys(("env_spacing", "terrain", *scene))}
+    return {**env, "sim": sim, "scene": scene}
+
+
+def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an environment's parameters with MuJoCo's own engine.
+
+    What is evaluated, played and exported is simulated on it wherever a policy was trained, unless an override says
+    otherwise: then figures compare, and a machine without a GPU has them.
+    """
+    if not isinstance(env.get("sim"), Mapping):
+        return dict(env)  # who checks it tells
+    return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
+
+
+def load_config(directory: os.PathLike[str]) -> dict[str, Any]:
+    """Return the config that a run was composed to, its interpolations as written (raises as ``load_params``)."""
+    return _load_mapping(Path(directory) / ".hydra" / "config.yaml")
+
+
+def _load_mapping(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise RunDirectoryError(f"there is no '{path}'", expected="the parameters that the run was made with")
+    return require_mapping(read_yaml(path), path)
+
+
+CONFIG, OVERRIDES, ROBOT = ".hydra/config.yaml", ".hydra/overrides.yaml", "asset/asset.json"
+SECTIONS = ("seed", "task", "recording", "run", "init_from", "init_from_what")  # of which a run keeps no resolved copy
+_PURE = ("oc.create", "oc.decode", "oc.dict.keys", "oc.dict.values", "oc.select")
+_STEPS, _LETTERS = 10_000, 100_000  # most interpolations that are resolved, and most letters of all that hold one
+_NO_DEFAULT = object()
+_REACHING = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)  # options, Hydra's own settings, resolvers
+
+
+def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
+    """Return the sections of a run's config of which it keeps no resolved copy, resolved; None for one that is absent.
+
+    Args:
+        directory: the run directory.
+        variables: the environment variables that its config may ask for.
+
+    Raises:
+        RunDirectoryError: it cannot be read or resolved, or asks for another variable.
+    """
+    path = Path(directory) / CONFIG
+    tree = read_yaml(path)
+    if not isinstance(tree, dict):
+        raise RunDirectoryError("holds no mapping", key=str(path), expected="the config of the run")
+    asked: list[str] = []
+
+    def not_kept(name: str) -> Any:
+        asked.append(name)
+        raise KeyError(name)
+
+    try:
+        return resolved(tree, variables, not_kept, SECTIONS)
+    except RunDirectoryError as error:
+        if asked:
+            raise _missing_variable(asked[0], path) from error
+        error.key = str(path)
+        raise
+
+
+def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
+    """Return a run's config, its interpolations as written; empty where none can be read."""
+    try:
+        config = read_yaml(Path(directory) / CONFIG)
+    except RunDirectoryError:
+        return {}
+    return config if isinstance(config, dict) else {}
+
+
+def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
+    """Return the overrides that a run was composed with, none where none are kept.
+
+    Raises:
+        RunDirectoryError: they cannot be read, or are no list.
+    """
+    path = Path(directory) / OVERRIDES
+    found = read_yaml(path) if path.is_file() else []
+    if not isinstance(found, list):
+        raise RunDirectoryError("holds no list", key=str(path), expected="the overrides of the run")
+    return [str(word) for word in found]
+
+
+def require_overrides(words: Iterable[Any], path: Path) -> None:
+    """Refuse recorded words that are composed again unless each is an override of the config and nothing more.
+
+    Refused are options of a command, Hydra's own settings (folders, modules to import), and calls of resolvers
+    (environment variables of this machine). The RunDirectoryError names ``path``, the record.
+    """
+    for word in words:
+        if not isinstance(word, str) or not is_override(word) or _REACHING.match(word):
+            expected = "overrides such as env.num_envs=64; name a folder of configs with --config-dir"
+            raise RunDirectoryError(f"{word!r} is not accepted from a record", key=str(path), expected=expected)
+
+
+def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
+    """Return what a run's robot is: ``sources``, sha256 by file, and ``model_sha256``.
+
+    Raises:
+        RunDirectoryError: it is not kept, or broken.
+    """
+    path = Path(directory) / ROBOT
+    identity = read_json(path)
+    for wrong in mistyped_keys(identity, {"model_sha256": str, "sources": {str: str}}):
+        raise RunDirectoryError(f"'{wrong}' is missing or wrong", key=str(path), expected="what the run's robot is")
+    return dict(identity)
+
+
+def resolved(
+    tree: Mapping[str, Any], variables: Mapping[str, str], absent: Callable[[str], Any], sections: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Return a config, or sections of it, with ``${...}`` resolved from itself and the given variables.
+
+    Args:
+        tree: the plain config.
+        variables: what ``${oc.env:NAME}`` stands for.
+        absent: the value of a variable that is not among them and has no default.
+        sections: keys; all by default.
+
+    Raises:
+        RunDirectoryError: something in it cannot be resolved.
+    """
+    from omegaconf import OmegaConf
+    from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
+
+    letters = sum(len(text) for text in _strings(tree) if "${" in text)
+    try:
+        if letters > _LETTERS:
+            raise InterpolationResolutionError(f"its interpolations have {letters} letters")
+        with _restricted_resolvers(variables, absent):
+            config = OmegaConf.create(dict(tree))
+            return {key: _plain(OmegaConf.select(config, key)) for key in sections or map(str, tree)}
+    except (OmegaConfBaseException, ValueError, TypeError, RecursionError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise RunDirectoryError(f"cannot be resolved: {reason}", expected="the config of the run") from error
+
+
+def _plain(value: Any) -> Any:
+    from omegaconf import OmegaConf
+
+    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+
+
+def _strings(node: Any) -> Iterator[str]:
+    if isinstance(node, str):
+        yield node
+    elif isinstance(node, (dict, list)):
+        for item in node.values() if isinstance(node, dict) else node:
+            yield from _strings(item)
+
+
+@contextmanager
+def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], Any]) -> Iterator[None]:
+    """Let OmegaConf know no resolvers but those that only look at the config, and bound how often it resolves."""
+    from omegaconf import OmegaConf
+    from omegaconf.base import Container
+    from omegaconf.basecontainer import BaseContainer
+    from omegaconf.errors import InterpolationResolutionError
+
+    resolvers, resolve, steps = dict(BaseContainer._resolvers), Container.resolve_parse_tree, count()
+
+    def bounded(self: Container, *arguments: Any, **more: Any) -> Any:
+        if next(steps) >= _STEPS:
+            raise InterpolationResolutionError(f"it takes more than {_STEPS} interpolations")
+        return resolve(self, *arguments, **more)
+
+    def variable(name: str, default: Any = _NO_DEFAULT) -> Any:
+        if name in variables:
+            return variables[name]
+        if default is _NO_DEFAULT:
+            return absent(name)
+        return None if default is None else str(default)
+
+    BaseContainer._resolvers = {name: resolvers[name] for name in _PURE}
+    Container.resolve_parse_tree = bounded  # type: ignore[method-assign]
+    try:
+        OmegaConf.register_new_resolver("oc.env", variable)
+        yield
+    finally:
+        BaseContainer._resolvers, Container.resolve_parse_tree = resolvers, resolve  # type: ignore[method-assign]
+
+
+def _missing_variable(name: str, path: Path) -> RunDirectoryError:
+    why = " because its name says that it holds a secret" if is_secret_variable(name) else ""
+    return RunDirectoryError(
+        f"asks for the environment variable {name}, which was not kept with the run{why}",
+        key=str(path),
+        expected=f"{name} set to what it was when the run began, and 'wheelleg replay': nothing else that reads a run "
+        "takes it from this environment",
+    )

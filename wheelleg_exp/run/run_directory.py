@@ -1,0 +1,365 @@
+"""Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
+
+A folder that holds a pipeline's record is not a run. The error then lists the runs of its phases.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+from wheelleg_exp.constraints import NonNegative, Pattern
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
+from wheelleg_exp.files import for_people, read_json
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entries
+from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
+from wheelleg_exp.run.secrecy import secret_content
+from wheelleg_exp.run.timestamps import folder_moment, folder_text
+
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"  # what may be part of a folder's name
+NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', beginning with a letter or digit"
+
+
+@dataclass
+class RunOptions:
+    """Where a run is written, and how much of the source tree it keeps.
+
+    Args:
+        root: folder in which run directories are made; a relative one is below the working directory.
+        name: last part of the run directory's name; letters, digits, ``.``, ``_`` and ``-``.
+        max_patch_mb: largest source patch that is kept, in megabytes (10^6 bytes).
+    """
+
+    root: str = "runs"
+    name: Annotated[str, Pattern(NAME, NAME_WORDS)] | None = None
+    max_patch_mb: NonNegative = 50.0
+
+
+PIPELINE_NAME = "pipeline.json"
+
+
+def is_pipeline(folder: Path) -> bool:
+    """Return whether a folder is a pipeline's: a run directory is not, whatever else someone has put into it."""
+    return (folder / PIPELINE_NAME).is_file() and not (folder / MANIFEST_NAME).exists()
+
+
+def pipeline_error(folder: Path) -> RunDirectoryError | None:
+    """Return what to tell of a folder that is a pipeline's: the runs of its phases; None of any other folder."""
+    path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
+    if not is_pipeline(path.parent):
+        return None
+    data = read_json(path)
+    known = not any(mistyped_keys(data, {"phases": [{"name": str, "run": Optional(str)}]}))
+    begun = [phase for phase in data["phases"] if phase["run"]] if known else []
+    runs = [f"{_relative_to_here(path.parent / phase['run'])} (phase '{phase['name']}')" for phase in begun]
+    return RunDirectoryError(
+        f"'{path.parent.name}' is a pipeline, and each of its phases is a run",
+        expected=" or ".join(runs) if runs else "a run of it, once its first phase has begun",
+    )
+
+
+def _relative_to_here(path: Path) -> str:
+    """Return a path as one would type it from here."""
+    found, here = path.resolve(), Path.cwd()
+    return str(found.relative_to(here)) if found.is_relative_to(here) else str(found)
+
+
+LATEST = "latest"
+AGENTS = "agents"
+SWEEPS = "sweeps"
+REPLAYS = "replays"
+PIPELINES = "pipelines"
+_NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
+
+FAILURE = "failure.npz"  # what a training failed with
+CHECKPOINT = re.compile(r"model_(\d+)\.pt")
+# What a run directory must hold for its run to be built from it.
+NEEDED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", "asset/robot.xml", "asset/asset.json")
+
+_NAME = re.compile(NAME)
+
+
+@dataclass(frozen=True)
+class RunDirectory(os.PathLike[str]):
+    """One run directory. ``path`` is absolute."""
+
+    path: Path
+
+    def __fspath__(self) -> str:
+        """Return the path, so that ``Path(directory)`` works."""
+        return str(self.path)
+
+    @classmethod
+    def create(
+        cls,
+        root: str | Path,
+        task: str,
+        seed: int,
+        name: str | None = None,
+        now: datetime | None = None,
+        *,
+        section: str | None = None,
+    ) -> RunDirectory:
+        """Make ``<root>/<task>/<YYYY-mm-dd_HH-MM-SS>_<seed>[_<name>]``, in local time, for this caller alone.
+
+        A taken name gets ``-2``, ``-3``. With ``section`` (``agents``, ``replays``) it is made below that folder of the
+        root, where ``latest`` and the listing do not look.
+
+        Raises:
+            ConfigError: the task or the name has characters that a folder should not have, or is a key or a token.
+            RunDirectoryError: the folder cannot be made.
+        """
+        _require_name(task, "task.name")
+        if task in _NOT_TASKS:
+            raise ConfigError(f"a task cannot be called '{task}'", key="task.name", expected="another name")
+        parts = [folder_text(now or datetime.now()), str(int(seed))]
+        if name is not None:
+            _require_name(name, "run.name")
+            parts.append(name)
+        base = Path(root) / section if section else Path(root)
+        return cls(create_exclusively(base / task, "_".join(parts)))
+
+    @classmethod
+    def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
+        """Return the run directory that ``run`` names.
+
+        Args:
+            run: a path, an id (``<folder>`` or ``<task>/<folder>``), or ``latest``, the newest by start time.
+            root: the folder of all runs.
+            odd: whether it may hold links, pipes and devices, because the caller tells of them and opens none.
+
+        Raises:
+            RunDirectoryError: it names none (with the nearest that there is), two, or a damaged one; or it holds
+                something else than folders and files.
+        """
+        directory = cls(_found(run, Path(root)).resolve())
+        directory.manifest()
+        if not odd:
+            for name, what in odd_entries(directory.path).items():
+                raise RunDirectoryError(
+                    f"is {what}, which is not followed in a run directory",
+                    key=str(directory.path / name),
+                    expected="nothing but files and folders",
+                )
+        return directory
+
+    @property
+    def id(self) -> str:
+        """The folder's name."""
+        return self.path.name
+
+    @property
+    def root(self) -> Path:
+        """The folder of all runs that this one stands in."""
+        above = self.path.parent.parent
+        return above.parent if above.name in (AGENTS, REPLAYS) else above
+
+    @property
+    def params(self) -> Path:
+        """The folder of ``env.yaml`` and ``agent.yaml``."""
+        return self.path / "params"
+
+    @property
+    def hydra(self) -> Path:
+        """The folder of Hydra's own files."""
+        return self.path / ".hydra"
+
+    @property
+    def source(self) -> Path:
+        """The folder of the source state."""
+        return self.path / "source"
+
+    @property
+    def asset(self) -> Path:
+        """The folder of the robot's files."""
+        return self.path / "asset"
+
+    @property
+    def exported(self) -> Path:
+        """The folder of exported policies."""
+        return self.path / "exported"
+
+    @property
+    def play(self) -> Path:
+        """The folder of recordings made after training."""
+        return self.path / "play"
+
+    @property
+    def videos(self) -> Path:
+        """The folder of films made while training."""
+        return self.path / "videos"
+
+    @property
+    def dataset(self) -> Path:
+        """The folder of the episodes that recorders noted while training."""
+        return self.path / "dataset"
+
+    @property
+    def evaluation(self) -> Path:
+        """The folder of evaluations."""
+        return self.path / "evaluation"
+
+    @property
+    def recording(self) -> Path:
+        """The training's recording."""
+        return self.path / "recording.rrd"
+
+    @property
+    def iterations(self) -> Path:
+        """One line of JSON for each training iteration."""
+        return self.path / "iterations.jsonl"
+
+    @property
+    def environment(self) -> Path:
+        """The list of installed distributions."""
+        return self.path / "environment.txt"
+
+    def manifest(self) -> Manifest:
+        """Read the manifest (RunDirectoryError when it is missing or damaged)."""
+        return Manifest.load(self.path)
+
+    def inside(self, name: str) -> Path:
+        """Return the path of a relative name (RunDirectoryError when it leaves the directory)."""
+        if not is_inside(name) or not (self.path / name).resolve().is_relative_to(self.path.resolve()):
+            raise RunDirectoryError(f"'{name}' lies outside the run directory", expected="a path below it")
+        return self.path / name
+
+    def checkpoints(self) -> list[Path]:
+        """Return the checkpoints, by rising iteration."""
+        with for_people(self.path, "read"):
+            found = [p for p in self.path.iterdir() if CHECKPOINT.fullmatch(p.name) and p.is_file()]
+        return sorted(found, key=checkpoint_iteration)
+
+    def latest_checkpoint(self) -> Path:
+        """Return the checkpoint of the highest iteration (RunDirectoryError when there is none)."""
+        found = self.checkpoints()
+        if not found:
+            raise RunDirectoryError(f"run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")
+        return found[-1]
+
+    def checkpoint(self, iteration: int) -> Path:
+        """Return the checkpoint of one iteration.
+
+        Raises:
+            RunDirectoryError: there is none, with the nearest iteration that has one.
+        """
+        found = {checkpoint_iteration(path): path for path in self.checkpoints()}
+        if iteration in found:
+            return found[iteration]
+        nearest = min(found, key=lambda i: abs(i - iteration), default=None)
+        raise RunDirectoryError(
+            f"run '{self.id}' has no checkpoint of iteration {iteration}",
+            expected="one of " + ", ".join(map(str, found)) if found else "a run that saved checkpoints",
+            nearest=None if nearest is None else found[nearest].name,
+        )
+
+
+def checkpoint_iteration(path: Path) -> int:
+    """Return the iteration in a checkpoint's file name (RunDirectoryError when it is none)."""
+    match = CHECKPOINT.fullmatch(path.name)
+    if match is None:
+        raise RunDirectoryError(f"'{path.name}' is not a checkpoint's name", expected="model_<iteration>.pt")
+    return int(match.group(1))
+
+
+def create_exclusively(parent: Path, name: str) -> Path:
+    """Make and return the folder ``parent/name``, or ``name-2``, ``name-3``, … when that is taken.
+
+    Raises:
+        RunDirectoryError: the folder cannot be made.
+    """
+    with for_people(parent / name):
+        parent.mkdir(parents=True, exist_ok=True)
+        for path in _numbered(parent, name):
+            try:
+                path.mkdir()
+            except FileExistsError:
+                continue
+            return path.resolve()
+    raise AssertionError("the numbers do not end")
+
+
+def run_folders(root: Path) -> list[Path]:
+    """Return the folders below ``root`` that have a manifest, over all tasks, by name."""
+    return sorted(path.parent for task in task_folders(root) for path in task.glob(f"*/{MANIFEST_NAME}"))
+
+
+def start_moment(folder: Path) -> datetime:
+    """Return when a run started: from its manifest, else from its name, else the beginning of time."""
+    try:
+        return Manifest.load(folder).started
+    except RunDirectoryError:
+        return folder_moment(folder.name) or datetime.min.replace(tzinfo=UTC)
+
+
+def _numbered(parent: Path, name: str) -> Iterator[Path]:
+    yield parent / name
+    number = 2
+    while True:
+        yield parent / f"{name}-{number}"
+        number += 1
+
+
+def task_folders(root: Path) -> list[Path]:
+    """Return the folders below ``root`` that hold the runs of one task each."""
+    if not root.is_dir():
+        return []
+    with for_people(root, "read"):
+        return [p for p in root.iterdir() if p.is_dir() and p.name not in _NOT_TASKS and p.name[0] != "."]
+
+
+def _found(run: str | Path, root: Path) -> Path:
+    if str(run) == LATEST:
+        return _latest(root)
+    for candidate in (Path(run), root / run):
+        if (candidate / MANIFEST_NAME).is_file():
+            return candidate
+    return _by_id(str(run), root)
+
+
+def _latest(root: Path) -> Path:
+    folders = run_folders(root)
+    if not folders:
+        raise RunDirectoryError(f"there is no run below '{root}'", expected="a finished or running training")
+    return max(folders, key=lambda folder: (start_moment(folder), folder.name))
+
+
+def _by_id(run: str, root: Path) -> Path:
+    folders = run_folders(root)
+    found = [folder for folder in folders if folder.name == run]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        tasks = " and ".join(f"{folder.parent.name}/{folder.name}" for folder in found)
+        raise RunDirectoryError(f"'{run}' names {len(found)} runs", expected=f"one of {tasks}")
+    raise _no_run(run, root, folders)
+
+
+def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
+    expected = f"a path, an id below '{root}', or '{LATEST}'"
+    for place in (Path(run), root / run, root / PIPELINES / run):
+        if pipeline := pipeline_error(place):
+            return pipeline
+        if place.exists():
+            holder = next((p for p in place.resolve().parents if (p / MANIFEST_NAME).is_file()), None)
+            message = f"'{place}' is not a run directory: it has no {MANIFEST_NAME}"
+            return RunDirectoryError(message, expected=expected, nearest=str(holder) if holder else None)
+    names = [name for f in folders for name in (f.name, f"{f.parent.name}/{f.name}")]
+    nearest = nearest_name(run, [LATEST, *names])
+    return RunDirectoryError(f"there is no run '{run}'", expected=expected, nearest=nearest)
+
+
+def _require_name(name: str, key: str) -> None:
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{name!r} cannot be part of a folder's name",
+            key=key,
+            expected=NAME_WORDS,
+        )
+    if reason := secret_content(os.fsencode(name)):
+        raise ConfigError(f"this would be part of a folder's name, and {reason}", key=key, expected="another name")

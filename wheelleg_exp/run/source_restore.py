@@ -1,0 +1,192 @@
+"""Restore the recorded source tree of a run into a new folder."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
+from wheelleg_exp.files import for_people, read_bytes, read_json, require_mapping, temporary_folder
+from wheelleg_exp.run.file_inventory import is_inside
+from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, Repository, run_git
+from wheelleg_exp.run.manifest import Optional, mistyped_keys
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, SOURCE_FORMAT, new_record
+
+_FULL_DISK = re.compile("no space left|quota exceeded", re.IGNORECASE)
+_ROOM_BYTES = 1 << 16
+_NAMES, _TEXT = Optional([str]), Optional(str)
+_RECORD = {
+    **dict.fromkeys(("root", "commit", "base", "tree", "patch", "patch_sha256", "content_sha256", "note"), _TEXT),
+    **dict.fromkeys(("status", "branch", "distribution"), _TEXT),
+    **dict.fromkeys(("folders", "untracked", "changed"), _NAMES),
+    "remote": Optional({"name": _TEXT, "url": _TEXT}),
+    "patch_bytes": Optional(int),
+    "refused": Optional([{"path": str, "reason": str}]),
+    "submodules": Optional([{"path": str, "commit": str}]),
+}
+_PATCH = re.compile(r"source(_[0-9]+)?\.patch")
+
+# Bytes as recorded: no line ends of this user's, no download of big files (their pointers stay).
+_SETTINGS = {
+    "core.autocrlf": "false",
+    "core.eol": "lf",
+    "core.hooksPath": os.devnull,
+    "filter.lfs.smudge": "",
+    "filter.lfs.clean": "",
+    "filter.lfs.process": "",
+    "filter.lfs.required": "false",
+}
+
+
+def load_source(directory: os.PathLike[str]) -> dict[str, Any]:
+    """Return the content of a run's ``source/git.json``.
+
+    Raises:
+        RunDirectoryError: it is missing, broken, of a format that is not known here, or names what no record names.
+    """
+    path = Path(directory) / "source" / RECORD_NAME
+    content = require_mapping(read_json(path), path)
+    if content.get("format") != SOURCE_FORMAT:
+        raise RunDirectoryError("this describes no source tree", where=str(path), expected=f"format {SOURCE_FORMAT}")
+    for wrong in mistyped_keys(content, {**_RECORD, "others": Optional([_RECORD])}):
+        raise RunDirectoryError(f"broken record of the source: '{wrong}' is missing or wrong", where=str(path))
+    first, *others = ({**new_record("failed", None, None), **e} for e in (content, *(content.get("others") or ())))
+    for entry in (first, *others):
+        _require_plain(entry, str(path))
+    return {**first, "others": others}
+
+
+def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
+    """Return the record of each source folder of a run, the package's own first (raises as ``load_source``)."""
+    content = load_source(directory)
+    return [content, *content["others"]]
+
+
+def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
+    """Return the first folder whose repository holds a record's commit; None when it needs no repository.
+
+    Raises:
+        RunDirectoryError: none does; it tells how to get the commit.
+    """
+    commit = record["commit"]
+    if commit is None:
+        return None
+    complaints = []
+    for folder in dict.fromkeys(candidates):
+        try:
+            run_git(folder, "cat-file", "-e", f"{commit}^{{commit}}")
+        except GitError as error:
+            known = "does not hold it" if "Not a valid object name" in str(error) else str(error)
+            complaints.append(f"{folder}: {known}")
+        else:
+            return folder
+    remote = record.get("remote") or {}
+    fetch = f"git fetch {remote.get('url') or '<the repository it came from>'} {commit}"
+    looked = "; ".join(complaints) or "none to look in"
+    raise RunDirectoryError(
+        f"no repository here holds commit {commit} of '{record['root']}' ({looked})",
+        expected=f"--repository with a clone that holds it; inside a clone, '{fetch}' gets it",
+    )
+
+
+def restore_source(
+    directory: os.PathLike[str], destination: Path, repository: Path | None = None, *, which: int = 0
+) -> str:
+    """Make the recorded tree of a run in the new folder ``destination`` and return its tree id.
+
+    The user's repository is read, never written: ``destination`` becomes a repository of its own that borrows the
+    other's objects. It is there only when its tree is the recorded one, and nothing is written outside of it,
+    whatever the patch says.
+
+    Args:
+        directory: the run directory.
+        destination: the folder to make.
+        repository: a clone that holds the recorded commit, by default the recorded folder.
+        which: 0 for the main repository, 1 for the first of the others.
+
+    Raises:
+        RunDirectoryError: the source was not kept, the patch is not the recorded one, the commit is not there, the
+            result is not the recorded tree, or the folder exists.
+        SimulationFailure: the disk is full.
+    """
+    record = source_records(directory)[which]
+    if record["patch"] is None:
+        raise RunDirectoryError(f"the source was not kept ({record['status']}): {record['note']}")
+    if destination.exists():
+        raise RunDirectoryError(f"'{destination}' exists already", expected="a new folder")
+    change = _patch(Path(directory) / "source" / record["patch"], record)
+    origin = find_origin(record, [repository or Path(record["root"])])
+    with for_people(destination), temporary_folder(destination) as unfinished:
+        _rebuild(record, origin, unfinished, change)
+        unfinished.rename(destination)
+    return record["tree"]
+
+
+def _require_plain(entry: Mapping[str, Any], where: str) -> None:
+    """Refuse a record whose names could lead git or a reader elsewhere."""
+    for key in ("commit", "base", "tree"):
+        if entry.get(key) is not None and not OBJECT_ID.fullmatch(str(entry[key])):
+            raise RunDirectoryError(f"broken record of the source: {key} is {entry[key]!r}", where=where)
+    if entry.get("patch") is not None and not _PATCH.fullmatch(str(entry["patch"])):
+        raise RunDirectoryError(f"broken record of the source: patch is {entry['patch']!r}", where=where)
+    outside = [name for name in entry.get("folders", ()) if not is_inside(str(name))]
+    if outside:
+        raise RunDirectoryError(f"the record of the source names '{outside[0]}', outside its tree", where=where)
+
+
+def _patch(path: Path, record: dict[str, Any]) -> bytes:
+    change = read_bytes(path)
+    if hashlib.sha256(change).hexdigest() != record["patch_sha256"]:
+        raise RunDirectoryError(
+            "the patch has been changed since the run recorded it",
+            where=str(path),
+            expected=f"the recorded sha256 {record['patch_sha256']}",
+        )
+    return change
+
+
+def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: bytes) -> None:
+    try:
+        clone = _borrowing(origin, folder, record["tree"])
+        if record["commit"]:
+            clone.run("update-ref", "--no-deref", "HEAD", record["commit"])
+            clone.run("read-tree", record["commit"])
+        if change:
+            # Into the index, where no setting about line ends or white space can change a byte, and no path can
+            # leave the tree.
+            clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
+        tree = clone.text("write-tree")
+        if tree != record["tree"]:
+            raise RunDirectoryError(f"the restored tree is {tree}", expected=f"the recorded {record['tree']}")
+        clone.run("checkout-index", "--all", "--force")
+    except GitError as error:
+        where = f" from '{origin}'" if origin else ""
+        # Of a file that it cannot write git does not say why.
+        if _FULL_DISK.search(str(error)) or shutil.disk_usage(folder).free < _ROOM_BYTES:
+            raise SimulationFailure(
+                f"the source cannot be restored: {error}", expected="room on a working disk"
+            ) from error
+        raise RunDirectoryError(f"the source cannot be restored{where}: {error}") from error
+
+
+def _borrowing(origin: Path | None, folder: Path, tree: str) -> Repository:
+    """Make an empty repository that reads objects from another; nothing of that one's settings comes along."""
+    kind = "sha256" if len(tree) > 40 else "sha1"
+    run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
+    clone = Repository(folder.absolute())
+    for key, value in _SETTINGS.items():
+        clone.run("config", key, value)
+    if origin is not None:
+        objects = origin.resolve() / os.fsdecode(run_git(origin, "rev-parse", "--git-path", "objects")).removesuffix(
+            "\n"
+        )
+        alternates = folder / ".git" / "objects" / "info" / "alternates"
+        with for_people(alternates):
+            alternates.parent.mkdir(parents=True, exist_ok=True)
+            alternates.write_bytes(os.fsencode(objects.resolve()) + b"\n")
+    return clone

@@ -1,0 +1,202 @@
+"""The base class of actuators: a group of joints, gains and limits per joint, and the delay of targets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import Above, MayBeInfinite, Names, Natural, NonNegative, Ordered
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.delay import TargetDelay
+from wheelleg_exp.sim.ids import narrowed
+from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
+from wheelleg_exp.sim.robot_model import JointTargets
+from wheelleg_exp.state import Stateful
+from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot_data import RobotData
+
+
+PerJoint = NonNegative | Mapping[str, NonNegative]
+NEEDED = ("stiffness", "damping", "effort_limit", "velocity_limit")  # of every joint of a group
+ONE_GROUP = "each joint in one actuator group"
+Limit = Annotated[float, Above(0), MayBeInfinite()]
+LimitPerJoint = Limit | Mapping[str, Limit]
+Delay = Annotated[Sequence[Natural], Ordered()]
+Stream = Callable[[], torch.Generator]
+
+
+class ActuatorBase(Stateful):
+    """A group of joints driven by one model. What a model remembers are its attributes (``state``).
+
+    Each number is a scalar or a mapping of joint expressions to values. Once the simulations run, ``stiffness``,
+    ``damping``, ``effort_limit`` and ``velocity_limit`` are tensors (N, joints of the group).
+
+    Args:
+        joint_names_expr: expressions of the joints in the group.
+        stiffness: kp, N·m/rad.
+        damping: kd, N·m·s/rad.
+        effort_limit: largest torque, N·m.
+        velocity_limit: largest joint speed, rad/s. MuJoCo cannot limit a joint's speed: velocity targets are
+            clipped to it, and joints beyond it are reported.
+        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
+        delay: fewest and most physics steps by which the targets come late, one number an environment drawn at each
+            reset; null is none.
+    """
+
+    reads_state: ClassVar[bool] = True  # False where controls follow from targets alone
+    settings: ClassVar[tuple[str, ...]] = ("joint_ids", "stiffness", "damping", "effort_limit", "velocity_limit")
+
+    def __init__(
+        self,
+        joint_names_expr: Names,
+        stiffness: PerJoint,
+        damping: PerJoint,
+        effort_limit: LimitPerJoint,
+        velocity_limit: LimitPerJoint,
+        armature: PerJoint | None = None,
+        delay: Delay | None = None,
+    ) -> None:
+        self.joint_names_expr = [joint_names_expr] if isinstance(joint_names_expr, str) else list(joint_names_expr)
+        self._config: dict[str, Any] = {
+            "stiffness": stiffness,
+            "damping": damping,
+            "effort_limit": effort_limit,
+            "velocity_limit": velocity_limit,
+            "armature": armature,
+        }
+        self._delay_bounds = delay
+        self.delay: TargetDelay | None = None
+
+    def read_files(self, folder: Path, key: str, device: torch.device) -> None:
+        """Read the files that the model is made of; called first.
+
+        Args:
+            folder: the robot's folder, in which they lie.
+            key: the group's config key.
+            device: where tensors are.
+        """
+
+    def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
+        """Find the group's joints among ``joint_names`` and spread each number over them, as tensors on ``device``.
+
+        Raises:
+            ConfigError: an expression matches nothing, or a joint has no value.
+        """
+        indices, self.joint_names = match_names(
+            self.joint_names_expr, joint_names, key=f"{key}.joint_names_expr", what="joint"
+        )
+        self.joint_ids = torch.tensor(indices, device=device)
+        self._columns = narrowed(indices, device)
+        per_joint: dict[str, list[Any]] = {}
+        for name, values in self._config.items():
+            spread = values_by_name(values, self.joint_names, None, key=f"{key}.{name}", what="joint")
+            for error in valueless_errors(values, self.joint_names, f"{key}.{name}") if name in NEEDED else ():
+                raise error
+            per_joint[name] = spread
+        self.stiffness, self.damping, self.effort_limit, self.velocity_limit = (
+            torch.tensor(per_joint[name], dtype=torch.float32, device=device)
+            for name in ("stiffness", "damping", "effort_limit", "velocity_limit")
+        )
+        self._per_joint = per_joint
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Write the group's armatures into the spec and add one MuJoCo actuator a joint, named after it."""
+        for index, name in enumerate(self.joint_names):
+            armature = self._per_joint["armature"][index]
+            if armature is not None:
+                spec.joint(name).armature = armature
+            actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            self._shape(actuator, index)
+
+    def _shape(self, actuator: Any, index: int) -> None:
+        raise NotImplementedError
+
+    def start(self, shape: tuple[int, int], dt: float, stream: Stream) -> None:
+        """Give every environment its own numbers and the model its memory; called once, before the first step.
+
+        Args:
+            shape: environments and joints of the robot, (N, J).
+            dt: physics step, s.
+            stream: returns the group's random stream.
+        """
+        for name in NEEDED:
+            setattr(self, name, getattr(self, name).expand(shape[0], -1).clone())
+        if self._delay_bounds is not None:
+            self.delay = TargetDelay(self._delay_bounds, self.joint_ids, shape, stream())
+        self.connect(shape[0], dt, stream)
+
+    def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
+        """Allocate what the model remembers; called once, before the first step.
+
+        Args:
+            num_envs: number of environments, N.
+            dt: physics step, s.
+            stream: returns the group's random stream; a group that draws nothing does not ask for it.
+        """
+
+    def begin(self, env_ids: torch.Tensor) -> None:
+        """Begin the episodes of ``env_ids``: forget, and draw how late their targets come."""
+        if self.delay is not None:
+            self.delay.reset(env_ids)
+        self.reset(env_ids)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget what the model remembers of ``env_ids``."""
+
+    @property
+    def follows_targets(self) -> bool:
+        """Whether the same targets give the same controls, whatever the state and the time."""
+        return not self.reads_state and self.delay is None
+
+    def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the MuJoCo controls (N, joints of the group) of a physics step: ``control`` on targets that are due.
+
+        Args:
+            targets: the targets of all joints.
+            data: the robot's state from which the step will start.
+        """
+        return self._of_joints(
+            self.control(targets if self.delay is None else self.delay.push(targets), data), "control"
+        )
+
+    def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return ``computed_torque`` for the targets that were due in the last step."""
+        torque = self.computed_torque(targets if self.delay is None else self.delay.targets, data)
+        return self._of_joints(torque, "computed_torque")
+
+    def _of_joints(self, value: torch.Tensor, method: str) -> torch.Tensor:
+        """Return a value; ConfigError unless it is a row of the group's joints for each environment."""
+        shape = self.stiffness.shape
+        if getattr(value, "shape", None) != shape:
+            message = f"'{dotted_name(self)}.{method}' returns {described(value)}"
+            expected = f"a tensor of shape {tuple(shape)}, for each environment a number for each joint of the group"
+            raise ConfigError(message, where=code_place(getattr(self, method)), expected=expected)
+        return value
+
+    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the MuJoCo controls (N, joints of the group), before each physics step.
+
+        Args:
+            targets: the targets of all joints.
+            data: the robot's state from which the step will start.
+        """
+        raise NotImplementedError("a model needs 'control(targets, data)'")
+
+    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the unclipped torque (N, joints of the group) that acted at the start of the last step, N·m."""
+        raise NotImplementedError("a model needs 'computed_torque(targets, data)'")
+
+    def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
+        """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m, for joints (N, J) of the robot."""
+        ids = self._columns
+        return (
+            self.stiffness * (targets.pos[:, ids] - joint_pos[:, ids])
+            + self.damping * (targets.vel[:, ids] - joint_vel[:, ids])
+            + targets.effort[:, ids]
+        )

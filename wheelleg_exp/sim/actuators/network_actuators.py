@@ -1,0 +1,266 @@
+"""Learned drives: networks that were trained on measurements of a real drive.
+
+The network's file is stored next to the robot's file (``NETWORKS``). It is copied there from the user's asset
+folders, and a run stores it with its robot.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+from zipfile import BadZipFile, ZipFile
+
+import torch
+
+from wheelleg_exp.constraints import Names, Natural, NotEmpty, PathBelow, Positive
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.files import read_bytes
+from wheelleg_exp.paths import NETWORKS
+from wheelleg_exp.plain_data import require_bounded
+from wheelleg_exp.sim.actuators.actuator_base import Delay, LimitPerJoint, PerJoint, Stream
+from wheelleg_exp.sim.actuators.pd_actuators import DCMotor
+from wheelleg_exp.sim.ids import fill_rows
+from wheelleg_exp.sim.robot_model import JointTargets
+from wheelleg_exp.state import Kept
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot_data import RobotData
+
+
+_LANGUAGE = frozenset(
+    """Constant GetAttr If ListConstruct ListUnpack Loop NumToTensor RaiseException TupleConstruct TupleIndex
+    TupleUnpack Uninitialized device dtype min max unchecked_cast""".split()  # noqa: SIM905
+)
+_OPERATIONS = frozenset(
+    """__contains__ __getitem__ __is__ __isnot__ __not__ __and__ __or__ Bool Float Int abs add addmm bmm cat celu chunk
+    clamp clamp_max clamp_min clone contiguous cos detach dim div dropout elu eq exp expand expand_as flatten floordiv
+    format ge gelu gru gru_cell gt hardsigmoid hardswish hardtanh index_select layer_norm le leaky_relu len linear list
+    log lstm lstm_cell lt matmul maximum mean minimum mish mm mul narrow ne neg ones ones_like permute pow prelu relu
+    relu6 repeat reshape rnn_relu rnn_relu_cell rnn_tanh rnn_tanh_cell rsqrt rsub select selu sigmoid silu sin size
+    slice softplus split sqrt squeeze stack sub sum t tanh to transpose type_as unbind unsqueeze view where zeros
+    zeros_like""".split()  # noqa: SIM905
+)
+_RUNS_AT_LOADING = b"__setstate__"
+
+
+class Network(Kept):
+    """A network of a TorchScript file; its numbers do not change.
+
+    Args:
+        file: where it lies.
+        key: the config key that names it, for messages.
+        device: where it runs.
+
+    Raises:
+        ConfigError: it is no TorchScript file, or does what a network need not do.
+    """
+
+    def __init__(self, file: Path, key: str, device: torch.device | None) -> None:
+        self._key = key
+        data = read_bytes(file)
+        try:
+            self._require_harmless_loading(data)
+            module = torch.jit.load(io.BytesIO(data), map_location=device)
+            graph = module.eval().inlined_graph
+        except (RuntimeError, AttributeError, ValueError, BadZipFile) as error:
+            reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+            raise self._refused(f"'{file.name}' is no TorchScript network: {reason}") from error
+        for kind in _kinds(graph):
+            space, _, name = kind.partition("::")
+            known = {"prim": _LANGUAGE, "aten": _OPERATIONS}.get(space, frozenset())
+            if name not in known and name.removesuffix("_") not in known:
+                raise self._refused(f"'{file.name}' runs '{kind}', which is not among what networks are made of")
+        self._module = module
+
+    def _refused(self, message: str) -> ConfigError:
+        return ConfigError(message, key=self._key, expected="a network of torch.nn's layers, saved by torch.jit.save")
+
+    def _require_harmless_loading(self, data: bytes) -> None:
+        require_bounded(ZipFile(io.BytesIO(data)))
+        reader = torch._C.PyTorchFileReader(io.BytesIO(data))
+        if any(_RUNS_AT_LOADING in reader.get_record(name) for name in reader.get_all_records() if "code/" in name):
+            raise self._refused(f"holds a '{_RUNS_AT_LOADING.decode()}', which would run while it is loaded")
+
+    def weights(self) -> dict[str, torch.Tensor]:
+        """Return its numbers by name."""
+        return dict(self._module.state_dict())
+
+    def __call__(self, *inputs: Any) -> Any:
+        """Return what it makes of its inputs: always by the same operations, so that runs repeat to the bit."""
+        with torch.no_grad(), torch.jit.optimized_execution(False):
+            return self._module.forward(*inputs)
+
+    def tried(self, *inputs: Any, count: int) -> Any:
+        """Return what it makes of its inputs; ConfigError unless it takes them and gives ``count`` torques (first)."""
+        try:
+            found = self(*inputs)
+            torques = found[0] if isinstance(found, tuple) else found
+            if torques.numel() == count:
+                return found
+            reason = f"gives {torques.numel() / count:g} numbers a joint"
+        except (RuntimeError, AttributeError) as error:
+            reason = "does not take its inputs: " + [line for line in str(error).splitlines() if line.strip()][-1]
+        raise ConfigError(
+            f"the network {reason}", key=self._key, expected="the numbers of one joint in, its torque out"
+        )
+
+
+def _kinds(block: Any) -> Iterator[str]:
+    """Yield the kind of each operation of a graph."""
+    for node in block.nodes():
+        yield node.kind()
+        for inner in node.blocks():
+            yield from _kinds(inner)
+
+
+class ActuatorNet(DCMotor):
+    """A drive whose torque a network gives, within a motor's torque-speed line; it has no gains, they are NaN."""
+
+    network: Network
+
+    def __init__(
+        self,
+        joint_names_expr: Names,
+        network_file: PathBelow,
+        effort_limit: LimitPerJoint,
+        velocity_limit: LimitPerJoint,
+        saturation_effort: Positive,
+        armature: PerJoint | None = None,
+        delay: Delay | None = None,
+    ) -> None:
+        limits = (effort_limit, velocity_limit, saturation_effort)
+        super().__init__(joint_names_expr, math.nan, math.nan, *limits, armature, delay)
+        self._file = network_file
+
+    def read_files(self, folder: Path, key: str, device: torch.device) -> None:
+        """Read the network; ConfigError when it is none."""
+        self.network = Network(folder / NETWORKS / self._file, f"{key}.network_file", device)
+
+    def _motion(self, targets: JointTargets, data: RobotData) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return how far the joints are from their target positions, rad, and their speeds, rad/s, (N, k)."""
+        ids = self.joint_ids
+        return targets.pos[:, ids] - data.joint_pos[:, ids], data.joint_vel[:, ids]
+
+
+class ActuatorNetMLP(ActuatorNet):
+    """A perceptron on position errors and speeds of the present and of earlier physics steps (Hwangbo et al., 2019).
+
+    The network gets (rows, 2 len(input_idx)) numbers, a row a joint, and gives one. Before the first step of an episode
+    errors and speeds were 0. Target speeds and feed-forward efforts do not act.
+
+    Args:
+        joint_names_expr: expressions of the joints in the group.
+        network_file: the TorchScript file, below an asset folder.
+        effort_limit: largest torque at any speed, N·m.
+        velocity_limit: speed at which the motor has no torque left, rad/s.
+        saturation_effort: torque at standstill that the motor's line starts from, N·m.
+        pos_scale: factor on position errors.
+        vel_scale: factor on speeds.
+        torque_scale: factor on what the network gives, N·m.
+        input_order: errors before speeds, or speeds before errors.
+        input_idx: which physics steps the network sees; 0 is the present one, 1 the one before.
+        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
+        delay: fewest and most physics steps by which the targets come late; null is none.
+    """
+
+    settings = (*ActuatorNet.settings, "_steps")
+
+    def __init__(
+        self,
+        joint_names_expr: Names,
+        network_file: PathBelow,
+        effort_limit: LimitPerJoint,
+        velocity_limit: LimitPerJoint,
+        saturation_effort: Positive,
+        pos_scale: float,
+        vel_scale: float,
+        torque_scale: float,
+        input_order: Literal["pos_vel", "vel_pos"],
+        input_idx: Annotated[Sequence[Natural], NotEmpty()],
+        armature: PerJoint | None = None,
+        delay: Delay | None = None,
+    ) -> None:
+        limits = (effort_limit, velocity_limit, saturation_effort)
+        super().__init__(joint_names_expr, network_file, *limits, armature, delay)
+        self._scales = (pos_scale, vel_scale, torque_scale)
+        self._swapped = input_order == "vel_pos"
+        self._input_idx = list(input_idx)
+
+    def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
+        """Allocate the past, and try the network."""
+        super().connect(num_envs, dt, stream)
+        device, width = self.joint_ids.device, len(self._input_idx)
+        self._steps = torch.tensor(self._input_idx, device=device)
+        self._past = torch.zeros(num_envs, max(self._input_idx) + 1, 2, len(self.joint_names), device=device)
+        self.network.tried(torch.zeros(2, 2 * width, device=device), count=2)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget the past of ``env_ids``."""
+        fill_rows(self._past, env_ids, 0.0)
+
+    def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return what the network gives, N·m."""
+        error, speed = self._motion(targets, data)
+        now = torch.stack((error, speed), dim=1).unsqueeze(1)
+        self._past.copy_(torch.cat((now, self._past[:, :-1]), dim=1))
+        seen = self._past[:, self._steps].permute(0, 3, 2, 1)  # (N, k, error or speed, steps)
+        pos, vel = seen[:, :, 0] * self._scales[0], seen[:, :, 1] * self._scales[1]
+        inputs = torch.cat((vel, pos) if self._swapped else (pos, vel), dim=2)
+        return self.network(inputs.flatten(0, 1)).view_as(error) * self._scales[2]
+
+
+class ActuatorNetLSTM(ActuatorNet):
+    """An LSTM on position errors and speeds, whose memory stands for what was before (Rudin et al., 2022).
+
+    The network has an LSTM named ``lstm``, batch first; it gets (rows, 1, 2) numbers, a row a joint, and its memory,
+    and gives one number, N·m, and the memory. Memories are 0 at the beginning of an episode. Target speeds and
+    feed-forward efforts do not act.
+
+    Args:
+        joint_names_expr: expressions of the joints in the group.
+        network_file: the TorchScript file, below an asset folder.
+        effort_limit: largest torque at any speed, N·m.
+        velocity_limit: speed at which the motor has no torque left, rad/s.
+        saturation_effort: torque at standstill that the motor's line starts from, N·m.
+        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
+        delay: fewest and most physics steps by which the targets come late; null is none.
+    """
+
+    def read_files(self, folder: Path, key: str, device: torch.device) -> None:
+        """Read the network; ConfigError when it is none, or has no LSTM."""
+        super().read_files(folder, key, device)
+        layers = [value for name, value in self.network.weights().items() if name.startswith("lstm.weight_hh_l")]
+        if not layers:
+            raise ConfigError(
+                "the network has no LSTM that is named 'lstm'",
+                key=f"{key}.network_file",
+                expected="one, batch first, whose memory goes in and out",
+            )
+        self._layers, self._width = len(layers), int(layers[0].shape[1])
+
+    def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
+        """Allocate the memory, and try the network."""
+        super().connect(num_envs, dt, stream)
+        device, count = self.joint_ids.device, len(self.joint_names)
+        self._rows = (self._layers, num_envs, count, self._width)
+        self._hidden = torch.zeros(self._layers, num_envs * count, self._width, device=device)
+        self._cell = torch.zeros_like(self._hidden)
+        few = torch.zeros(2, self._layers, 2, self._width, device=device)
+        self.network.tried(torch.zeros(2, 1, 2, device=device), (few[0], few[1]), count=2)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Forget what was before in ``env_ids``."""
+        for memory in (self._hidden, self._cell):
+            fill_rows(memory.view(self._rows).transpose(0, 1), env_ids, 0.0)
+
+    def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return what the network gives, N·m."""
+        error, speed = self._motion(targets, data)
+        inputs = torch.stack((error.flatten(), speed.flatten()), dim=1).unsqueeze(1)
+        torque, (hidden, cell) = self.network(inputs, (self._hidden, self._cell))
+        self._hidden.copy_(hidden)
+        self._cell.copy_(cell)
+        return torque.view_as(error)

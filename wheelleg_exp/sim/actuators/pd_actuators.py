@@ -1,0 +1,226 @@
+"""PD drives inside the solver and outside of it, and motors whose torque depends on speed or position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import Broken, Length, Names, Natural, Positive, relation
+from wheelleg_exp.sim.actuators.actuator_base import ActuatorBase, Delay, LimitPerJoint, PerJoint, Stream
+from wheelleg_exp.sim.robot_model import JointTargets
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot_data import RobotData
+
+
+class ImplicitActuator(ActuatorBase):
+    """PD drive inside the solver: implicit in velocity with ``implicitfast``, as PhysX's joint drive.
+
+    One ``general`` actuator a joint: gain 1, affine bias (0, -kp, -kd), ctrl = kp q* + kd qd* + tau_ff.
+    """
+
+    reads_state = False
+
+    def _shape(self, actuator: Any, index: int) -> None:
+        limit = self._per_joint["effort_limit"][index]
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm[0] = 1.0
+        actuator.biasprm[1] = -self._per_joint["stiffness"][index]
+        actuator.biasprm[2] = -self._per_joint["damping"][index]
+        actuator.forcelimited = True
+        actuator.forcerange = (-limit, limit)
+
+    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return kp q* + kd qd* + tau_ff; the drive subtracts kp q + kd qd itself."""
+        del data
+        ids = self._columns
+        control = self.stiffness * targets.pos[:, ids]
+        control += self.damping * targets.vel[:, ids]
+        return control.add_(targets.effort[:, ids])
+
+    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the drive's torque, which follows from the targets and the state before the step."""
+        return self._drive(targets, data.joint_pos_before, data.joint_vel_before)
+
+
+class IdealPDActuator(ActuatorBase):
+    """Explicit PD: the clipped torque of the state before each physics step, applied as an effort."""
+
+    def _shape(self, actuator: Any, index: int) -> None:
+        del index  # the torque is computed and clipped here, not in the engine
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+        actuator.gainprm[0] = 1.0
+
+    def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
+        """Allocate the computed torque."""
+        super().connect(num_envs, dt, stream)
+        self._computed = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
+
+    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the torque that is asked for, clipped."""
+        self._computed = self._torque(targets, data)
+        return self._clipped(self._computed, data)
+
+    def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return kp (q* - q) + kd (qd* - qd) + tau_ff, N·m."""
+        return self._drive(targets, data.joint_pos, data.joint_vel)
+
+    def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
+        """Return clip(torque, ±effort_limit)."""
+        del data
+        return torch.clamp(torque, -self.effort_limit, self.effort_limit)
+
+    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+        """Return the torque as it was computed before the step."""
+        del targets, data
+        return self._computed
+
+
+LookupRow = Annotated[Sequence[float], Length(3)]
+
+
+class DCMotor(IdealPDActuator):
+    """PD whose torque a direct-current motor can give at the joint's present speed.
+
+    With the stall torque ``saturation_effort`` and the no-load speed ``velocity_limit``, the line from one to the other
+    bounds the torque, and so does ``effort_limit``:
+
+        v = clip(qd, ±velocity_limit (1 + effort_limit / saturation_effort))
+        tau <= min(saturation_effort (1 - v / velocity_limit), effort_limit)
+        tau >= max(saturation_effort (-1 - v / velocity_limit), -effort_limit)
+
+    A joint that is driven beyond the speed at which the line meets ``effort_limit`` is braked with all of it.
+
+    Args:
+        joint_names_expr: expressions of the joints in the group.
+        stiffness: kp, N·m/rad.
+        damping: kd, N·m·s/rad.
+        effort_limit: largest torque at any speed, N·m.
+        velocity_limit: speed at which the motor has no torque left, rad/s.
+        saturation_effort: torque at standstill that the motor's line starts from, N·m.
+        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
+        delay: fewest and most physics steps by which the targets come late; null is none.
+    """
+
+    def __init__(
+        self,
+        joint_names_expr: Names,
+        stiffness: PerJoint,
+        damping: PerJoint,
+        effort_limit: LimitPerJoint,
+        velocity_limit: LimitPerJoint,
+        saturation_effort: Positive,
+        armature: PerJoint | None = None,
+        delay: Delay | None = None,
+    ) -> None:
+        super().__init__(joint_names_expr, stiffness, damping, effort_limit, velocity_limit, armature, delay)
+        self._saturation = saturation_effort
+
+    def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
+        """Return the torque within the motor's line and the effort limit."""
+        beyond = self.velocity_limit * (1 + self.effort_limit / self._saturation)
+        speed = torch.clamp(data.joint_vel[:, self.joint_ids], -beyond, beyond) / self.velocity_limit
+        top = torch.minimum(self._saturation * (1 - speed), self.effort_limit)
+        bottom = torch.maximum(self._saturation * (-1 - speed), -self.effort_limit)
+        return torch.clamp(torque, bottom, top)
+
+
+def _delays_in_order(given: Mapping[str, Any]) -> Iterator[Broken]:
+    low, high = given["min_delay"], given["max_delay"]
+    if low > high:
+        yield Broken("min_delay", f"{low} is more than max_delay, {high}", "at most max_delay")
+
+
+@relation(_delays_in_order)
+class DelayedPDActuator(IdealPDActuator):
+    """``IdealPDActuator`` on targets that come some physics steps late; one number an environment, drawn at each reset.
+
+    Args:
+        joint_names_expr: expressions of the joints in the group.
+        stiffness: kp, N·m/rad.
+        damping: kd, N·m·s/rad.
+        effort_limit: largest torque, N·m.
+        velocity_limit: largest joint speed, rad/s; targets are clipped to it.
+        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
+        min_delay: fewest physics steps.
+        max_delay: most physics steps.
+    """
+
+    def __init__(
+        self,
+        joint_names_expr: Names,
+        stiffness: PerJoint,
+        damping: PerJoint,
+        effort_limit: LimitPerJoint,
+        velocity_limit: LimitPerJoint,
+        armature: PerJoint | None = None,
+        min_delay: Natural = 0,
+        max_delay: Natural = 0,
+    ) -> None:
+        bounds = (min_delay, max_delay)
+        super().__init__(joint_names_expr, stiffness, damping, effort_limit, velocity_limit, armature, bounds)
+
+
+def _angles_rise(given: Mapping[str, Any]) -> Iterator[Broken]:
+    name = "joint_parameter_lookup"
+    angles = [row[0] for row in given[name]]
+    if len(angles) < 2:
+        yield Broken(name, f"has {len(angles)} rows", "at least 2 rows")
+    if any(low >= high for low, high in pairwise(angles)):
+        yield Broken(name, f"its angles are {angles}", "rows in the order of their angles, each once")
+    if any(row[2] < 0 for row in given[name]):
+        yield Broken(name, "a largest torque is negative", "torques of at least 0")
+
+
+@relation(_angles_rise)
+class RemotizedPDActuator(DelayedPDActuator):
+    """``DelayedPDActuator`` whose largest torque follows from the joint's position, as behind a linkage.
+
+    Between the rows of the table it is interpolated linearly; beyond its ends the last value holds.
+
+    Args:
+        joint_names_expr: expressions of the joints in the group.
+        stiffness: kp, N·m/rad.
+        damping: kd, N·m·s/rad.
+        joint_parameter_lookup: rows of joint position, rad; transmission ratio, which does not act; and largest torque,
+            N·m.
+        armature: reflected rotor inertia, kg·m^2; null keeps the asset's.
+        min_delay: fewest physics steps by which targets come late.
+        max_delay: most physics steps.
+    """
+
+    settings = (*DelayedPDActuator.settings, "_angles", "_largest")
+
+    def __init__(
+        self,
+        joint_names_expr: Names,
+        stiffness: PerJoint,
+        damping: PerJoint,
+        joint_parameter_lookup: Sequence[LookupRow],
+        armature: PerJoint | None = None,
+        min_delay: Natural = 0,
+        max_delay: Natural = 0,
+    ) -> None:
+        limits = (torch.inf, torch.inf)
+        super().__init__(joint_names_expr, stiffness, damping, *limits, armature, min_delay, max_delay)
+        self._table = [list(map(float, row)) for row in joint_parameter_lookup]
+
+    def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
+        """Find the group's joints, and put the table on the device."""
+        super().resolve(joint_names, key, device)
+        self._angles, _, self._largest = torch.tensor(self._table, device=device).T.contiguous()
+
+    def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
+        """Return the torque within the table's value at the joint's position."""
+        position = data.joint_pos[:, self.joint_ids]
+        above = torch.bucketize(position, self._angles).clamp(1, len(self._angles) - 1)
+        low, high = self._angles[above - 1], self._angles[above]
+        share = ((position - low) / (high - low)).clamp(0.0, 1.0)
+        largest = torch.lerp(self._largest[above - 1], self._largest[above], share)
+        return torch.clamp(torque, -largest, largest)

@@ -1,0 +1,218 @@
+"""The engine ``mujoco``: MuJoCo's own batch of simulations on the CPU, in float64."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.batch import Batch, SimulationError
+
+from wheelleg_exp.errors import ConfigError, SimulationFailure
+from wheelleg_exp.machine import usable_cores
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.ids import not_finite
+from wheelleg_exp.sim.static_rays import StaticGeoms
+from wheelleg_exp.state import cloned
+
+_STAGE_NONE = mujoco.mjtStage.mjSTAGE_NONE.value
+_STAGE_VEL = mujoco.mjtStage.mjSTAGE_VEL.value
+_UNSTABLE = [
+    int(getattr(mujoco.mjtWarning, name))
+    for name in ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC", "mjWARN_BADCTRL")
+]
+
+
+class BatchEngine(Engine):
+    """N simulations on the CPU, each of whose steps equals ``mj_step`` to the bit.
+
+    Args:
+        model: the compiled scene.
+        num_envs: number of simulations, N.
+        nthread: physics threads (0: one for each core that the process may use); no result depends on it.
+    """
+
+    name = "mujoco"
+    exact = True
+
+    def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
+        _keep_log_out_of_files()
+        self.model = model
+        self.num_envs = num_envs
+        self.device = torch.device("cpu")
+        self.dtype = torch.float64
+        self.batch = Batch(model, num_envs, nthread=nthread or usable_cores())
+        self.nthread = self.batch.nthread
+        self._views: dict[str, torch.Tensor] = {}
+        self.expanded = {}
+        self.asked = set()
+        self._still: dict[tuple[int, ...], StaticGeoms] = {}
+        self._unedited: dict[str, torch.Tensor] = {}
+        self._at_set_const: dict[str, torch.Tensor] | None = None
+        self.state = torch.from_numpy(self.batch.state)
+        self._current: set[str] = set()
+        self._all_warnings = torch.from_numpy(self.batch.warning)
+        self._warnings = self._all_warnings[:, min(_UNSTABLE) : max(_UNSTABLE) + 1, 1]
+        self._initial = self.state[0:1].clone()
+        start = self._column("qpos")  # velocities follow positions
+        self._is_motion = torch.zeros(self.state.shape[1], dtype=torch.bool)
+        self._is_motion[start : start + model.nq + model.nv] = True
+        self._motion = self.state[:, start : start + model.nq + model.nv]
+
+    @property
+    def motion(self) -> torch.Tensor:
+        """Positions, then velocities, a live view of the state rows, (N, nq + nv)."""
+        return self._motion
+
+    def _column(self, name: str) -> int:
+        """Return the column of the state row at which a state field begins."""
+        return (self.view(name).data_ptr() - self.state.data_ptr()) // self.state.element_size()
+
+    def view(self, name: str) -> torch.Tensor:
+        """Return a live float64 view (N, ...) of an MjData field (see ``Engine.view``)."""
+        if name not in self._views:
+            with warnings.catch_warnings():  # torch cannot mark a tensor read-only and says so
+                warnings.simplefilter("ignore", UserWarning)
+                self._views[name] = torch.from_numpy(self.batch.bind(name))
+        return self._views[name]
+
+    def derived(self, name: str) -> torch.Tensor:
+        """Return a live view (N, ...) of an output that depends on positions and velocities; it is kept current."""
+        view = self.view(name)
+        if name not in self._current:
+            self._current.add(name)
+            self.forward()
+        return view
+
+    def expand(self, name: str) -> torch.Tensor:
+        """Give a model field one value a simulation; return the live tensor (N, ...)."""
+        self.asked.add(name)
+        if name not in self.expanded:
+            self.expanded[name] = torch.from_numpy(self.batch.expand(name))
+            self._unedited[name] = self.expanded[name].clone()
+        return self.expanded[name]
+
+    def set_const(self) -> None:
+        """Recompute the constants that MuJoCo derives from the model fields of each simulation."""
+        self.batch.set_const()
+        self._at_set_const = cloned(self.expanded)
+
+    def step(self) -> None:
+        """Advance every simulation by one physics step.
+
+        Raises:
+            SimulationFailure: the engine raised an error.
+        """
+        try:
+            self.batch.step(nstep=1, stage=_STAGE_VEL if self._current else _STAGE_NONE)
+        except SimulationError as error:
+            raise SimulationFailure(f"physics failed: {error}") from error
+
+    def forward(self, ids: torch.Tensor | None = None) -> None:
+        """Make derived outputs describe the present state of ``ids`` (all when None)."""
+        if self._current:
+            self.batch.forward(_rows(ids), stage=_STAGE_VEL)
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Zero all of ``ids`` but finite positions and velocities; a simulation is its state row."""
+        rows = self.state.index_select(0, ids)
+        rows = torch.where(self._is_motion & rows.isfinite(), rows, self._initial)
+        self.state.index_copy_(0, ids, rows)
+        self._all_warnings.index_fill_(0, ids, 0)
+
+    def unstable(self) -> torch.Tensor:
+        """Return which simulations (N,) bool have gone to NaN or huge values since their reset.
+
+        MuJoCo notices it at the next step, sets the simulation to the model's defaults in silence and raises a
+        counter; what the last step left behind is looked at here as well.
+        """
+        return self._warnings.any(dim=1) | not_finite(self._motion.sum(dim=1))
+
+    def total(self, rows: torch.Tensor | slice) -> torch.Tensor:
+        """Return one sum over the state rows of some simulations (see ``Engine.total``)."""
+        return (self.state.index_select(0, rows) if isinstance(rows, torch.Tensor) else self.state[rows]).sum()
+
+    def ray(
+        self,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        geom_groups: Sequence[int] | None = None,
+        ids: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """Return how far rays go before they meet a geom (see ``Engine.ray``); the next step starts afresh."""
+        groups = None
+        if geom_groups is not None:
+            groups = np.isin(np.arange(mujoco.mjNGROUP), geom_groups)
+        points, vectors = (rays.double().contiguous().numpy() for rays in (origins, directions))
+        still = self._still.get(tuple(geom_groups or ()))
+        if still is not None and still.are_still(self.expanded):
+            return torch.from_numpy(still.ray(points, vectors))
+        distances, _ = self.batch.ray(points, vectors, geomgroup=groups, ids=_rows(ids))
+        return torch.from_numpy(distances)
+
+    def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
+        """Say that a group's geoms never move (see ``Engine.cast_alone``)."""
+        self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that the next step depends on: state rows, warnings, per-simulation model fields.
+
+        Raises:
+            ConfigError: a model field was expanded by ``batch`` itself.
+        """
+        if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
+            raise ConfigError(
+                f"a term has expanded {' and '.join(hidden)} of the batch itself, which no checkpoint saves",
+                key="env.scene.sim.batch",
+                expected=f"env.scene.sim.expand('{hidden[0]}')",
+            )
+        fields = {name: values.clone() for name, values in sorted(self.expanded.items())}
+        return {
+            "state": self.state.clone(),
+            "warning": torch.from_numpy(self.batch.warning.copy()),
+            "model_fields": fields,
+            "at_set_const": None if self._at_set_const is None else self._edited_since(self._at_set_const),
+        }
+
+    def _edited_since(self, then: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Return the model fields that derived constants were computed from, where they have been edited since."""
+        before = {**self._unedited, **then}
+        return {n: before[n].clone() for n, now in sorted(self.expanded.items()) if not torch.equal(before[n], now)}
+
+    def _restore_fields(self, fields: dict[str, torch.Tensor], then: dict[str, torch.Tensor] | None) -> None:
+        """Write model fields, and let MuJoCo derive its constants from what it derived them from."""
+        for name in fields:
+            self.expand(name)
+        now = {**self._unedited, **fields}
+        if then is not None or self._at_set_const is not None:
+            self._write_fields(self._unedited if then is None else {**now, **then})
+            self.set_const()
+        self._write_fields(now)
+        if then is None:
+            self._at_set_const = None
+
+    def _write_fields(self, fields: dict[str, torch.Tensor]) -> None:
+        for name, values in fields.items():
+            self.expanded[name].copy_(values)
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._restore_fields(saved["model_fields"], saved["at_set_const"])
+        self.state.copy_(saved["state"])
+        self.batch.warning[...] = saved["warning"].numpy()
+        self.asked.clear()
+        self.forward()
+
+
+def _keep_log_out_of_files() -> None:
+    """Stop MuJoCo from writing MUJOCO_LOG.TXT into the user's folder; its warnings still reach the console."""
+    config = mujoco.MjLogConfig.get()
+    config.logto_file = False
+    config.set()
+
+
+def _rows(ids: torch.Tensor | None) -> np.ndarray | None:
+    return None if ids is None else ids.numpy()

@@ -1,0 +1,333 @@
+"""The robot's state in Isaac Lab's names, and when each quantity is up to date."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import torch
+
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.class_members import cached_until_change
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.ids import narrowed, picked
+from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
+from wheelleg_exp.state import Kept
+
+# Tensors that come from the config and the model, and that an event may change.
+_SETTINGS = (
+    "default_joint_pos",
+    "default_joint_vel",
+    "joint_pos_limits",
+    "soft_joint_pos_limits",
+    "soft_joint_vel_limits",
+    "joint_effort_limits",
+    "encoder_bias",
+    "com_b",
+)
+
+
+class RobotData(Kept):
+    """The robot's state: float32, N environments, joints and bodies in the robot's order; always fresh.
+
+    ``_w`` is world axes, ``_b`` axes of the root link. Root linear velocities are of the root body's centre of
+    mass unless the name says ``link``; poses are of link frames.
+
+    Args:
+        sim: the running simulations.
+        layout: the robot's names, ids, defaults and limits.
+        targets: the joint targets.
+        computed_torque: returns the unclipped torques (N, J) that the actuators asked for in the last physics step.
+
+    Attributes:
+        encoder_bias: by how much the joints' encoders read too much, rad, (N, J).
+        has_encoder_bias: whether some term gives them a bias.
+    """
+
+    def __init__(
+        self,
+        sim: Engine,
+        layout: RobotLayout,
+        targets: JointTargets,
+        computed_torque: Callable[[RobotData], torch.Tensor],
+    ) -> None:
+        n, joints, device = sim.num_envs, len(layout.joint_names), sim.device
+        self._sim = sim
+        self._targets = targets
+        self._compute_torque = computed_torque
+        self._layout = layout
+        self._cache: dict[str, torch.Tensor] = {}
+        self._shows_outputs = False
+        self._constants: dict[str, torch.Tensor] = {}
+        self._root_id = int(layout.body_ids[0])
+        self._floating = layout.floating
+        self._qpos, self._qvel = sim.view("qpos"), sim.view("qvel")
+        self._qpos_ids, self._dof_ids = layout.qpos_ids, layout.dof_ids
+        self.motion_at_start = sim.motion.clone()
+        self._motion_before = torch.zeros_like(self.motion_at_start)
+        self._qpos_before, self._qvel_before = self._motion_before.split(self._qpos.shape[1:] + self._qvel.shape[1:], 1)
+        self._body_ids = layout.body_ids
+        self._actuated = layout.actuated_ids
+        every = len(self._actuated) == joints
+        self._of_actuator = narrowed(torch.argsort(self._actuated).tolist(), device) if every else None
+        self._dt = float(sim.model.opt.timestep)
+        self.com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
+        self.default_joint_pos = layout.default_joint_pos.expand(n, joints).clone()
+        self.default_joint_vel = layout.default_joint_vel.expand(n, joints).clone()
+        self.joint_pos_limits = layout.joint_pos_limits.expand(n, joints, 2).clone()
+        self.soft_joint_pos_limits = layout.soft_joint_pos_limits.expand(n, joints, 2).clone()
+        self.soft_joint_vel_limits = layout.velocity_limits.expand(n, joints).clone()
+        self.joint_effort_limits = layout.effort_limits.expand(n, joints).clone()
+        self.encoder_bias = torch.zeros(n, joints, device=device)
+        self.has_encoder_bias = False
+        gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
+        self._gravity_dir = torch.nn.functional.normalize(gravity, dim=0)
+        self._torque_valid = torch.zeros(n, 1, device=device)
+        self._all_valid = False
+        self._applied_torque = torch.zeros(n, joints, device=device)
+        sim.view("actuator_force")  # bound before the first step, it is zero until then
+
+    def invalidate(self) -> None:
+        """Forget derived quantities; called whenever the state has changed."""
+        self._cache.clear()
+        self._shows_outputs = False
+
+    def outputs_refreshed(self) -> None:
+        """Forget what was derived from outputs of the engine, which now show what was written before."""
+        if self._shows_outputs:
+            self.invalidate()
+
+    def _output(self, name: str) -> torch.Tensor:
+        """Return an output of the engine; that of written state is there from the scene's refresh on."""
+        self._shows_outputs = True
+        return self._sim.derived(name)
+
+    def before_step(self) -> None:
+        """Keep the motion state that the coming physics step starts from."""
+        self._motion_before.copy_(self._sim.motion)
+
+    def set_velocity_before(self, ids: torch.Tensor, joint_ids: torch.Tensor | slice, vel: torch.Tensor) -> None:
+        """Let the accelerations (n, k) of written joint velocities count from them."""
+        self._qvel_before[ids.unsqueeze(1), self._dof_ids[joint_ids]] = vel.to(self._qvel_before.dtype)
+
+    def mark_stepped(self) -> None:
+        """Note that the last solve belongs to every environment's present episode."""
+        if not self._all_valid:
+            self._torque_valid.fill_(1.0)
+            self._all_valid = True
+        torque = self._sim.view("actuator_force")
+        if self._of_actuator is not None:
+            self._applied_torque = picked(torque, self._of_actuator).float()
+        else:
+            self._applied_torque[:, self._actuated] = torque.float()
+        self.invalidate()
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Report zero torque and acceleration for ``ids`` until their next physics step."""
+        self._torque_valid.index_fill_(0, ids, 0.0)
+        self._all_valid = False
+        self._applied_torque = self._applied_torque.index_fill(0, ids, 0.0)
+        self.invalidate()
+
+    def settings(self) -> dict[str, torch.Tensor]:
+        """Return the tensors that come from the config and the model, and that an event may change."""
+        return {name: getattr(self, name) for name in _SETTINGS}
+
+    def _model(self, name: str) -> torch.Tensor:
+        """Return a field of the model as each simulation has it now, (N, ...); only to read."""
+        if name in self._sim.expanded:
+            return self._sim.expanded[name]
+        if name not in self._constants:
+            self._constants[name] = self._sim.constant(name)
+        constant = self._constants[name]
+        return constant.expand(self._sim.num_envs, *constant.shape)
+
+    def _of_bodies(self, name: str) -> torch.Tensor:
+        """Return a field of the model for the robot's bodies, (N, B, ...)."""
+        return self._model(name)[:, self._body_ids].float()
+
+    def begin_control_step(self) -> None:
+        """Keep the motion state that the coming control step starts from, for what may fail in it."""
+        self.motion_at_start.copy_(self._sim.motion)
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return what is kept of the last physics step."""
+        return {
+            "motion_before": self._motion_before.clone(),
+            "torque_valid": self._torque_valid.clone(),
+            "applied_torque": self._applied_torque.clone(),
+        }
+
+    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._motion_before.copy_(saved["motion_before"])
+        self._torque_valid.copy_(saved["torque_valid"])
+        self._all_valid = bool(self._torque_valid.all())
+        self._applied_torque = saved["applied_torque"].clone()
+        self.invalidate()
+
+    @property
+    def joint_pos_target(self) -> torch.Tensor:
+        """Position targets, rad, (N, J)."""
+        return self._targets.pos
+
+    @property
+    def joint_vel_target(self) -> torch.Tensor:
+        """Velocity targets, rad/s, (N, J)."""
+        return self._targets.vel
+
+    @property
+    def joint_effort_target(self) -> torch.Tensor:
+        """Feed-forward efforts, N·m, (N, J)."""
+        return self._targets.effort
+
+    @property
+    def joint_vel_limits(self) -> torch.Tensor:
+        """The actuators' velocity limits, rad/s, (N, J): the engine itself limits no speed."""
+        return self.soft_joint_vel_limits
+
+    @cached_until_change
+    def _motion(self) -> torch.Tensor:
+        """Return positions and velocities in MuJoCo's order, float32, (N, nq + nv)."""
+        return self._sim.motion.float()
+
+    @cached_until_change
+    def _positions(self) -> torch.Tensor:
+        """Return positions in MuJoCo's order, float32, (N, nq)."""
+        return self._motion[:, : self._qpos.shape[1]]
+
+    @cached_until_change
+    def _velocities(self) -> torch.Tensor:
+        """Return velocities in MuJoCo's order, float32, (N, nv)."""
+        return self._motion[:, self._qpos.shape[1] :]
+
+    @cached_until_change
+    def root_pos_w(self) -> torch.Tensor:
+        """Position of the root link, m, (N, 3)."""
+        return self._positions[:, 0:3] if self._floating else self.body_pos_w[:, 0]
+
+    @cached_until_change
+    def root_quat_w(self) -> torch.Tensor:
+        """Orientation of the root link (w, x, y, z), (N, 4)."""
+        # MuJoCo keeps it a unit quaternion.
+        return self._positions[:, 3:7] if self._floating else self.body_quat_w[:, 0]
+
+    @cached_until_change
+    def root_rot_w(self) -> torch.Tensor:
+        """Rotation matrix of the root link, (N, 3, 3)."""
+        return rotation.quat_to_matrix(self.root_quat_w)
+
+    @cached_until_change
+    def root_link_lin_vel_w(self) -> torch.Tensor:
+        """Velocity of the root link's origin, m/s, (N, 3)."""
+        if not self._floating:
+            return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
+        return self._velocities[:, 0:3]
+
+    @cached_until_change
+    def root_ang_vel_b(self) -> torch.Tensor:
+        """Angular velocity of the root link in its own axes, rad/s, (N, 3)."""
+        if not self._floating:
+            return torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
+        return self._velocities[:, 3:6]
+
+    @cached_until_change
+    def root_ang_vel_w(self) -> torch.Tensor:
+        """Angular velocity of the root link in world axes, rad/s, (N, 3)."""
+        return rotation.rotate(self.root_rot_w, self.root_ang_vel_b)
+
+    @cached_until_change
+    def root_link_lin_vel_b(self) -> torch.Tensor:
+        """Velocity of the root link's origin in link axes, m/s, (N, 3)."""
+        return rotation.rotate_inverse(self.root_rot_w, self.root_link_lin_vel_w)
+
+    @cached_until_change
+    def root_lin_vel_b(self) -> torch.Tensor:
+        """Velocity of the root body's centre of mass in link axes, m/s, (N, 3): v_link + omega x c."""
+        return self.root_link_lin_vel_b + torch.linalg.cross(self.root_ang_vel_b, self.com_b)
+
+    @cached_until_change
+    def root_lin_vel_w(self) -> torch.Tensor:
+        """Velocity of the root body's centre of mass in world axes, m/s, (N, 3)."""
+        return rotation.rotate(self.root_rot_w, self.root_lin_vel_b)
+
+    @cached_until_change
+    def projected_gravity_b(self) -> torch.Tensor:
+        """Unit gravity direction in link axes, (N, 3); upright is (0, 0, -1)."""
+        return rotation.rotate_inverse(self.root_rot_w, self._gravity_dir.unsqueeze(0))
+
+    @cached_until_change
+    def heading_w(self) -> torch.Tensor:
+        """Yaw of the root link's x axis, rad, (N,)."""
+        cosine, sine = self.root_rot_w[:, :2, 0].contiguous().unbind(dim=1)
+        return torch.atan2(sine, cosine)
+
+    @cached_until_change
+    def joint_pos(self) -> torch.Tensor:
+        """Joint positions, rad, (N, J)."""
+        return self._positions.index_select(1, self._qpos_ids)
+
+    @property
+    def joint_pos_measured(self) -> torch.Tensor:
+        """What the joints' encoders read, rad, (N, J): position + bias."""
+        return self.joint_pos + self.encoder_bias if self.has_encoder_bias else self.joint_pos
+
+    @cached_until_change
+    def joint_vel(self) -> torch.Tensor:
+        """Joint velocities, rad/s, (N, J)."""
+        return self._velocities.index_select(1, self._dof_ids)
+
+    @cached_until_change
+    def joint_acc(self) -> torch.Tensor:
+        """Joint accelerations, rad/s^2, (N, J): finite difference over the last physics step."""
+        return (self.joint_vel - self.joint_vel_before) / self._dt * self._torque_valid
+
+    @cached_until_change
+    def joint_pos_before(self) -> torch.Tensor:
+        """Joint positions from which the last physics step started, rad, (N, J)."""
+        return self._qpos_before.index_select(1, self._qpos_ids).float()
+
+    @cached_until_change
+    def joint_vel_before(self) -> torch.Tensor:
+        """Joint velocities from which the last physics step started, rad/s, (N, J)."""
+        return self._qvel_before.index_select(1, self._dof_ids).float()
+
+    @property
+    def applied_torque(self) -> torch.Tensor:
+        """Clipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
+        return self._applied_torque
+
+    @cached_until_change
+    def computed_torque(self) -> torch.Tensor:
+        """Unclipped actuator torque at the start of the last physics step, N·m, (N, J); 0 after a reset."""
+        return self._compute_torque(self) * self._torque_valid
+
+    @cached_until_change
+    def body_pos_w(self) -> torch.Tensor:
+        """Positions of the link frames, m, (N, B, 3)."""
+        return self._output("xpos")[:, self._body_ids].float()
+
+    @cached_until_change
+    def body_quat_w(self) -> torch.Tensor:
+        """Orientations of the link frames (w, x, y, z), (N, B, 4)."""
+        return self._output("xquat")[:, self._body_ids].float()
+
+    @cached_until_change
+    def body_rot_w(self) -> torch.Tensor:
+        """Rotation matrices of the links, (N, B, 3, 3)."""
+        return self._output("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
+
+    @cached_until_change
+    def body_ang_vel_w(self) -> torch.Tensor:
+        """Angular velocities of the links, rad/s, (N, B, 3)."""
+        return self._output("cvel")[:, self._body_ids, 0:3].float()
+
+    @cached_until_change
+    def body_lin_vel_w(self) -> torch.Tensor:
+        """Velocities of the links' centres of mass, m/s, (N, B, 3).
+
+        MuJoCo's ``cvel`` is referenced to the centre of mass of the kinematic tree; it is shifted here.
+        """
+        velocity = self._output("cvel")[:, self._body_ids]
+        tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
+        offset = self._output("xipos")[:, self._body_ids] - tree_com
+        return (velocity[..., 3:6] + torch.linalg.cross(velocity[..., 0:3], offset)).float()

@@ -1,0 +1,458 @@
+"""The robot under the names of Isaac Lab's ``Articulation``: find, write state and parameters, set targets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.actuators import ActuatorBase, ImplicitActuator
+from wheelleg_exp.sim.articulation_data import ArticulationData
+from wheelleg_exp.sim.class_members import declare_unsupported
+from wheelleg_exp.sim.engine import WRENCHES, Engine
+from wheelleg_exp.sim.ids import Columns, EnvIds, chosen, columns
+from wheelleg_exp.sim.names import match_names
+from wheelleg_exp.sim.options import RobotOptions
+from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout, soft_limits
+from wheelleg_exp.state import Kept
+
+_PHYSX = "there is no PhysX; data has what is read, write_..._to_sim writes, env.scene.sim is the engine"
+_TENDONS = "a robot's tendons are not driven here"
+_TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
+
+
+@declare_unsupported(
+    {"root_physx_view": _PHYSX, "write_joint_dynamic_friction_coefficient_to_sim": "MuJoCo has one friction of a joint"}
+    | {f"set_{kind}_tendon_{part}": _TENDONS for kind in ("fixed", "spatial") for part in _TENDON_PARTS}
+    | {f"set_fixed_tendon_{part}": _TENDONS for part in ("position_limit", "rest_length", "limit")}
+    | {f"write_{kind}_tendon_properties_to_sim": _TENDONS for kind in ("fixed", "spatial")}
+)
+class RobotWriters(Kept):
+    """What terms find, write and set; indices are tensors, lists, slices, or None for all.
+
+    Poses are (x, y, z, w, x, y, z), velocities linear then angular, states a pose and a velocity, in the world.
+    """
+
+    layout: RobotLayout
+    targets: JointTargets
+    data: ArticulationData
+    _sim: Engine
+    _all_ids: torch.Tensor
+    all_body_ids: torch.Tensor
+    _qpos: torch.Tensor
+    _qvel: torch.Tensor
+    _root_qpos: torch.Tensor
+    _root_qvel: torch.Tensor
+    _wrench: torch.Tensor
+    _wrench_bodies: tuple[int, ...]
+    _has_new_targets: bool
+
+    def mark_written(self, ids: torch.Tensor) -> None:
+        """Note that state or model fields of ``ids`` were written: derived quantities are computed anew."""
+        raise NotImplementedError
+
+    # --- names ---
+
+    @property
+    def body_names(self) -> list[str]:
+        """Names of the bodies, breadth first."""
+        return self.layout.body_names
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Names of the joints in the order that terms see."""
+        return self.layout.joint_names
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints, J."""
+        return len(self.joint_names)
+
+    @property
+    def num_bodies(self) -> int:
+        """Number of bodies, B."""
+        return len(self.body_names)
+
+    @property
+    def num_instances(self) -> int:
+        """Number of environments, N."""
+        return self._sim.num_envs
+
+    @property
+    def is_fixed_base(self) -> bool:
+        """Whether the base stands still."""
+        return not self.layout.floating
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors are."""
+        return self._sim.device
+
+    @property
+    def is_initialized(self) -> bool:
+        """Whether the simulations run."""
+        return hasattr(self, "data")
+
+    def find_joints(
+        self,
+        name_keys: str | Sequence[str],
+        joint_subset: Sequence[str] | None = None,
+        preserve_order: bool = False,
+        *,
+        key: str | None = None,
+    ) -> tuple[list[int], list[str]]:
+        """Return indices and names of the joints that match.
+
+        Args:
+            name_keys: expressions.
+            joint_subset: names to look among, whose indices are returned; None is all joints.
+            preserve_order: order by expression (True) or by the robot (False).
+            key: config key of the expressions, for messages.
+
+        Raises:
+            ConfigError: an expression matches none.
+        """
+        names = self.joint_names if joint_subset is None else joint_subset
+        return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
+
+    def find_bodies(
+        self, name_keys: str | Sequence[str], preserve_order: bool = False, *, key: str | None = None
+    ) -> tuple[list[int], list[str]]:
+        """Return indices and names of the bodies that match (see ``find_joints``)."""
+        return match_names(name_keys, self.body_names, key=key, what="body", preserve_order=preserve_order)
+
+    # --- root ---
+
+    def write_root_pose_to_sim(self, root_pose: torch.Tensor, env_ids: EnvIds = None) -> None:
+        """Set the root link's pose (n, 7)."""
+        self._require_floating()
+        ids, dtype = self._rows(env_ids), self._sim.dtype
+        pose = root_pose.to(dtype)
+        norm = torch.linalg.vector_norm(pose[:, 3:7], dim=1, keepdim=True).clamp_(min=1e-12)
+        unit = pose[:, 3:7] / norm
+        self._root_qpos.index_copy_(0, ids, torch.cat((pose[:, 0:3], unit), dim=1).expand(ids.shape[0], -1))
+        self.mark_written(ids)
+
+    write_root_link_pose_to_sim = write_root_pose_to_sim
+
+    def write_root_com_pose_to_sim(self, root_pose: torch.Tensor, env_ids: EnvIds = None) -> None:
+        """Set the pose (n, 7) of the root body's centre of mass and principal axes."""
+        ids = self._rows(env_ids)
+        axes = self.data.body_com_quat_b[ids, 0]
+        quat = rotation.quat_mul(root_pose[:, 3:7], axes * axes.new_tensor([1.0, -1.0, -1.0, -1.0]))
+        position = root_pose[:, 0:3] - rotation.rotate(rotation.quat_to_matrix(quat), self.data.com_b[ids])
+        self.write_root_pose_to_sim(torch.cat((position, quat), dim=1), ids)
+
+    def write_root_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: EnvIds = None) -> None:
+        """Set the velocity (n, 6) of the root body's centre of mass, at the present orientation."""
+        self._require_floating()
+        ids, dtype = self._rows(env_ids), self._sim.dtype
+        velocity = root_velocity.to(dtype)
+        matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
+        angular = rotation.rotate_inverse(matrix, velocity[:, 3:6])
+        # v_link = v_com - omega x R c = v_com - R (omega_b x c)
+        lever = rotation.rotate(matrix, torch.linalg.cross(angular, self.data.com_b.index_select(0, ids).to(dtype)))
+        self._write_velocity(ids, velocity[:, 0:3] - lever, angular)
+
+    write_root_com_velocity_to_sim = write_root_velocity_to_sim
+
+    def write_root_link_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: EnvIds = None) -> None:
+        """Set the velocity (n, 6) of the root link's origin, at the present orientation."""
+        self._require_floating()
+        ids, velocity = self._rows(env_ids), root_velocity.to(self._sim.dtype)
+        matrix = rotation.quat_to_matrix(self._root_qpos[ids, 3:7])
+        self._write_velocity(ids, velocity[:, 0:3], rotation.rotate_inverse(matrix, velocity[:, 3:6]))
+
+    def _write_velocity(self, ids: torch.Tensor, linear: torch.Tensor, angular: torch.Tensor) -> None:
+        """Write a free joint's velocity: of the link's origin in world axes, and in link axes."""
+        self._root_qvel.index_copy_(0, ids, torch.cat((linear, angular), dim=1).expand(ids.shape[0], -1))
+        self.data.forget_accelerations(ids)
+        self.mark_written(ids)
+
+    def write_root_state_to_sim(self, root_state: torch.Tensor, env_ids: EnvIds = None) -> None:
+        """Set the root link's pose and its centre of mass's velocity (n, 13)."""
+        self.write_root_pose_to_sim(root_state[:, :7], env_ids)
+        self.write_root_velocity_to_sim(root_state[:, 7:], env_ids)
+
+    def write_root_link_state_to_sim(self, root_state: torch.Tensor, env_ids: EnvIds = None) -> None:
+        """Set the root link's pose and its origin's velocity (n, 13)."""
+        self.write_root_pose_to_sim(root_state[:, :7], env_ids)
+        self.write_root_link_velocity_to_sim(root_state[:, 7:], env_ids)
+
+    def write_root_com_state_to_sim(self, root_state: torch.Tensor, env_ids: EnvIds = None) -> None:
+        """Set the pose and the velocity (n, 13) of the root body's centre of mass."""
+        self.write_root_com_pose_to_sim(root_state[:, :7], env_ids)
+        self.write_root_velocity_to_sim(root_state[:, 7:], env_ids)
+
+    # --- joints ---
+
+    def write_joint_state_to_sim(
+        self, position: torch.Tensor, velocity: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set joint positions and velocities (n, k), rad and rad/s; the joints' accelerations count from there."""
+        self.write_joint_position_to_sim(position, joint_ids, env_ids)
+        self.write_joint_velocity_to_sim(velocity, joint_ids, env_ids)
+
+    def write_joint_position_to_sim(
+        self, position: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set joint positions (n, k), rad."""
+        ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
+        self._qpos[ids.unsqueeze(1), self.layout.qpos_ids[joints]] = position.to(self._sim.dtype)
+        self.mark_written(ids)
+
+    def write_joint_velocity_to_sim(
+        self, velocity: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set joint velocities (n, k), rad/s; the joints' accelerations count from there."""
+        ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
+        self._qvel[ids.unsqueeze(1), self.layout.dof_ids[joints]] = velocity.to(self._sim.dtype)
+        self.data.set_velocity_before(ids, joints, velocity)
+        self.data.forget_accelerations(ids)
+        self.mark_written(ids)
+
+    def set_joint_position_target(
+        self, target: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set position targets (n, k), rad."""
+        self._set_target(self.targets.pos, target, joint_ids, env_ids)
+
+    def set_joint_velocity_target(
+        self, target: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set velocity targets (n, k), rad/s, clipped to the actuators' velocity limits."""
+        joints = columns(joint_ids, self.device)
+        limit = self.data.soft_joint_vel_limits[:, joints]
+        if env_ids is not None:
+            limit = limit[self._rows(env_ids)]
+        self._set_target(self.targets.vel, torch.clamp(target, -limit, limit), joints, env_ids)
+
+    def set_joint_effort_target(self, target: torch.Tensor, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
+        """Set feed-forward efforts (n, k), N·m."""
+        self._set_target(self.targets.effort, target, joint_ids, env_ids)
+
+    def _set_target(self, of: torch.Tensor, target: torch.Tensor, joint_ids: Columns, env_ids: EnvIds) -> None:
+        joints = columns(joint_ids, self.device)
+        if env_ids is None:
+            of[:, joints] = target
+        elif isinstance(joints, slice):
+            of[self._rows(env_ids), joints] = target
+        else:
+            of[self._rows(env_ids).unsqueeze(1), joints] = target
+        self._has_new_targets = True
+
+    # --- wrenches ---
+
+    def set_external_force_and_torque(
+        self,
+        forces: torch.Tensor,
+        torques: torch.Tensor,
+        positions: torch.Tensor | None = None,
+        body_ids: Columns = None,
+        env_ids: EnvIds = None,
+        is_global: bool = False,
+    ) -> None:
+        """Set forces (n, k, 3) in N and torques (n, k, 3) in N·m on bodies, until the next reset of ``env_ids``.
+
+        They act at the centres of mass in the links' axes, and turn with the links.
+
+        Args:
+            forces: forces.
+            torques: torques.
+            positions: where the forces act in the link's frame (the world, with ``is_global``), m, (n, k, 3).
+            body_ids: bodies (k,).
+            env_ids: environments (n,).
+            is_global: forces and torques are in world axes as the links stand now.
+        """
+        if not forces.numel() and not torques.numel():
+            forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
+            body_ids = env_ids = None
+        ids = self._rows(env_ids)
+        bodies = chosen(body_ids, self.all_body_ids)
+        rows = ids.unsqueeze(1)
+        if is_global:
+            turn = self.data.body_rot_w[rows, bodies].mT
+            forces, torques = ((turn @ vector.unsqueeze(-1)).squeeze(-1) for vector in (forces, torques))
+            if positions is not None:
+                offset = positions - self.data.body_pos_w[rows, bodies]
+                positions = (turn @ offset.unsqueeze(-1)).squeeze(-1)
+        if positions is not None:
+            lever = positions - self.data.body_com_pos_b[rows, bodies]
+            torques = torques + torch.linalg.cross(lever, forces)
+        self.set_permanent_wrench(ids, bodies.tolist(), torch.cat((forces, torques), dim=-1))
+
+    def set_permanent_wrench(self, ids: torch.Tensor, body_ids: list[int], wrench: torch.Tensor) -> None:
+        """Set forces and torques (n, k, 6) at the CoM of the bodies, link axes, until the next reset of ``ids``."""
+        columns_of_bodies = wrench.view(ids.shape[0], -1, 2, 3).mT.expand(-1, len(body_ids), -1, -1)
+        for body, values in zip(body_ids, columns_of_bodies.unbind(dim=1), strict=True):
+            self._wrench[:, body].index_copy_(0, ids, values)
+        self._note_wrenches(body_ids)
+
+    def add_wrench(self, body_ids: list[int], wrench: torch.Tensor) -> None:
+        """Add to what acts on bodies: forces and torques as the two columns of (N, k, 3, 2), link axes, at the CoM."""
+        self._wrench[:, body_ids] += wrench
+        self._note_wrenches(body_ids)
+
+    def _note_wrenches(self, body_ids: list[int]) -> None:
+        if not set(body_ids) <= set(self._wrench_bodies):  # a recorded step looks at what is there by identity first
+            self._wrench_bodies = tuple(sorted({*self._wrench_bodies, *body_ids}))
+        self._sim.asked.add(WRENCHES)
+
+    # --- the rest ---
+
+    def update(self, dt: float) -> None:
+        """Do nothing: ``data`` is always fresh."""
+        del dt
+
+    def _rows(self, env_ids: EnvIds) -> torch.Tensor:
+        return chosen(env_ids, self._all_ids)
+
+    def _require_floating(self) -> None:
+        if self.is_fixed_base:
+            raise ConfigError(
+                "the robot's base is fixed, its root cannot be moved",
+                expected="terms that leave the root alone, or env.robot.base=floating",
+            )
+
+
+_STRONGEST = 1e10  # N·m: MuJoCo's largest number stands for a drive without a limit
+Values = torch.Tensor | float
+
+
+class RobotParameterWriters(RobotWriters):
+    """Isaac Lab's writers of joint parameters; values are (n, k) for environments and joints, or one number.
+
+    Gains and limits are those of the joints' actuators, whatever their model; joints without one keep none.
+    """
+
+    options: RobotOptions
+    actuators: dict[str, ActuatorBase]
+
+    def write_joint_stiffness_to_sim(
+        self, stiffness: Values, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set kp of the joints' actuators, N·m/rad."""
+        self._write_gain("stiffness", 1, stiffness, joint_ids, env_ids)
+
+    def write_joint_damping_to_sim(self, damping: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
+        """Set kd of the joints' actuators, N·m·s/rad."""
+        self._write_gain("damping", 2, damping, joint_ids, env_ids)
+
+    def write_joint_effort_limit_to_sim(
+        self, limits: Values, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set the largest torques of the joints' actuators, N·m."""
+        ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
+        self._assign(self.data.joint_effort_limits, ids, joints, limits)
+        for place, values, named in self._write_drives("effort_limit", ids, joints, limits):
+            largest = values.clamp(max=_STRONGEST).to(self._sim.dtype)
+            field = self._sim.expand("actuator_forcerange")
+            both = torch.stack((-largest, largest), dim=2)
+            field[ids, place] = torch.where(named.unsqueeze(1), both, field[ids, place])
+
+    def write_joint_velocity_limit_to_sim(
+        self, limits: Values, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set the largest speeds of the joints' actuators, rad/s: targets are clipped to them."""
+        ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
+        self._assign(self.data.soft_joint_vel_limits, ids, joints, limits)
+        self._write_drives("velocity_limit", ids, joints, limits)
+
+    def write_joint_armature_to_sim(self, armature: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
+        """Set reflected rotor inertias, kg·m^2."""
+        self._write_dofs("dof_armature", armature, joint_ids, env_ids)
+        self._sim.set_const()
+
+    def write_joint_friction_coefficient_to_sim(
+        self,
+        joint_friction_coeff: Values,
+        joint_dynamic_friction_coeff: Values | None = None,
+        joint_viscous_friction_coeff: Values | None = None,
+        joint_ids: Columns = None,
+        env_ids: EnvIds = None,
+    ) -> None:
+        """Set friction losses, N·m, and passive dampings, N·m·s/rad; MuJoCo has no other friction in motion."""
+        del joint_dynamic_friction_coeff
+        self._write_dofs("dof_frictionloss", joint_friction_coeff, joint_ids, env_ids)
+        if joint_viscous_friction_coeff is not None:
+            self.write_joint_viscous_friction_coefficient_to_sim(joint_viscous_friction_coeff, joint_ids, env_ids)
+
+    def write_joint_viscous_friction_coefficient_to_sim(
+        self, joint_viscous_friction_coeff: Values, joint_ids: Columns = None, env_ids: EnvIds = None
+    ) -> None:
+        """Set passive dampings, N·m·s/rad."""
+        self._write_dofs("dof_damping", joint_viscous_friction_coeff, joint_ids, env_ids)
+
+    def write_joint_position_limit_to_sim(
+        self,
+        limits: torch.Tensor,
+        joint_ids: Columns = None,
+        env_ids: EnvIds = None,
+        warn_limit_violation: bool = True,
+    ) -> None:
+        """Set joint limits (n, k, 2), rad, which may be infinite; soft limits follow, defaults are clamped to them."""
+        del warn_limit_violation
+        ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
+        data, sim = self.data, self._sim
+        self._assign(data.joint_pos_limits, ids, joints, limits)
+        now = data.joint_pos_limits[ids]
+        data.soft_joint_pos_limits[ids] = soft_limits(now, self.options.soft_joint_pos_limit_factor)
+        data.default_joint_pos[ids] = data.default_joint_pos[ids].clamp(now[..., 0], now[..., 1])
+        rows, places = ids.unsqueeze(1), self.layout.joint_ids[joints]
+        written = now[:, joints].to(sim.dtype)
+        # MuJoCo has one switch for both ends: the open end of a joint that is limited at the other lies far away.
+        far = 2.0 * math.pi * 1e6
+        if sim.may_differ("jnt_limited") or not self.layout.all_limited:
+            sim.expand("jnt_limited")[rows, places] = written.isfinite().any(dim=2)
+        sim.expand("jnt_range")[rows, places] = written.clamp(-far, far)
+
+    def write_encoder_bias(self, bias: Values, joint_ids: Columns = None, env_ids: EnvIds = None) -> None:
+        """Set by how much the joints' encoders read too much, rad."""
+        self._assign(self.data.encoder_bias, self._rows(env_ids), columns(joint_ids, self.device), bias)
+        self._has_new_targets = True
+        self.data.invalidate()
+
+    def _write_gain(self, name: str, column: int, values: Values, joint_ids: Columns, env_ids: EnvIds) -> None:
+        ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
+        for place, written, named in self._write_drives(name, ids, joints, values):
+            field = self._sim.expand("actuator_biasprm")
+            gains = -written.to(self._sim.dtype)
+            field[ids, place, column] = torch.where(named, gains, field[ids, place, column])
+
+    def _write_drives(
+        self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values
+    ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
+        """Write a number of the actuators.
+
+        Returns:
+            Of each group whose drive is in the solver: the place of its controls, values (n, k), and which are written.
+        """
+        self._has_new_targets = True  # what the drives make of the targets is new
+        named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
+        named[joints] = True
+        spread = torch.zeros(len(ids), self.num_joints, device=self.device)
+        spread[:, joints] = values
+        start, found = 0, []
+        for actuator in self.actuators.values():
+            place = slice(start, start := start + len(actuator.joint_names))
+            own, theirs, which = getattr(actuator, name), spread[:, actuator.joint_ids], named[actuator.joint_ids]
+            own[ids] = torch.where(which, theirs, own[ids])
+            if isinstance(actuator, ImplicitActuator):
+                found.append((place, theirs, which))
+        return found
+
+    def _write_dofs(self, field: str, values: Values, joint_ids: Columns, env_ids: EnvIds) -> None:
+        ids, joints = self._rows(env_ids), columns(joint_ids, self.device)
+        if isinstance(values, torch.Tensor):
+            values = values.to(self._sim.dtype)
+        self._sim.expand(field)[ids.unsqueeze(1), self.layout.dof_ids[joints]] = values
+
+    @staticmethod
+    def _assign(of: torch.Tensor, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values) -> None:
+        """Write values (n, k, ...) into a tensor (N, J, ...)."""
+        rows = of[ids]
+        rows[:, joints] = values
+        of[ids] = rows

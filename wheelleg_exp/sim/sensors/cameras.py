@@ -1,0 +1,406 @@
+"""Cameras: drawn by MuJoCo's renderer, or distances by rays; their data, offsets, and depth clipping."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import (
+    Broken,
+    Count,
+    NonNegative,
+    NotEmpty,
+    Positive,
+    PositiveInterval,
+    Targeted,
+    relation,
+)
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rendering.camera_job import Layer
+from wheelleg_exp.rendering.live_pictures import CameraPictures
+from wheelleg_exp.rendering.renderer import NoGraphics, too_many
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.sensors.ray_caster import RayCaster
+from wheelleg_exp.sim.sensors.ray_patterns import PinholePattern
+from wheelleg_exp.sim.sensors.sensor_base import LazySensor, Mount, Offset, offset_fits, offset_pose
+from wheelleg_exp.sim.terrain import is_ground
+from wheelleg_exp.state import Kept
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot import Robot
+
+
+Convention = Literal["world", "ros", "opengl"]
+CameraOffset = Mapping[Literal["pos", "rot", "convention"], Sequence[float] | Convention]
+DepthClipping = Literal["max", "zero", "none"]
+DEPTHS = ("depth", "distance_to_image_plane", "distance_to_camera")
+# The axes of each convention seen from the first: (w, x, y, z).
+_FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
+    "world": (1.0, 0.0, 0.0, 0.0),  # looks along x, up is z
+    "ros": (0.5, -0.5, 0.5, -0.5),  # looks along z, up is -y
+    "opengl": (0.5, 0.5, -0.5, -0.5),  # looks along -z, up is y
+}
+
+
+class CameraData(Kept):
+    """What a camera has measured.
+
+    Attributes:
+        pos_w: the camera's position, m, (N, 3).
+        quat_w_world: its orientation, axes x forward, y left, z up, (w, x, y, z), (N, 4).
+        image_shape: rows and columns of a picture.
+        intrinsic_matrices: px, (N, 3, 3): a point (x right, y down, z forward) is seen at (fx x/z + cx, fy y/z + cy);
+            the first pixel reaches from 0 to 1.
+        output: pictures by data type, (N, height, width, channels).
+        info: what the numbers of a segmentation stand for, ``info[data_type]["idToLabels"]``.
+    """
+
+    def __init__(self, num_envs: int, pinhole: PinholePattern, device: torch.device) -> None:
+        self.pos_w = torch.zeros(num_envs, 3, device=device)
+        self.quat_w_world = torch.zeros(num_envs, 4, device=device)
+        self.image_shape = (pinhole.height, pinhole.width)
+        self.intrinsic_matrices = torch.tensor(pinhole.intrinsics, device=device).repeat(num_envs, 1, 1)
+        self.output: dict[str, torch.Tensor] = {}
+        self.info: dict[str, dict[str, dict[int, str]]] = {}
+
+    @property
+    def quat_w_ros(self) -> torch.Tensor:
+        """Orientation, axes x right, y down, z forward, (w, x, y, z), (N, 4)."""
+        return convert_convention(self.quat_w_world, "world", "ros")
+
+    @property
+    def quat_w_opengl(self) -> torch.Tensor:
+        """Orientation, axes x right, y up, z backward, (w, x, y, z), (N, 4)."""
+        return convert_convention(self.quat_w_world, "world", "opengl")
+
+    def add_output(self, data_type: str, channels: int, dtype: torch.dtype) -> None:
+        """Make room for one kind of pictures."""
+        size = (len(self.pos_w), *self.image_shape, channels)
+        self.output[data_type] = torch.zeros(size, dtype=dtype, device=self.pos_w.device)
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return what has been measured."""
+        return {
+            "pos_w": self.pos_w.clone(),
+            "quat_w_world": self.quat_w_world.clone(),
+            **{f"output.{name}": value.clone() for name, value in self.output.items()},
+        }
+
+    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self.pos_w.copy_(saved["pos_w"])
+        self.quat_w_world.copy_(saved["quat_w_world"])
+        for name, value in self.output.items():
+            value.copy_(saved[f"output.{name}"])
+
+
+def camera_offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
+    """Hold a camera's ``offset`` against its form."""
+    yield from offset_fits(given)
+    convention = (given["offset"] or {}).get("convention", "ros")
+    if convention not in _FROM_WORLD:
+        yield Broken("offset.convention", f"{convention!r} is no convention", "one of " + ", ".join(_FROM_WORLD))
+
+
+def in_world_convention(offset: CameraOffset | None) -> Offset:
+    """Return an offset whose ``rot`` turns axes x forward, y left, z up; ``ros`` is taken where none is told."""
+    given: Mapping[Any, Any] = offset or {}
+    rot = torch.tensor([given.get("rot", (1.0, 0.0, 0.0, 0.0))], dtype=torch.float32, device="cpu")
+    convention: Convention = given.get("convention", "ros")
+    turned: list[float] = convert_convention(rot, convention, "world")[0].tolist()
+    return {"pos": list(given.get("pos", (0.0, 0.0, 0.0))), "rot": turned}
+
+
+def opengl_quat(offset: Offset) -> list[float]:
+    """Return the orientation (w, x, y, z) of a world-convention offset as MuJoCo's cameras have it."""
+    quat: list[float] = convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
+    return quat
+
+
+def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> torch.Tensor:
+    """Return distances, m, with what is farther (or nothing) inf, 0 or the farthest distance, as Isaac Lab's."""
+    instead = {"none": math.inf, "zero": 0.0, "max": farthest}[behavior]
+    return depth.masked_fill(depth > farthest, instead)
+
+
+def convert_convention(quat: torch.Tensor, origin: Convention, target: Convention) -> torch.Tensor:
+    """Return the same orientations (n, 4), (w, x, y, z), by the axes of another convention."""
+    w, x, y, z = _FROM_WORLD[origin]
+    back, there = (
+        torch.tensor(axes, dtype=quat.dtype, device=quat.device).expand_as(quat)
+        for axes in ((w, -x, -y, -z), _FROM_WORLD[target])
+    )
+    return rotation.quat_mul(rotation.quat_mul(quat, back), there)
+
+
+DataType = Literal[
+    "rgb",
+    "rgba",
+    "depth",
+    "distance_to_image_plane",
+    "distance_to_camera",
+    "semantic_segmentation",
+    "instance_segmentation_fast",
+    "instance_id_segmentation_fast",
+]
+_LAYERS: dict[str, Layer] = {"rgb": "colour", "rgba": "colour", **dict.fromkeys(DEPTHS, "depth")}
+_BACKGROUND = "BACKGROUND"
+
+
+def _range_of_angles(given: Mapping[str, Any]) -> Iterator[Broken]:
+    if given["fovy"] is not None and given["fovy"] >= math.pi:
+        yield Broken("fovy", f"{given['fovy']!r} is half a turn or more", "an angle in radians below pi")
+    if given["clipping_range"][0] == given["clipping_range"][1]:
+        yield Broken("clipping_range", "has no depth", "[nearest, farthest] in m")
+
+
+@relation(_range_of_angles)
+@relation(camera_offset_fits)
+class Camera(LazySensor):
+    """A camera on a body, drawn by MuJoCo for one environment after another; as Isaac Lab's, for a few of them.
+
+    It needs a driver that draws without a display (EGL or OSMesa), from the first reading on. An environment's picture
+    shows its own robot and the ground. Colours come from the compiled model and its lights; with the same driver the
+    same state gives the same picture.
+
+    Args:
+        body_name: expression of the body.
+        width: px.
+        height: px.
+        data_types: what is drawn: ``rgb`` (uint8, 3 channels), ``rgba``, ``distance_to_image_plane`` or ``depth`` (m,
+            along the axis), ``distance_to_camera`` (m, along the pixel's ray), ``semantic_segmentation`` (ground or
+            robot), ``instance_segmentation_fast`` (bodies), ``instance_id_segmentation_fast`` (geoms), int32.
+        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, of axes that ``convention``
+            names: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
+        focal_length: in the unit of the apertures; only their ratio counts.
+        horizontal_aperture: width of the image plane.
+        vertical_aperture: its height; null makes pixels square.
+        horizontal_aperture_offset: of the image's centre, to the right, in focal lengths.
+        vertical_aperture_offset: downwards, in focal lengths.
+        fovy: angle of view from the lowest to the highest row, rad, in place of the apertures; pixels are square.
+        clipping_range: nearest and farthest distance along the axis that is seen, m.
+        depth_clipping_behavior: what a distance is where nothing is seen: ``none`` inf, ``zero`` 0, ``max`` the
+            farthest.
+        max_num_envs: most environments that may be drawn: each takes milliseconds a picture.
+        update_period: time between two measurements, s; 0 shows the present state at every reading.
+    """
+
+    def __init__(
+        self,
+        body_name: str,
+        width: Count,
+        height: Count,
+        data_types: Annotated[Sequence[DataType], NotEmpty()] = ("rgb",),
+        offset: CameraOffset | None = None,
+        focal_length: Positive = 24.0,
+        horizontal_aperture: Positive = 20.955,
+        vertical_aperture: Positive | None = None,
+        horizontal_aperture_offset: float = 0.0,
+        vertical_aperture_offset: float = 0.0,
+        fovy: Positive | None = None,
+        clipping_range: PositiveInterval = (0.01, 20.0),
+        depth_clipping_behavior: DepthClipping = "none",
+        max_num_envs: Count = 16,
+        update_period: NonNegative = 0.0,
+    ) -> None:
+        super().__init__(update_period)
+        if fovy is not None:
+            vertical_aperture = 2.0 * focal_length * math.tan(fovy / 2.0)
+            horizontal_aperture = vertical_aperture * width / height
+        elif vertical_aperture is None:
+            vertical_aperture = horizontal_aperture * height / width
+        self._focal_length = focal_length
+        self._aperture = (horizontal_aperture, vertical_aperture)
+        self._shift = (horizontal_aperture_offset, vertical_aperture_offset)
+        self._pinhole = PinholePattern(width, height, focal_length, *self._aperture, *self._shift)
+        self._body, self._offset, self._data_types = body_name, in_world_convention(offset), tuple(data_types)
+        self._range = (float(clipping_range[0]), float(clipping_range[1]))
+        self._clipping: DepthClipping = depth_clipping_behavior
+        self._max_num_envs = max_num_envs
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Rows and columns of a picture."""
+        return self._pinhole.height, self._pinhole.width
+
+    def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
+        """Find the body, and add the camera to it."""
+        super().add_to(spec, name, robot)
+        self._mount = Mount(self._body, robot, f"{self.key}.body_name")
+        self.body_names = [self._mount.body]
+        height, width = self.image_shape
+        spec.body(self._mount.body).add_camera(
+            name=self._name_in_model,
+            pos=self._offset["pos"],
+            quat=opengl_quat(self._offset),
+            resolution=[width, height],
+            sensor_size=self._aperture,
+            focal_length=[self._focal_length] * 2,
+            principal_length=[-self._focal_length * shift for shift in self._shift],  # to the left and up
+        )
+
+    @property
+    def _name_in_model(self) -> str:
+        return f"sensor/{self.name}"
+
+    def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled.
+
+        Raises:
+            ConfigError: there are more environments than the camera may draw.
+        """
+        super().connect(sim, stream)
+        if mistake := too_many(sim.num_envs, self._max_num_envs, self.key):
+            raise mistake
+        self._offset_pos, self._offset_quat = offset_pose(self._offset, sim.device)
+        directions = self._pinhole.rays(sim.device)[1]
+        self._cosines = directions[:, 0].view(1, *self.image_shape, 1)
+        self._data = CameraData(sim.num_envs, self._pinhole, sim.device)
+        self._numbers: dict[str, torch.Tensor] = {}
+        for kind in self._data_types:
+            if kind not in _LAYERS:
+                labels, numbers = _labels(sim.model, kind)
+                self._numbers[kind] = torch.tensor(numbers, dtype=torch.int32, device=sim.device)
+                self._data.info[kind] = {"idToLabels": labels}
+            floats = kind in DEPTHS
+            dtype = torch.float32 if floats else torch.int32 if kind in self._numbers else torch.uint8
+            self._data.add_output(kind, {"rgb": 3, "rgba": 4}.get(kind, 1), dtype)
+        layers = tuple(dict.fromkeys(_LAYERS.get(kind, "geom") for kind in self._data_types))
+        height, width = self.image_shape
+        self._pictures = CameraPictures(sim.model, self._name_in_model, width, height, self._range, layers)
+
+    def sense(self, ids: torch.Tensor | slice) -> None:
+        """Draw the pictures of some environments.
+
+        Raises:
+            NoGraphics: nothing can be drawn on this machine; the message names the sensor and what to install.
+            SimulationFailure: the graphics driver gave up.
+        """
+        data, quat = self._data, self._mount.quat_w[ids]
+        turn = self._mount.rot_w[ids]
+        data.pos_w[ids] = self._mount.pos_w[ids] + rotation.rotate(turn, self._offset_pos.expand(len(turn), 3))
+        data.quat_w_world[ids] = rotation.quat_mul(quat, self._offset_quat.expand_as(quat))
+        if not len(turn):
+            return
+        try:
+            drawn = self._pictures.draw(self._sim.view("qpos")[ids])
+        except NoGraphics as error:
+            error.key = self.key
+            raise
+        seen = {name: picture.to(self._sim.device) for name, picture in drawn.items()}
+        for kind in self._data_types:
+            data.output[kind][ids] = self._picture(kind, seen)
+
+    def _picture(self, kind: str, seen: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        if kind == "rgb":
+            return seen["colour"]
+        if kind == "rgba":
+            return torch.nn.functional.pad(seen["colour"], (0, 1), value=255)
+        if kind in DEPTHS:
+            depth = clipped(seen["depth"], self._range[1], self._clipping)
+            return depth / self._cosines if kind == "distance_to_camera" else depth
+        return self._numbers[kind][seen["geom"].long()]  # the last is nothing's, -1
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what is held until the next measurement."""
+        return {**super().state_dict(), **(self._data.state_dict() if self.update_period > 0.0 else {})}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        if self.update_period > 0.0:
+            self._data.load_state_dict(saved)
+
+
+def _labels(model: mujoco.MjModel, kind: str) -> tuple[dict[int, str], list[int]]:
+    """Return what each number of a segmentation stands for, and the number of each geom, of none the last."""
+    if kind == "semantic_segmentation":
+        numbers = [1 if is_ground(model.geom(g).name) else 2 for g in range(model.ngeom)]
+        return {0: _BACKGROUND, 1: "ground", 2: "robot"}, [*numbers, 0]
+    if kind == "instance_segmentation_fast":
+        names = [model.body(b).name for b in range(model.nbody)]
+        numbers = [1 + int(body) for body in model.geom_bodyid]
+    else:
+        names = [model.geom(g).name or f"geom_{g}" for g in range(model.ngeom)]
+        numbers = list(range(1, model.ngeom + 1))
+    return {0: _BACKGROUND, **dict(enumerate(names, start=1))}, [*numbers, 0]
+
+
+RayDepth = Literal["distance_to_image_plane", "distance_to_camera", "depth"]
+
+
+@relation(camera_offset_fits)
+class RayCasterCamera(RayCaster):
+    """A depth camera on a body that sees the ground and nothing else, for any number of environments.
+
+    As Isaac Lab's; it needs nothing that draws. A pixel's distance is that of the ray through its centre.
+
+    Args:
+        body_name: expression of the body.
+        pattern: the pixels, a ``PinholePattern``.
+        data_types: ``distance_to_image_plane`` or ``depth`` (m, along the axis), ``distance_to_camera`` (m, along the
+            pixel's ray).
+        offset: ``pos``, m, (x, y, z), and ``rot``, (w, x, y, z), in the body's frame, of axes that ``convention``
+            names: ``world`` looks along x, up is z; ``ros`` along z, up is -y; ``opengl`` along -z, up is y.
+        max_distance: farthest distance that is seen, m.
+        depth_clipping_behavior: what a distance is where nothing is seen: ``none`` inf, ``zero`` 0, ``max`` the
+            farthest.
+        update_period: time between two measurements, s; 0 shows the present state at every reading.
+    """
+
+    _data: CameraData
+
+    def __init__(
+        self,
+        body_name: str,
+        pattern: Annotated[PinholePattern, Targeted()],
+        data_types: Annotated[Sequence[RayDepth], NotEmpty()] = ("distance_to_image_plane",),
+        offset: CameraOffset | None = None,
+        max_distance: Positive = 1e6,
+        depth_clipping_behavior: DepthClipping = "none",
+        update_period: NonNegative = 0.0,
+    ) -> None:
+        if not isinstance(pattern, PinholePattern):
+            raise ConfigError("has no pixels", key="pattern", expected="a _target_ of PinholePattern")
+        super().__init__(
+            body_name,
+            pattern,
+            offset=in_world_convention(offset),
+            ray_alignment="base",
+            max_distance=max_distance,
+            update_period=update_period,
+        )
+        self._pinhole, self._data_types = pattern, tuple(data_types)
+        self._clipping: DepthClipping = depth_clipping_behavior
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Rows and columns of a picture."""
+        return self._pinhole.height, self._pinhole.width
+
+    def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled."""
+        super().connect(sim, stream)
+        self._offset_pos, self._offset_quat = offset_pose(self._offset, sim.device)
+        self._cosines = self._pinhole.rays(sim.device)[1][:, 0]
+        self._data = CameraData(sim.num_envs, self._pinhole, sim.device)
+        for kind in self._data_types:
+            self._data.add_output(kind, 1, torch.float32)
+
+    def sense(self, ids: torch.Tensor | slice) -> None:
+        """Cast the rays of some environments."""
+        data, pos, quat = self._data, self._mount.pos_w[ids], self._mount.quat_w[ids]
+        offset = self._offset_pos.expand(len(pos), 3)
+        data.pos_w[ids] = pos + rotation.rotate(self._mount.rot_w[ids], offset)
+        data.quat_w_world[ids] = rotation.quat_mul(quat, self._offset_quat.expand_as(quat))
+        _, _, far = self._cast(ids, pos, self.drift[ids])
+        far = far.masked_fill(far < 0.0, math.inf)
+        for kind in self._data_types:
+            depth = far if kind == "distance_to_camera" else far * self._cosines
+            depth = clipped(depth, self._max_distance, self._clipping)
+            data.output[kind][ids] = depth.view(-1, *self.image_shape, 1)

@@ -1,0 +1,485 @@
+"""The contact sensor: net normal contact forces on bodies, contact times, and air times."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from itertools import product
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import Count, Names, Natural, NonNegative
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.names import match_names
+from wheelleg_exp.sim.sensors.sensor_base import SensorBase
+from wheelleg_exp.sim.terrain import GROUND
+from wheelleg_exp.state import Kept
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot import Robot
+
+
+FIELDS = ("found", "force", "pos", "normal", "tangent")  # in MuJoCo's order; force in the contact's frame, normal first
+_SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
+NORMAL = ("found", "force", "normal")  # what the normal forces alone need
+
+
+def data_flags(fields: tuple[str, ...]) -> int:
+    """Return what a MuJoCo contact sensor is told to report."""
+    return sum(1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name.upper()}")) for name in fields)
+
+
+def width(fields: tuple[str, ...]) -> int:
+    """Return how many numbers it reports of a contact."""
+    return sum(_SIZES[name] for name in fields)
+
+
+def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
+    """Return pressures (N, B, 1, S) times normals (N, B, S, 3), added up over contacts, (N, B, 3)."""
+    if pressures.is_cuda:  # thousands of tiny products take a GPU's library ten times as long as their sum
+        return (pressures.transpose(2, 3) * normals).sum(dim=2)
+    return torch.matmul(pressures, normals).squeeze(2)
+
+
+class ContactPairs:
+    """Reads the contacts of B sensed bodies with M others. The normal points away from the sensed body.
+
+    Args:
+        readings: numbers of all contacts, (N, B * M, S, W), which the engine writes.
+        bodies: the number of sensed bodies, B.
+        fields: what is reported, some of ``FIELDS``.
+    """
+
+    def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:
+        parts = torch.split(readings, [_SIZES[name] for name in fields], dim=-1)
+        self._parts = dict(zip(fields, parts, strict=True))
+        self._bodies = bodies
+
+    def normal_forces(self) -> torch.Tensor:
+        """Return the normal force on each body from each other one, N, (N, B, M, 3), world axes."""
+        pressures = self._parts["force"][..., 0].unsqueeze(2)
+        return self._of_pairs(summed(pressures, self._parts["normal"]).neg_())
+
+    def friction_forces(self) -> torch.Tensor:
+        """Return the friction on each body from each other one, N, (N, B, M, 3), world axes."""
+        tangent = self._parts["tangent"]
+        across = torch.linalg.cross(self._parts["normal"], tangent)
+        _, along, aside = self._parts["force"].split(1, dim=-1)
+        return self._of_pairs((along * tangent + aside * across).sum(dim=2).neg_())
+
+    def points(self) -> torch.Tensor:
+        """Return the mean place of the contacts, m, (N, B, M, 3), world axes; NaN where there is none."""
+        count = (self._parts["found"] > 0.0).sum(dim=2)
+        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # a place without a contact holds zeros
+
+    def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
+        return values.float().view(len(values), self._bodies, -1, 3)
+
+
+TIMES = ("current_air_time", "last_air_time", "current_contact_time", "last_contact_time")
+
+
+def _time(name: str, doc: str) -> property:
+    """Make a property that is there when the sensor times contact and flight."""
+
+    def get(self: ContactSensorData) -> torch.Tensor:
+        self.require_times()
+        return self.times[name]
+
+    return property(get, doc=doc)
+
+
+class ContactSensorData(Kept):
+    """What a contact sensor has measured of N environments and B bodies; ``_w`` is world axes.
+
+    What the sensor is not told to track raises ConfigError when it is asked for.
+
+    Args:
+        key: the sensor's config key.
+        num_envs: number of environments, N.
+        bodies: number of sensed bodies, B.
+        history_length: physics steps kept, T.
+        track_air_time: whether contact and flight are timed.
+        device: where the tensors are.
+
+    Attributes:
+        forces: net normal force of each step kept, N, (N, B, 3), newest first.
+        filtered: ``force_matrix_w_history``; None when forces are not told apart.
+        points: ``contact_pos_w``; None when it is not tracked.
+        friction: ``friction_forces_w``; None when it is not tracked.
+        times: the four times by name, s, (N, B); zeros when they are not tracked.
+    """
+
+    def __init__(
+        self, key: str, num_envs: int, bodies: int, history_length: int, track_air_time: bool, device: torch.device
+    ) -> None:
+        self._key = key
+        self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
+        self._history: torch.Tensor | None = None  # of the same forces, once asked for
+        self._track_air_time = track_air_time
+        self.filtered: torch.Tensor | None = None
+        self.points: torch.Tensor | None = None
+        self.friction: torch.Tensor | None = None
+        self._robot: Robot | None = None
+        self.times = {name: torch.zeros(num_envs, bodies, device=device) for name in TIMES}
+
+    @property
+    def net_forces_w(self) -> torch.Tensor:
+        """Net normal force of the last physics step, N, (N, B, 3)."""
+        return self.forces[0]
+
+    @property
+    def net_forces_w_history(self) -> torch.Tensor:
+        """Net normal force, N, (N, T, B, 3), newest first."""
+        if self._history is None:
+            self._history = torch.stack(self.forces, dim=1)
+            self.forces[:] = self._history.unbind(dim=1)
+        return self._history
+
+    def set_forces(self, forces: list[torch.Tensor]) -> None:
+        """Let the forces of the steps kept be others, each (N, B, 3), newest first."""
+        self.forces[:] = forces  # the list stays: a recorded part of a step knows it
+        self._history = None
+
+    def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
+        """Take up a sample (N, B, 3), of the environments ``due`` (N,) alone where not of all, and drop the oldest."""
+        kept = [newest, *self.forces[:-1]]
+        if due is not None:
+            rows = due.view(-1, 1, 1)
+            kept = [torch.where(rows, after, before) for after, before in zip(kept, self.forces, strict=True)]
+        self.set_forces(kept)
+
+    current_air_time = _time("current_air_time", "Time since the body left the ground, s, 0 in contact, (N, B).")
+    last_air_time = _time("last_air_time", "Duration of the last flight, s, (N, B).")
+    current_contact_time = _time("current_contact_time", "Time since the body touched down, s, 0 in the air, (N, B).")
+    last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
+
+    def add_filters(self, count: int, track_contact_points: bool, track_friction_forces: bool) -> None:
+        """Tell the contacts with ``count`` other bodies apart."""
+        n, bodies, _ = self.net_forces_w.shape
+        self.filtered = self.net_forces_w.new_zeros(n, len(self.forces), bodies, count, 3)
+        self.points = torch.full_like(self.filtered[:, 0], torch.nan) if track_contact_points else None
+        self.friction = torch.zeros_like(self.filtered[:, 0]) if track_friction_forces else None
+
+    def take_pairs(
+        self,
+        newest: torch.Tensor,
+        points: torch.Tensor | None,
+        friction: torch.Tensor | None,
+        due: torch.Tensor | None,
+    ) -> None:
+        """Take up a sample of what is told apart, each (N, B, M, 3); as ``take_forces``."""
+        before = self.force_matrix_w_history
+        taken = {
+            "filtered": torch.cat((newest.unsqueeze(1), before[:, :-1]), dim=1),
+            "points": points,
+            "friction": friction,
+        }
+        for name, value in taken.items():
+            if value is not None and due is not None:
+                value = torch.where(due.view(-1, *[1] * (value.ndim - 1)), value, getattr(self, name))
+            setattr(self, name, value)
+
+    def of_pairs(self) -> dict[str, torch.Tensor]:
+        """Return what is told apart, by attribute."""
+        found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
+        return {name: value for name, value in found.items() if value is not None}
+
+    def add_pose(self, robot: Robot, bodies: list[str]) -> None:
+        """Show the poses of the sensed bodies."""
+        self._robot, self._ids = robot, [robot.body_names.index(body) for body in bodies]
+
+    @property
+    def force_matrix_w_history(self) -> torch.Tensor:
+        """Normal force from each filtered body, N, (N, T, B, M, 3), newest first."""
+        if self.filtered is None:
+            self._refuse("forces are not told apart", "filter_body_names", "the other bodies, or ground")
+        return self.filtered
+
+    @property
+    def force_matrix_w(self) -> torch.Tensor:
+        """Normal force of the last physics step from each filtered body, N, (N, B, M, 3)."""
+        return self.force_matrix_w_history[:, 0]
+
+    @property
+    def contact_pos_w(self) -> torch.Tensor:
+        """Mean place of the contacts with each filtered body, m, (N, B, M, 3); NaN where there is none."""
+        if self.points is None:
+            self._refuse("places of contacts are not tracked", "track_contact_points", "true, and filter_body_names")
+        return self.points
+
+    @property
+    def friction_forces_w(self) -> torch.Tensor:
+        """Friction of the last physics step from each filtered body, N, (N, B, M, 3)."""
+        if self.friction is None:
+            self._refuse("friction is not tracked", "track_friction_forces", "true, and filter_body_names")
+        return self.friction
+
+    @property
+    def pos_w(self) -> torch.Tensor:
+        """Positions of the sensed bodies' frames, m, (N, B, 3)."""
+        return self._posed().data.body_pos_w[:, self._ids]
+
+    @property
+    def quat_w(self) -> torch.Tensor:
+        """Orientations of the sensed bodies' frames (w, x, y, z), (N, B, 4)."""
+        return self._posed().data.body_quat_w[:, self._ids]
+
+    def _posed(self) -> Robot:
+        if self._robot is None:
+            self._refuse("poses are not tracked", "track_pose", "true, for a term that asks for poses")
+        return self._robot
+
+    def _refuse(self, message: str, name: str, expected: str) -> NoReturn:
+        raise ConfigError(message, key=f"{self._key}.{name}", expected=expected)
+
+    def require_times(self) -> None:
+        """Raise ConfigError when contact and flight are not timed."""
+        if not self._track_air_time:
+            expected = "true, for a term that asks for times or first contacts"
+            self._refuse("contact and flight are not timed", "track_air_time", expected)
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Forget forces and times of ``ids``."""
+        self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
+        for name, value in self.of_pairs().items():
+            setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
+        if self._track_air_time:  # else they are 0
+            for value in self.times.values():
+                value.index_fill_(0, ids, 0.0)
+
+
+_WIDTH = width(NORMAL)
+
+
+class ContactSensor(SensorBase):
+    """Sum of the normal contact forces on each body, world axes, over the last physics step; friction excluded.
+
+    Args:
+        body_names: expressions of the sensed bodies.
+        history_length: physics steps kept, newest first.
+        track_air_time: whether to time contact and flight.
+        force_threshold: force above which a body is in contact, N.
+        max_contacts: most contacts of one body that are summed.
+        update_period: time between two measurements, s; 0 measures after every physics step.
+        filter_body_names: expressions of the bodies, ``ground`` among them, from which forces are told apart; null is
+            none.
+        track_pose: whether the data has the bodies' poses.
+        track_contact_points: whether the data has the mean place of the contacts with each filtered body.
+        track_friction_forces: whether the data has the friction from each filtered body.
+
+    Attributes:
+        data: what was measured, from ``connect`` on.
+    """
+
+    data: ContactSensorData
+    _norms: list[torch.Tensor | None]  # of each step kept, once asked for
+    _largest_norm: torch.Tensor | None
+
+    def __init__(
+        self,
+        body_names: Names,
+        history_length: Natural,
+        track_air_time: bool,
+        force_threshold: NonNegative,
+        max_contacts: Count,
+        update_period: NonNegative = 0.0,
+        filter_body_names: Names | None = None,
+        track_pose: bool = False,
+        track_contact_points: bool = False,
+        track_friction_forces: bool = False,
+    ) -> None:
+        super().__init__(update_period)
+        filters = filter_body_names or []
+        self._filters = [filters] if isinstance(filters, str) else list(filters)
+        self._track_pose = track_pose
+        self._tracked = {"track_contact_points": track_contact_points, "track_friction_forces": track_friction_forces}
+        self._expressions = body_names
+        self._history_length = max(1, history_length)
+        self.track_air_time = track_air_time
+        self.force_threshold = force_threshold
+        self._slots = max_contacts
+
+    def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
+        """Find the sensed bodies and add one MuJoCo contact sensor a body."""
+        super().add_to(spec, name, robot)
+        _, self.body_names = robot.find_bodies(self._expressions, key=f"{self.key}.body_names")
+        numbers = len(self.body_names) * self._slots * _WIDTH
+        require_memory(8 * numbers, f"{self.key}.max_contacts", f"{numbers:,} readings of contacts")
+        self._robot, key = robot, f"{self.key}.filter_body_names"
+        self.filter_names: list[str] = []
+        if self._filters:
+            _, self.filter_names = match_names(self._filters, [GROUND, *robot.body_names], key=key, what="body")
+        self._require_filters()
+        for body in self.body_names:
+            self._sense(spec, body, NORMAL, {})
+        for body, other in product(self.body_names, self.filter_names):
+            ref = "world" if other == GROUND else other
+            to = {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": ref}
+            self._sense(spec, body, self._fields_of_pairs, to, f"/{other}")
+
+    @property
+    def _fields_of_pairs(self) -> tuple[str, ...]:
+        return FIELDS if any(self._tracked.values()) else NORMAL
+
+    def _require_filters(self) -> None:
+        for name, is_tracked in self._tracked.items():
+            if is_tracked and not self._filters:
+                raise ConfigError(
+                    "needs the bodies whose contacts are told apart",
+                    key=f"{self.key}.{name}",
+                    expected=f"false, or bodies or ground in {self.key}.filter_body_names",
+                )
+
+    def _sense(
+        self, spec: mujoco.MjSpec, body: str, fields: tuple[str, ...], ref: dict[str, Any], suffix: str = ""
+    ) -> None:
+        spec.add_sensor(
+            name=f"{self.name}/{body}{suffix}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            objname=body,
+            intprm=[data_flags(fields), 0, self._slots],
+            **ref,
+        )
+
+    def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled."""
+        super().connect(sim, stream)
+        n, bodies, device = sim.num_envs, len(self.body_names), sim.device
+        numbers = 3 * n * bodies * self._history_length
+        require_memory(4 * numbers, f"{self.key}.history_length", f"{numbers:,} numbers of past forces")
+        start = int(sim.model.sensor(f"{self.name}/{self.body_names[0]}").adr[0])
+        end = start + bodies * self._slots * _WIDTH
+        self._readings = sim.view("sensordata")[:, start:end].view(n, bodies, self._slots, _WIDTH)
+        self._pressures, self._normals = self._readings[..., 1].unsqueeze(2), self._readings[..., 4:7]
+        self._counts = self._readings[:, :, 0, 0]
+        self.data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
+        if self.filter_names:
+            self._connect_pairs(sim.view("sensordata")[:, end:])
+        if self._track_pose:
+            self.data.add_pose(self._robot, self.body_names)
+        self._norms, self._largest_norm = [None] * self._history_length, None
+        self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
+
+    def _connect_pairs(self, behind: torch.Tensor) -> None:
+        fields, bodies, others = self._fields_of_pairs, len(self.body_names), len(self.filter_names)
+        form = len(behind), bodies * others, self._slots, width(fields)
+        self._pairs = ContactPairs(behind[:, : form[1] * form[2] * form[3]].view(form), bodies, fields)
+        self.data.add_filters(others, **self._tracked)
+
+    def max_force_norm(self) -> torch.Tensor:
+        """Largest norm over the history, N, (N, B)."""
+        if self._largest_norm is None:
+            self._largest_norm = functools.reduce(torch.maximum, map(self._norm, range(self._history_length)))
+        return self._largest_norm
+
+    def _forget_norms(self) -> None:
+        self._norms[:] = [None] * self._history_length
+        self._largest_norm = None
+
+    def _norm(self, age: int) -> torch.Tensor:
+        norm = self._norms[age]
+        if norm is None:
+            norm = self._norms[age] = torch.linalg.vector_norm(self.data.forces[age], dim=-1)
+        return norm
+
+    def compute_first_contact(self, dt: float) -> torch.Tensor:
+        """Return which bodies (N, B) touched down within the last ``dt`` seconds."""
+        self.data.require_times()
+        time = self.data.current_contact_time
+        return (time > 0.0) & (time < dt + 1e-8)
+
+    def compute_first_air(self, dt: float) -> torch.Tensor:
+        """Return which bodies (N, B) left the ground within the last ``dt`` seconds."""
+        self.data.require_times()
+        time = self.data.current_air_time
+        return (time > 0.0) & (time < dt + 1e-8)
+
+    def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
+        """Sample the forces of the physics step that has just run."""
+        # The normal points away from the sensed body, and force[0] >= 0 pushes the bodies apart.
+        self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
+        torch.maximum(self._found, self._counts, out=self._found)
+        if due is None:
+            self._norms[:] = [None, *self._norms[:-1]]
+            self._largest_norm = None
+        else:
+            self._forget_norms()
+        if self.filter_names:
+            self._measure_pairs(due)
+        if self.track_air_time:
+            self._update_times(due, elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1))
+
+    def _measure_pairs(self, due: torch.Tensor | None) -> None:
+        tracked = self._tracked
+        self.data.take_pairs(
+            self._pairs.normal_forces(),
+            self._pairs.points() if tracked["track_contact_points"] else None,
+            self._pairs.friction_forces() if tracked["track_friction_forces"] else None,
+            due,
+        )
+
+    def reset(self, ids: torch.Tensor) -> None:
+        """Forget forces and times of ``ids``."""
+        super().reset(ids)
+        self.data.reset(ids)
+        self._found.index_fill_(0, ids, 0.0)
+        self._norms[:] = [None if norm is None else norm.index_fill(0, ids, 0.0) for norm in self._norms]
+        self._largest_norm = None
+
+    def overflowed(self, ids: torch.Tensor) -> torch.Tensor:
+        """Return which of ``ids`` had more contacts on one body than ``max_contacts`` since their reset, (n,) bool."""
+        return (self._found.index_select(0, ids) > self._slots).any(dim=1)
+
+    def diagnostics(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return ``overflow``: the share of ``env_ids`` with more contacts on one body than the sensor sums."""
+        return {"overflow": self.overflowed(env_ids).mean(dtype=torch.float32)}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the force history and the times."""
+        return {
+            **super().state_dict(),
+            "history": self.data.net_forces_w_history.clone(),
+            "found": self._found.clone(),
+            **{name: value.clone() for name, value in self.data.times.items()},
+            **{name: value.clone() for name, value in self.data.of_pairs().items()},
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        self.data.set_forces(list(saved["history"].clone().unbind(dim=1)))
+        self._found.copy_(saved["found"])
+        for name, value in self.data.times.items():
+            value.copy_(saved[name])
+        for name in self.data.of_pairs():
+            setattr(self.data, name, saved[name].clone())
+        self._forget_norms()
+
+    def _update_times(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
+        contact = torch.linalg.vector_norm(self.data.net_forces_w, dim=-1) > self.force_threshold
+        for mode, active in (("contact", contact), ("air", ~contact)):
+            current, last = self.data.times[f"current_{mode}_time"], self.data.times[f"last_{mode}_time"]
+            self._advance(current, last, active, elapsed, due)
+
+    def _advance(
+        self,
+        current: torch.Tensor,
+        last: torch.Tensor,
+        active: torch.Tensor,
+        elapsed: float | torch.Tensor,
+        due: torch.Tensor | None,
+    ) -> None:
+        """Count the time in a mode; where it has just ended, keep its duration."""
+        ended = ~active & (current > 0.0)
+        lasted, counted = torch.where(ended, current + elapsed, last), torch.where(active, current + elapsed, 0.0)
+        if due is not None:
+            rows = due.unsqueeze(1)
+            lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
+        last.copy_(lasted)
+        current.copy_(counted)

@@ -1,0 +1,207 @@
+"""An inertial measurement unit: orientation, angular velocity and acceleration of its frame, with errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import mujoco
+import torch
+
+from wheelleg_exp.constraints import Interval, Length, NonNegative, Targeted, relation
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.ids import fill_rows
+from wheelleg_exp.sim.sensors.sensor_base import Mount, Offset, SensorBase, offset_fits, offset_pose
+from wheelleg_exp.state import Kept
+
+if TYPE_CHECKING:
+    from wheelleg_exp.sim.robot import Robot
+
+
+class ImuNoise(Kept):
+    """Errors of an accelerometer or a gyroscope, of each axis by itself; in its unit (m/s^2 or rad/s).
+
+    Args:
+        std: standard deviation of the white noise of each measurement.
+        bias_range: range of a constant error, drawn at each reset.
+        bias_walk: how fast the constant error wanders: its standard deviation after 1 s.
+    """
+
+    def __init__(self, std: NonNegative = 0.0, bias_range: Interval = (0.0, 0.0), bias_walk: NonNegative = 0.0) -> None:
+        self.std, self.bias_range, self.bias_walk = std, bias_range, bias_walk
+
+
+class ImuData(Kept):
+    """What an IMU has measured, under Isaac Lab's names; ``_b`` is the IMU's own axes.
+
+    Attributes:
+        pos_w: position, m, (N, 3).
+        quat_w: orientation (w, x, y, z), (N, 4).
+        projected_gravity_b: unit direction of gravity, (N, 3); upright is (0, 0, -1).
+        lin_vel_b: velocity, m/s, (N, 3).
+        ang_vel_b: angular velocity with the gyroscope's errors, rad/s, (N, 3).
+        lin_acc_b: acceleration plus the gravity bias, with the accelerometer's errors, m/s^2, (N, 3).
+        ang_acc_b: angular acceleration, rad/s^2, (N, 3).
+    """
+
+    def __init__(self, num_envs: int, device: torch.device) -> None:
+        self.pos_w = torch.zeros(num_envs, 3, device=device)
+        self.quat_w = torch.zeros(num_envs, 4, device=device)
+        self.projected_gravity_b = torch.zeros(num_envs, 3, device=device)
+        self.lin_vel_b = torch.zeros(num_envs, 3, device=device)
+        self.ang_vel_b = torch.zeros(num_envs, 3, device=device)
+        self.lin_acc_b = torch.zeros(num_envs, 3, device=device)
+        self.ang_acc_b = torch.zeros(num_envs, 3, device=device)
+
+
+@relation(offset_fits)
+class Imu(SensorBase):
+    """Pose, velocities and accelerations of a frame on a body, as Isaac Lab's ``Imu``.
+
+    Accelerations are the change of velocity over the last physics step, divided by its length. Velocities that
+    events write do not show in them, and right after a reset they are 0.
+
+    Args:
+        body_name: expression of the body.
+        offset: the IMU's pose in the body's frame: ``pos``, m, and ``rot``, (w, x, y, z).
+        gravity_bias: added to the acceleration, world axes, m/s^2: against gravity, an IMU at rest reads it upwards.
+        accelerometer: errors of ``lin_acc_b``; null is none.
+        gyroscope: errors of ``ang_vel_b``; null is none.
+        update_period: time between two measurements, s; 0 measures after every physics step.
+
+    Attributes:
+        data: what was measured, from ``connect`` on.
+    """
+
+    data: ImuData
+
+    def __init__(
+        self,
+        body_name: str,
+        offset: Offset | None = None,
+        gravity_bias: Annotated[Sequence[float], Length(3)] = (0.0, 0.0, 9.81),
+        accelerometer: Annotated[ImuNoise, Targeted()] | None = None,
+        gyroscope: Annotated[ImuNoise, Targeted()] | None = None,
+        update_period: NonNegative = 0.0,
+    ) -> None:
+        super().__init__(update_period)
+        for name, errors in (("accelerometer", accelerometer), ("gyroscope", gyroscope)):
+            if not isinstance(errors, ImuNoise | None):
+                raise ConfigError("is no ImuNoise", key=name, expected="a _target_ of ImuNoise")
+        self._body, self._offset, self._bias = body_name, offset, gravity_bias
+        self._errors = (accelerometer or ImuNoise(), gyroscope or ImuNoise())
+
+    def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
+        """Find the body."""
+        super().add_to(spec, name, robot)
+        self._mount = Mount(self._body, robot, f"{self.key}.body_name")
+        self.body_names = [self._mount.body]
+
+    def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
+        """Attach to the running simulations; called once, after the scene has been compiled."""
+        super().connect(sim, stream)
+        n, device = sim.num_envs, sim.device
+        self._offset_pos, self._offset_quat = offset_pose(self._offset, device)
+        self._turn = rotation.quat_to_matrix(self._offset_quat.unsqueeze(0))[0]
+        gravity = torch.tensor(sim.model.opt.gravity.tolist(), device=device)
+        self._gravity = torch.nn.functional.normalize(gravity, dim=0)
+        self._gravity_bias = torch.tensor([float(part) for part in self._bias], device=device)
+        self.data = ImuData(n, device)
+        self._before = torch.zeros(n, 6, device=device)  # velocities from which the last physics step started
+        self._acc = torch.zeros(n, 6, device=device)
+        self._is_new = torch.ones(n, dtype=torch.bool, device=device)
+        spread = [[e.std, *e.bias_range, e.bias_walk] for e in self._errors for _ in range(3)]
+        self._std, self._low, self._high, self._walk = torch.tensor(spread, device=device).unbind(dim=1)
+        self._bias_b, self._noise_b = torch.zeros(n, 6, device=device), torch.zeros(n, 6, device=device)
+        self._stream = stream() if any(map(any, spread)) else None
+
+    @property
+    def offset_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Its place (3,), m, and orientation (w, x, y, z), (4,), in the body's frame."""
+        return self._offset_pos, self._offset_quat
+
+    def update(self) -> None:
+        """Take up the physics step that has just run, and measure the environments whose time it is."""
+        now = self._velocities()
+        self._acc = (now - self._before) / self._dt
+        self._before = now
+        super().update()
+
+    def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
+        """Draw errors, and show what is measured now."""
+        if self._stream is not None:
+            white, step = torch.randn(2, *self._bias_b.shape, generator=self._stream, device=self._sim.device).unbind()
+            since = torch.as_tensor(elapsed, device=self._sim.device).reshape(-1, 1)
+            self._noise_b = self._std * white
+            walked = self._bias_b + self._walk * since.sqrt() * step
+            self._bias_b = walked if due is None else torch.where(due.unsqueeze(1), walked, self._bias_b)
+        self._show(due)
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        """Draw the constant errors of the new episodes."""
+        fill_rows(self._elapsed, env_ids, 0.0)
+        fill_rows(self._is_new, env_ids, True)
+        if self._stream is not None:
+            count, device = len(env_ids), self._sim.device
+            self._bias_b[env_ids] = rotation.uniform(self._low, self._high, count, self._stream)
+            self._noise_b[env_ids] = self._std * torch.randn(count, 6, generator=self._stream, device=device)
+
+    def refresh(self, env_ids: torch.Tensor) -> None:
+        """Take up velocities that were written, from which the next acceleration counts."""
+        written = torch.zeros_like(self._is_new).index_fill(0, env_ids, True)
+        self._before = torch.where(written.unsqueeze(1), self._velocities(), self._before)
+        self._acc = torch.where((written & self._is_new).unsqueeze(1), 0.0, self._acc)
+        self._show(written if self.update_period == 0.0 else written & self._is_new)
+        fill_rows(self._is_new, env_ids, False)
+
+    def _velocities(self) -> torch.Tensor:
+        """Return the IMU's linear and angular velocity, world axes, (N, 6)."""
+        ang = self._mount.ang_vel_w
+        arm = self._mount.rot_w @ self._offset_pos
+        return torch.cat((self._mount.lin_vel_w + torch.linalg.cross(ang, arm), ang), dim=1)
+
+    def _show(self, due: torch.Tensor | None) -> None:
+        """Write into ``data`` what the IMU measures now, of the environments that are due (None: all)."""
+        body = self._mount.rot_w
+        rot = body @ self._turn
+        vectors = torch.stack(
+            (
+                self._before[:, :3],
+                self._before[:, 3:],
+                self._acc[:, :3] + self._gravity_bias,
+                self._acc[:, 3:],
+                self._gravity.expand_as(self._before[:, :3]),
+            ),
+            dim=1,
+        )
+        lin_vel, ang_vel, lin_acc, ang_acc, gravity = (vectors @ rot).unbind(dim=1)
+        error = self._bias_b + self._noise_b
+        seen = {
+            "pos_w": self._mount.pos_w + body @ self._offset_pos,
+            "quat_w": rotation.quat_mul(self._mount.quat_w, self._offset_quat.expand(len(body), 4)),
+            "projected_gravity_b": gravity,
+            "lin_vel_b": lin_vel,
+            "ang_vel_b": ang_vel + error[:, 3:],
+            "lin_acc_b": lin_acc + error[:, :3],
+            "ang_acc_b": ang_acc,
+        }
+        for name, value in seen.items():
+            held = getattr(self.data, name)
+            held.copy_(value if due is None else torch.where(due.unsqueeze(1), value, held))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what was measured, the errors, and what the next acceleration counts from."""
+        kept = {name: value.clone() for name, value in vars(self.data).items()}
+        own = {"before": self._before, "acc": self._acc, "bias": self._bias_b, "noise": self._noise_b}
+        return {**super().state_dict(), **kept, **{name: value.clone() for name, value in own.items()}}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        super().load_state_dict(saved)
+        for name, value in vars(self.data).items():
+            value.copy_(saved[name])
+        self._before, self._acc = saved["before"].clone(), saved["acc"].clone()
+        self._bias_b, self._noise_b = saved["bias"].clone(), saved["noise"].clone()
+        self._is_new.fill_(False)

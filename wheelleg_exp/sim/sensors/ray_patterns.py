@@ -1,0 +1,192 @@
+"""Patterns of rays: grids, lidars, and the pixels of a pinhole camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import torch
+
+from wheelleg_exp.constraints import AtMost, Broken, Count, Interval, Length, NotAllZero, Positive, relation
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.state import Kept
+from wheelleg_exp.terms.term_errors import blamed, code_place, described, dotted_name
+
+Rays = tuple[torch.Tensor, torch.Tensor]
+_TURN = 2 * math.pi
+
+
+class PatternBase(Kept):
+    """A pattern of rays; one YAML node in a ray caster, from this package or a user's own."""
+
+    def rays(self, device: torch.device) -> Rays:
+        """Return where the rays start, m, (R, 3), and their directions (R, 3), of any length but 0."""
+        raise NotImplementedError("a pattern needs 'rays(device)'")
+
+    def checked_rays(self, device: torch.device) -> Rays:
+        """Return the rays; ConfigError, with a key below the sensor's, unless they are what ``rays`` promises."""
+        if type(self).__module__ == __name__:
+            count = len(self.rays(torch.device("meta"))[0])  # the device gives shapes and takes no memory
+            require_memory(24 * count, "pattern", f"{count:,} rays")
+        with blamed("pattern", self):
+            given = self.rays(device)
+        if not isinstance(given, tuple) or len(given) != 2:
+            found = described(given)
+        elif not all(isinstance(part, torch.Tensor) for part in given):
+            found = " and ".join(map(described, given))
+        elif given[0].shape != given[1].shape or given[0].ndim != 2 or given[0].shape[1] != 3 or not len(given[0]):
+            found = f"shapes {tuple(given[0].shape)} and {tuple(given[1].shape)}"
+        elif not bool((given[1].isfinite() & given[0].isfinite()).all() and (given[1].norm(dim=1) > 0.0).all()):
+            found = "a direction of length 0, or numbers that are not finite"
+        else:
+            return given
+        expected = "a tuple of starts and directions, tensors of shape (R, 3) each, no direction of length 0"
+        message = f"'{dotted_name(self)}.rays' returns {found}"
+        raise ConfigError(message, key="pattern", where=code_place(self.rays), expected=expected)
+
+
+class GridPattern(PatternBase):
+    """Parallel rays from a grid about the sensor, both ends included.
+
+    Args:
+        resolution: distance between neighbours, m.
+        size: length along x and width along y, m.
+        direction: of all rays.
+        ordering: ``xy`` runs through x first, ``yx`` through y.
+    """
+
+    def __init__(
+        self,
+        resolution: Positive,
+        size: Annotated[Sequence[float], Length(2)],
+        direction: Annotated[Sequence[float], Length(3), NotAllZero()] = (0.0, 0.0, -1.0),
+        ordering: Literal["xy", "yx"] = "xy",
+    ) -> None:
+        self._resolution, self._size, self._direction, self._ordering = resolution, size, direction, ordering
+
+    def rays(self, device: torch.device) -> Rays:
+        """Return the rays, (R, 3) each."""
+        x, y = (torch.arange(-length / 2, length / 2 + 1e-9, self._resolution, device=device) for length in self._size)
+        grid = torch.meshgrid(x, y, indexing="xy" if self._ordering == "xy" else "ij")
+        starts = torch.stack((*(axis.flatten() for axis in grid), torch.zeros(grid[0].numel(), device=device)), dim=1)
+        return starts, torch.tensor(self._direction, device=device).expand_as(starts).clone()
+
+
+def _angles_in_radians(given: Mapping[str, Any]) -> Iterator[Broken]:
+    for name in ("vertical_fov_range", "horizontal_fov_range"):
+        if max(map(abs, given[name])) > _TURN + 1e-6:
+            yield Broken(name, f"{list(given[name])!r} is more than a turn", "[low, high] in radians")
+
+
+@relation(_angles_in_radians)
+class LidarPattern(PatternBase):
+    """Rays from one point: beams above one another that turn about z.
+
+    Args:
+        channels: number of beams.
+        vertical_fov_range: lowest and highest beam above the xy plane, rad.
+        horizontal_fov_range: first and last angle from x towards y, rad; of a whole turn the last is left out.
+        horizontal_res: largest angle between neighbours, rad.
+    """
+
+    def __init__(
+        self,
+        channels: Count,
+        vertical_fov_range: Interval,
+        horizontal_fov_range: Interval,
+        horizontal_res: Positive,
+    ) -> None:
+        self._channels, self._vertical = channels, vertical_fov_range
+        self._horizontal, self._resolution = horizontal_fov_range, horizontal_res
+
+    def rays(self, device: torch.device) -> Rays:
+        """Return the rays beam by beam, from the lowest, (R, 3) each."""
+        low, high = self._horizontal
+        steps = math.ceil((high - low) / self._resolution - 1e-9)
+        azimuth = torch.linspace(low, high, steps + 1, device=device)
+        if abs(high - low - _TURN) < 1e-6:
+            azimuth = azimuth[:-1]
+        elevation = torch.linspace(self._vertical[0], self._vertical[1], self._channels, device=device)
+        return _from_origin(*torch.meshgrid(elevation, azimuth, indexing="ij"))
+
+
+class BpearlPattern(PatternBase):
+    """Rays of a Robosense RS-Bpearl, a hemisphere above the sensor's xy plane.
+
+    Args:
+        horizontal_fov: rad, about x.
+        horizontal_res: angle between neighbours, rad.
+        vertical_ray_angles: of each beam above the xy plane, rad; null is the device's own 32.
+    """
+
+    def __init__(
+        self,
+        horizontal_fov: Annotated[Positive, AtMost(_TURN)] = _TURN,
+        horizontal_res: Positive = _TURN / 36,
+        vertical_ray_angles: Sequence[float] | None = None,
+    ) -> None:
+        self._fov, self._resolution = horizontal_fov, horizontal_res
+        own = [math.radians(89.5 - 2.8125 * beam) for beam in range(32)]
+        self._elevations = own if vertical_ray_angles is None else list(vertical_ray_angles)
+
+    def rays(self, device: torch.device) -> Rays:
+        """Return the rays, (R, 3) each: for each angle about z, all beams."""
+        count = math.ceil(self._fov / self._resolution - 1e-9)
+        azimuth = -self._fov / 2 + self._resolution * torch.arange(count, device=device)
+        elevation = torch.tensor(self._elevations, device=device)
+        azimuth, elevation = torch.meshgrid(azimuth, elevation, indexing="ij")
+        return _from_origin(elevation, azimuth + math.pi)
+
+
+class PinholePattern(PatternBase):
+    """Rays through the pixels' centres of a camera that looks along x, row by row from the upper left.
+
+    Args:
+        width: px.
+        height: px.
+        focal_length: in the unit of the apertures; only their ratio counts.
+        horizontal_aperture: width of the image plane.
+        vertical_aperture: its height; null makes pixels square.
+        horizontal_aperture_offset: of the image's centre, to the right, in focal lengths.
+        vertical_aperture_offset: downwards, in focal lengths.
+
+    Attributes:
+        intrinsics: the rows of the intrinsic matrix, px.
+    """
+
+    def __init__(
+        self,
+        width: Count,
+        height: Count,
+        focal_length: Positive = 24.0,
+        horizontal_aperture: Positive = 20.955,
+        vertical_aperture: Positive | None = None,
+        horizontal_aperture_offset: float = 0.0,
+        vertical_aperture_offset: float = 0.0,
+    ) -> None:
+        self.width, self.height = width, height
+        vertical = horizontal_aperture * height / width if vertical_aperture is None else vertical_aperture
+        focal = width * focal_length / horizontal_aperture, height * focal_length / vertical
+        self.intrinsics = (
+            (focal[0], 0.0, width / 2 + horizontal_aperture_offset * focal[0]),
+            (0.0, focal[1], height / 2 + vertical_aperture_offset * focal[1]),
+            (0.0, 0.0, 1.0),
+        )
+
+    def rays(self, device: torch.device) -> Rays:
+        """Return the rays of unit length, (height * width, 3) each."""
+        rows, columns = (torch.arange(count, device=device) for count in (self.height, self.width))
+        v, u = torch.meshgrid(rows + 0.5, columns + 0.5, indexing="ij")
+        (f_x, _, c_x), (_, f_y, c_y), _ = self.intrinsics
+        right, down = (u.flatten() - c_x) / f_x, (v.flatten() - c_y) / f_y
+        directions = torch.stack((torch.ones_like(right), -right, -down), dim=1)
+        return torch.zeros_like(directions), torch.nn.functional.normalize(directions, dim=1)
+
+
+def _from_origin(elevation: torch.Tensor, azimuth: torch.Tensor) -> Rays:
+    level = elevation.cos()
+    parts = (level * azimuth.cos(), level * azimuth.sin(), elevation.sin())
+    directions = torch.stack(parts, dim=-1).reshape(-1, 3)
+    return torch.zeros_like(directions), directions

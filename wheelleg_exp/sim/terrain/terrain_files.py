@@ -1,0 +1,225 @@
+"""A ground from a user's file: an image or array of heights, or a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from wheelleg_exp.constraints import Interval, Length, NonNegative, NotEmpty, PathBelow, Positive, Share
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.machine import require_memory
+from wheelleg_exp.paths import GROUND as FOLDER
+from wheelleg_exp.sim.terrain.geoms import add_tile
+from wheelleg_exp.sim.terrain.height_map import HeightMap, Tile
+from wheelleg_exp.sim.terrain.sub_terrains import FlatPatches
+from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, Probe, TerrainBase
+
+Array = npt.NDArray[np.float64]
+Read = tuple[Array, tuple[float, float], tuple[float, float]]  # heights, the middle, the edges, m
+Start = Annotated[Sequence[Annotated[Sequence[float], Length(2)]], NotEmpty()]
+_LARGEST = 1 << 28  # numbers in a file
+
+
+class _FromFile(TerrainBase):
+    """What grounds out of a file have in common."""
+
+    def __init__(
+        self,
+        file: str,
+        start: Sequence[Sequence[float]],
+        flat_patches: Mapping[str, FlatPatches] | None,
+        static_friction: float,
+        dynamic_friction: float,
+        restitution: float,
+    ) -> None:
+        super().__init__(static_friction, dynamic_friction, restitution)
+        self.file = file
+        self._start = [(float(x), float(y)) for x, y in start]
+        self._wanted = dict(flat_patches or {})
+
+    def read_files(self, folder: Path) -> None:
+        """Read the file: the heights of the corners of cells, the middle, and the edges."""
+        file = folder / FOLDER / self.file
+        kind, known = file.suffix.lower(), self._kinds()
+        if kind not in known:
+            expected, nearest = "a file that ends in " + " or ".join(known), nearest_name(kind, known)
+            raise ConfigError(f"'{self.file}' is no such ground", key=self._key, expected=expected, nearest=nearest)
+        heights, self._centre, self._edges = known[kind](file)
+        self._tile = Tile(heights.astype(np.float32), boxes=False)
+
+    @property
+    def _key(self) -> str:
+        return f"{TERRAIN_KEY}.file"
+
+    def _kinds(self) -> dict[str, Callable[[Path], Read]]:
+        raise NotImplementedError
+
+    def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
+        """Find where the environments begin, and the flat places."""
+        self._map = HeightMap([self._tile], 1, self._edges, device)
+        self._middle = torch.tensor(self._centre, device=device)
+        super().place(num_envs, spacing, device, stream)
+        if self._wanted:
+            rng = np.random.default_rng(stream().initial_seed())
+            alone = HeightMap([self._tile], 1, self._edges, torch.device("cpu"))
+            for name, wanted in self._wanted.items():
+                found = wanted.find(
+                    lambda points: alone.height_at(torch.from_numpy(points)).numpy(),
+                    np.zeros(3),
+                    self._edges,
+                    rng,
+                    f"{TERRAIN_KEY}.flat_patches.{name}",
+                )
+                places = torch.as_tensor(found + np.array([*self._centre, 0.0]), dtype=torch.float32, device=device)
+                self.flat_patches[name] = places.expand(1, 1, -1, -1)
+
+    def origins(self, num_envs: int, spacing: float, device: torch.device) -> torch.Tensor:
+        """Return the places of ``start`` in turn, m, (N, 3); each environment is a simulation of its own."""
+        del spacing
+        start = torch.tensor(self._start, device=device)
+        xy = start[torch.arange(num_envs, device=device) % len(start)]
+        return torch.cat((xy, self.height_at(xy).unsqueeze(1)), dim=1)
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add the height field."""
+        add_tile(spec, GROUND, self.dynamic_friction, self._tile, self._centre, self._edges)
+
+    def height_at(self, xy: torch.Tensor) -> torch.Tensor:
+        """Return the height of the ground at points (..., 2) of the world, m, (...); 0 beside it."""
+        return self._map.height_at(xy - self._middle.to(xy))
+
+
+class HeightField(_FromFile):
+    """Heights out of a file, around the world's origin: those of the corners of cells, straight between them.
+
+    Args:
+        file: a ``.npy``, whose first index goes with x and whose second with y, or a ``.png``, as a map: right is x,
+            up is y; relative to an asset folder.
+        size: edges along x and y, m.
+        height_range: heights of 0 and of 1 in the file, m (black and white in a picture); null takes its numbers as m.
+        static_friction: the ground's coefficient at rest.
+        dynamic_friction: the ground's coefficient in motion.
+        restitution: the ground's coefficient of restitution.
+        start: where environments begin, in turn, (x, y), m.
+        flat_patches: places to be found, by name.
+    """
+
+    def __init__(
+        self,
+        file: PathBelow,
+        size: Annotated[Sequence[Positive], Length(2)],
+        height_range: Interval | None,
+        static_friction: NonNegative,
+        dynamic_friction: NonNegative,
+        restitution: Share,
+        start: Start = ((0.0, 0.0),),
+        flat_patches: Mapping[str, Any] | None = None,
+    ) -> None:
+        super().__init__(file, start, flat_patches, static_friction, dynamic_friction, restitution)
+        self._size = (float(size[0]), float(size[1]))
+        self._range = height_range
+
+    def _kinds(self) -> dict[str, Callable[[Path], Read]]:
+        return {".npy": self._npy, ".png": self._png}
+
+    def _npy(self, file: Path) -> Read:
+        try:
+            mapped = np.load(file, mmap_mode="r", allow_pickle=False)
+        except (ValueError, OSError, EOFError) as error:
+            raise ConfigError(f"'{self.file}' is no array", key=self._key, expected="a .npy file") from error
+        return self._scaled(mapped)
+
+    def _png(self, file: Path) -> Read:
+        from matplotlib.image import imread
+
+        try:
+            picture = imread(file)
+        except Exception as error:  # of many kinds, by what is wrong with it
+            raise ConfigError(f"'{self.file}' is no picture", key=self._key, expected="a .png file") from error
+        grey = picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1)
+        return self._scaled(grey[::-1].T)
+
+    def _scaled(self, values: npt.NDArray[Any]) -> Read:
+        good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
+        if not good or not np.isfinite(heights := np.array(values, dtype=float)).all():
+            raise ConfigError(
+                f"'{self.file}' holds {' x '.join(map(str, values.shape))} values of type {values.dtype}",
+                key=self._key,
+                expected="two or more rows and columns of finite numbers",
+            )
+        if self._range is not None:
+            low, high = self._range
+            heights = low + (high - low) * heights
+        return heights, (0.0, 0.0), self._size
+
+
+class Mesh(_FromFile):
+    """A mesh, at its own place, as it is seen from above: a height field of the points that rays from above meet.
+
+    Where the mesh has a hole, the ground is as deep as its lowest point; what lies below an overhang is not there.
+
+    Args:
+        file: a ``.obj`` or ``.stl``, in the world's axes; relative to an asset folder.
+        horizontal_scale: edge of a cell, m.
+        static_friction: the ground's coefficient at rest.
+        dynamic_friction: the ground's coefficient in motion.
+        restitution: the ground's coefficient of restitution.
+        scale: m of a unit of the file.
+        start: where environments begin, in turn, (x, y), m.
+        flat_patches: places to be found, by name.
+    """
+
+    def __init__(
+        self,
+        file: PathBelow,
+        horizontal_scale: Positive,
+        static_friction: NonNegative,
+        dynamic_friction: NonNegative,
+        restitution: Share,
+        scale: Positive = 1.0,
+        start: Start = ((0.0, 0.0),),
+        flat_patches: Mapping[str, Any] | None = None,
+    ) -> None:
+        super().__init__(file, start, flat_patches, static_friction, dynamic_friction, restitution)
+        self._cell, self._scale = horizontal_scale, scale
+
+    def _kinds(self) -> dict[str, Callable[[Path], Read]]:
+        return {".obj": self._from_above, ".stl": self._from_above}
+
+    def _from_above(self, file: Path) -> Read:
+        def add_to(spec: mujoco.MjSpec) -> None:
+            spec.add_mesh(
+                name="mesh", file=str(file), scale=[self._scale] * 3, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            )
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+
+        spec = mujoco.MjSpec()
+        add_to(spec)
+        try:
+            model = spec.compile()
+        except ValueError as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"'{self.file}' is no mesh: {reason}", key=self._key, expected="a mesh") from error
+        turned = np.zeros(9)
+        mujoco.mju_quat2Mat(turned, model.geom_quat[0])
+        corners = model.mesh_vert @ turned.reshape(3, 3).T + model.geom_pos[0]
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        edges = high[:2] - low[:2]
+        counts = [max(1, round(edge / self._cell)) for edge in edges]
+        cells = counts[0] * counts[1]
+        require_memory(200 * cells, f"{TERRAIN_KEY}.horizontal_scale", f"{cells:,} cells of the ground")
+        x, y = (np.linspace(low[i], high[i], counts[i] + 1) for i in range(2))
+        points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        probe, inset = Probe(add_to), 1e-6 * edges  # a ray along an edge may meet nothing: two, a little beside a point
+        near = [
+            (points + side * inset * (0.6, 0.4)).clip(low[:2] + inset / 3, high[:2] - inset / 3) for side in (-1, 1)
+        ]
+        found = np.max([probe.height_at(torch.from_numpy(p), beside=float(low[2])).numpy() for p in near], axis=0)
+        middle = (low + high) / 2
+        return found, (float(middle[0]), float(middle[1])), (float(edges[0]), float(edges[1]))

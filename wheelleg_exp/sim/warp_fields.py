@@ -1,0 +1,163 @@
+"""Fields of mujoco-warp's model and data as torch tensors in MuJoCo's shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.warp_runtime import ENGINE
+
+# The state of a simulation: its next step follows from these and the model. (A model without one has it empty.)
+STATE = (
+    "time",
+    "qpos",
+    "qvel",
+    "act",
+    "history",
+    "plastic",
+    "qacc_warmstart",
+    "ctrl",
+    "qfrc_applied",
+    "xfrc_applied",
+    "eq_active",
+    "mocap_pos",
+    "mocap_quat",
+    "userdata",
+)
+# Outputs that kinematics, centres of mass and velocities leave behind.
+DERIVED = frozenset(
+    """xpos xquat xmat xipos ximat xanchor xaxis geom_xpos geom_xmat site_xpos site_xmat subtree_com cdof cinert cvel
+    cdof_dot sensordata""".split()  # noqa: SIM905
+)
+# What set_const derives, so that it has one value a simulation where what it follows from has.
+CONSTANTS = (
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_invweight0",
+    "actuator_acc0",
+    "tendon_length0",
+    "tendon_invweight0",
+    "eq_data",
+    "cam_pos0",
+    "cam_poscom0",
+    "cam_mat0",
+    "light_pos0",
+    "light_poscom0",
+    "light_dir0",
+    "geom_aabb",
+    "geom_rbound",
+)
+
+
+class DataFields:
+    """Fields of mujoco-warp's data, in MuJoCo's shapes.
+
+    Args:
+        wp: Warp.
+        data: mujoco-warp's data.
+        model: the compiled scene.
+    """
+
+    def __init__(self, wp: Any, data: Any, model: mujoco.MjModel) -> None:
+        self._wp, self._data = wp, data
+        self._like = mujoco.MjData(model)
+        self._views: dict[str, torch.Tensor] = {}
+
+    def view(self, name: str) -> torch.Tensor:
+        """Return a live view (N, ...) of an MjData field; ConfigError when mujoco-warp has it not."""
+        if name not in self._views:
+            array, like = getattr(self._data, name, None), getattr(self._like, name, None)
+            if like is None or not isinstance(array, self._wp.array):
+                raise ConfigError(f"mujoco-warp keeps no '{name}'", key=ENGINE, expected="mujoco, which does")
+            shape = (int(self._data.nworld), *np.shape(like))
+            tensor = self._wp.to_torch(array) if array.size else self._empty(array, shape)
+            self._views[name] = tensor.view(shape)
+        return self._views[name]
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return live views of what a simulation's next step follows from, by name."""
+        names = [name for name in STATE if hasattr(self._like, name) and hasattr(self._data, name)]
+        return {name: self.view(name) for name in names if self.view(name).numel()}
+
+    def _empty(self, array: Any, shape: tuple[int, ...]) -> torch.Tensor:
+        device = self._wp.device_to_torch(array.device)
+        return torch.zeros(shape, dtype=torch.float32, device=device)
+
+
+class ModelFields:
+    """Fields of mujoco-warp's model, which hold one value for all simulations, or one for each.
+
+    Args:
+        wp: Warp.
+        on_device: mujoco-warp's model.
+        model: the compiled scene.
+        num_envs: number of simulations, N.
+    """
+
+    def __init__(self, wp: Any, on_device: Any, model: mujoco.MjModel, num_envs: int) -> None:
+        self._wp, self._on_device, self._model, self._num_envs = wp, on_device, model, num_envs
+        self.own: dict[str, torch.Tensor] = {}
+        self._first: dict[str, torch.Tensor] = {}
+
+    def expand(self, name: str) -> torch.Tensor:
+        """Give a field one value a simulation; return the live tensor (N, ...) in MuJoCo's shape.
+
+        Raises:
+            ConfigError: mujoco-warp holds one value of it for all.
+        """
+        if name not in self.own:
+            owner, last = self._place(name)
+            array, like = getattr(owner, last, None), self._like(name)
+            if not self.may_differ(name):
+                raise ConfigError(
+                    f"mujoco-warp holds one '{name}' for all simulations",
+                    key=ENGINE,
+                    expected="mujoco, or no event that gives each environment its own",
+                )
+            self._give_each(owner, last, array)
+            self.own[name] = self._wp.to_torch(getattr(owner, last)).view(self._num_envs, *np.shape(like))
+            self._first[name] = self.own[name][:1].clone()
+        return self.own[name]
+
+    def restore(self, saved: Mapping[str, torch.Tensor]) -> None:
+        """Write values (N, ...) by name; fields that are not named get the model's."""
+        for name in saved:
+            self.expand(name)
+        for name, values in self.own.items():
+            values.copy_(saved.get(name, self._first[name]).expand_as(values))
+
+    def expand_constants(self) -> None:
+        """Give what ``set_const`` derives one value a simulation."""
+        for name in CONSTANTS:
+            array = getattr(self._on_device, name, None)
+            if array is not None and array.size:
+                self.expand(name)
+
+    def _like(self, name: str) -> Any:
+        found: Any = self._model
+        for part in name.split("."):
+            found = getattr(found, part, None)
+        return found
+
+    def may_differ(self, name: str) -> bool:
+        """Return whether a field is kept with a leading dimension for simulations."""
+        owner, last = self._place(name)
+        array, like = getattr(owner, last, None), self._like(name)
+        if like is None or not isinstance(array, self._wp.array) or array.shape[0] not in (1, self._num_envs):
+            return False
+        return self._wp.to_torch(array).numel() == array.shape[0] * np.size(like)
+
+    def _place(self, name: str) -> tuple[Any, str]:
+        holder, _, last = name.rpartition(".")
+        return (getattr(self._on_device, holder) if holder else self._on_device), last
+
+    def _give_each(self, owner: Any, name: str, array: Any) -> None:
+        wp = self._wp
+        each = wp.zeros((self._num_envs, *array.shape[1:]), dtype=array.dtype, device=array.device)
+        wp.to_torch(each).copy_(wp.to_torch(array).expand_as(wp.to_torch(each)))
+        setattr(owner, name, each)

@@ -1,0 +1,336 @@
+"""Convert the attributes of an object to values that a checkpoint can store, compare them, and restore them.
+
+State is: tensors, arrays, numbers, text, random generators, plain containers of these, and objects with their own
+``state_dict`` and ``load_state_dict``. References are: functions, classes, and other constants; dataclasses, as
+long as they do not change; and objects that another part saves (``Kept``). Everything else is ``Unsaveable``.
+``look`` converts a value to a tree of tensors, numbers, lists, and tagged dictionaries. A reference appears in
+this tree as a ``Reference``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import random
+import re
+import struct
+import types
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+import torch
+
+TAG = "__kind__"
+NOTHING = object()
+_PLAIN = (bool, int, float, str, type(None))
+CONTAINERS: dict[type, str] = {kind: kind.__name__ for kind in (list, tuple, dict, set, frozenset, deque)}
+# Never changed in place: what is bound to the name is all there is.
+_CONSTANTS = (
+    bytes,
+    complex,
+    range,
+    slice,
+    type,
+    enum.Enum,
+    re.Pattern,
+    PurePath,
+    torch.dtype,
+    torch.device,
+    torch.Size,
+    np.dtype,
+    types.FunctionType,
+    types.BuiltinFunctionType,
+    types.ModuleType,
+)
+Generator = tuple[type, Callable[[Any], Any], Callable[[Any, Any], None]]
+GENERATORS: dict[str, Generator] = {
+    "generator": (torch.Generator, lambda g: g.get_state(), lambda g, state: g.set_state(state.cpu())),
+    "python random": (random.Random, lambda g: g.getstate(), lambda g, state: g.setstate(state)),
+    "numpy random": (
+        np.random.Generator,
+        lambda g: g.bit_generator.state,
+        lambda g, state: setattr(g.bit_generator, "state", state),
+    ),
+}
+
+
+class Kept:
+    """Marks objects whose state somebody saves: what only points to one does not save it again."""
+
+
+class NamedStream(Kept, torch.Generator):
+    """A random stream that the environment's streams save."""
+
+
+class Unsaveable(Exception):
+    """Something whose state cannot be saved."""
+
+    def __init__(self, path: str, value: Any, why: str = "") -> None:
+        kind = type(value)
+        name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
+        super().__init__(f"keeps a {name} in '{path}'" + (f" ({why})" if why else ""))
+
+
+@dataclasses.dataclass
+class Reference:
+    """Something that is not written: ``seen`` is what it held when it was looked at, as far as it could change."""
+
+    value: Any
+    seen: Any = None
+
+
+# --- looking ---
+
+
+def look(value: Any, path: str) -> Any:
+    """Return a copy of a value in tensors, numbers, tagged dictionaries and references.
+
+    Raises:
+        Unsaveable: it is, or holds, something else.
+    """
+    if type(value) in _PLAIN:
+        return value
+    if isinstance(value, torch.Tensor):
+        if value.layout != torch.strided:
+            raise Unsaveable(path, value, "not strided")
+        if vars(value):
+            raise Unsaveable(path, value, f"with an attribute of its own, '{next(iter(vars(value)))}'")
+        return value.detach().clone()
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _array(value, path)
+    if type(value) in CONTAINERS:
+        return _container(value, path)
+    if isinstance(value, Kept) or type(value) is object:
+        return Reference(value)
+    for tag, (kind, get, _) in GENERATORS.items():
+        if isinstance(value, kind):
+            return {TAG: tag, "data": look(get(value), path)}
+    if _saves_itself(value):
+        return {TAG: "stateful", "data": look(dict(value.state_dict()), path), "rest": _rest(value, path)}
+    return _reference(value, path)
+
+
+def _array(value: np.ndarray | np.generic, path: str) -> dict[str, Any]:
+    if isinstance(value, np.ndarray) and type(value) is not np.ndarray:  # a mask or a file would be lost
+        raise Unsaveable(path, value)
+    try:
+        tensor = torch.from_numpy(np.array(value))
+    except TypeError:
+        raise Unsaveable(path, value) from None
+    return {TAG: "array" if isinstance(value, np.ndarray) else "scalar", "data": tensor}
+
+
+def _container(value: Any, path: str) -> dict[str, Any]:
+    tagged: dict[str, Any] = {TAG: CONTAINERS[type(value)]}
+    if isinstance(value, dict):
+        tagged["keys"] = [look(key, f"{path} (a key)") for key in value]
+        return {**tagged, "items": [look(item, f"{path}[{key!r}]") for key, item in value.items()]}
+    # A set's own order depends on the process.
+    items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
+    tagged["items"] = [look(item, f"{path}[{i}]") for i, item in enumerate(items)]
+    return {**tagged, "maxlen": value.maxlen} if isinstance(value, deque) else tagged
+
+
+def _saves_itself(value: Any) -> bool:
+    return hasattr(value, "state_dict") and hasattr(value, "load_state_dict") and not isinstance(value, type)
+
+
+def _rest(value: Any, path: str) -> Reference:
+    """Return what a network's ``state_dict`` leaves out; whoever writes one of his own answers for it."""
+    if not isinstance(value, torch.nn.Module) or isinstance(value, torch.jit.ScriptModule):
+        return Reference(None)
+    return Reference(None, {name: look(item, f"{path}.{name}") for name, item in _unlisted(value)})
+
+
+def _unlisted(network: torch.nn.Module) -> Iterator[tuple[str, Any]]:
+    """Yield a network's plain attributes and buffers that are not in its ``state_dict``."""
+    own = vars(torch.nn.Module()).keys() - {"training"}
+    for prefix, part in network.named_modules():
+        buffers = {name: part._buffers[name] for name in part._non_persistent_buffers_set}
+        plain = {name: item for name, item in vars(part).items() if name not in own and not _is_wiring(item)}
+        yield from ((f"{prefix}.{name}".lstrip("."), item) for name, item in {**plain, **buffers}.items())
+
+
+def _is_wiring(item: Any) -> bool:
+    """Return whether an attribute only points at parameters, as recurrent networks keep them."""
+    parts = item if isinstance(item, list) else [item]
+    return bool(parts) and all(isinstance(part, (torch.nn.Parameter, weakref.ref, type(None))) for part in parts)
+
+
+def _reference(value: Any, path: str) -> Reference:
+    if isinstance(value, types.MethodType):
+        return Reference(value, None if isinstance(value.__self__, type) else look(value.__self__, path))
+    if isinstance(value, partial):
+        return Reference(value, look([value.args, value.keywords], path))
+    if isinstance(value, _CONSTANTS):
+        return Reference(value)
+    if dataclasses.is_dataclass(value) and hasattr(value, "__dict__"):
+        return Reference(value, {name: look(item, f"{path}.{name}") for name, item in vars(value).items()})
+    raise Unsaveable(path, value)
+
+
+# --- comparing ---
+
+
+def same(a: Any, b: Any) -> bool:
+    """Return whether two looked-at trees are equal to the bit, NaN included."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, torch.Tensor):
+        return a.dtype == b.dtype and a.shape == b.shape and _equal_bytes(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, Reference):
+        # A bound method is a new object each time, and equal.
+        methods = isinstance(a.value, (*_CONSTANTS, types.MethodType)) and a.value == b.value
+        return (a.value is b.value or methods) and same(a.seen, b.seen)
+    if isinstance(a, float):
+        return struct.pack("d", a) == struct.pack("d", b)
+    return bool(a == b)
+
+
+def _equal_bytes(a: torch.Tensor, b: torch.Tensor) -> bool:
+    """NaN is equal to itself alone, and 0.0 is not -0.0."""
+    return a.device == b.device and torch.equal(bytes_of(a), bytes_of(b))
+
+
+def bytes_of(value: torch.Tensor) -> torch.Tensor:
+    """Return the bytes of a tensor's elements in their order, without a copy where they lie so in memory."""
+    flat = value.detach().resolve_conj().resolve_neg().contiguous().reshape(-1)
+    if flat.stride(0) != 1:  # one element of a row: contiguous by name, and not by its stride
+        flat = flat.clone(memory_format=torch.contiguous_format)
+    return flat.view(torch.uint8)
+
+
+def on_device(tree: Any, device: torch.device) -> Any:
+    """Return mappings, lists and tuples with their tensors on a device; a file's are in the host's memory."""
+    if isinstance(tree, torch.Tensor):
+        return tree.to(device)
+    if isinstance(tree, Mapping):
+        return {key: on_device(value, device) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return type(tree)(on_device(value, device) for value in tree)
+    return tree
+
+
+def cloned(tree: Any) -> Any:
+    """Return a copy of mappings, lists and tuples of tensors that stands still."""
+    if isinstance(tree, torch.Tensor):
+        return tree.detach().clone()
+    if isinstance(tree, Mapping):
+        return {key: cloned(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return type(tree)(cloned(value) for value in tree)
+    return tree
+
+
+_KINDS = {name: kind for kind, name in CONTAINERS.items()}
+
+
+def writable(item: Any, before: Any, path: str) -> Any:
+    """Return a looked-at value as a checkpoint takes it.
+
+    Args:
+        item: the value now.
+        before: what stood there when its owner was made, into which it will be written.
+        path: where it stands.
+
+    Raises:
+        Unsaveable: a reference was bound or changed since, or an object that only its owner could make again.
+    """
+    if isinstance(item, Reference):
+        raise Unsaveable(path, item.value, "which came or changed since its owner was made")
+    if not isinstance(item, dict):
+        return item
+    tag = item[TAG]
+    alike = isinstance(before, dict) and before.get(TAG) == tag
+    if tag == "stateful" or tag in GENERATORS:
+        if not alike:
+            raise Unsaveable(path, NOTHING, f"a {tag}, which came since its owner was made")
+        _require_untouched(item.get("rest"), before.get("rest"), path)
+        return {TAG: tag, "data": item["data"] if tag != "stateful" else writable(item["data"], before["data"], path)}
+    if "items" not in item:
+        return item
+    there = before["items"] if alike and same(item.get("keys"), before.get("keys")) else []
+    there = [*there, *([NOTHING] * (len(item["items"]) - len(there)))]
+    items = [writable(part, there[i], f"{path}[{i}]") for i, part in enumerate(item["items"])]
+    return {**item, "items": items}
+
+
+def _require_untouched(now: Reference | None, before: Reference | None, path: str) -> None:
+    now_seen, was_seen = (getattr(side, "seen", None) or {} for side in (now, before))
+    for name in {**now_seen, **was_seen}:
+        if not same(now_seen.get(name, NOTHING), was_seen.get(name, NOTHING)):
+            raise Unsaveable(f"{path}.{name}", NOTHING, "which its network's state_dict leaves out; register a buffer")
+
+
+def made_again(item: Any, present: Any = None) -> Any:
+    """Return the value that a looked-at item stands for, written over ``present`` where that can be written."""
+    if isinstance(item, torch.Tensor):
+        return _tensor_again(item, present)
+    if isinstance(item, Reference):
+        return item.value
+    if not isinstance(item, dict):
+        return item
+    tag: str = item[TAG]
+    data: Any = item.get("data")
+    if tag == "array":
+        return _array_again(data, present)
+    if tag == "scalar":
+        return data.cpu().numpy()[()]
+    if tag == "stateful":
+        present.load_state_dict(made_again(data))
+        return present
+    if tag in GENERATORS:
+        GENERATORS[tag][2](present, made_again(data))
+        return present
+    return _container_again(tag, item, present)
+
+
+def _tensor_again(item: torch.Tensor, present: Any) -> torch.Tensor:
+    if not isinstance(present, torch.Tensor) or (present.shape, present.dtype) != (item.shape, item.dtype):
+        return item.clone()
+    if 0 in present.stride() and present.numel() > 1:  # expanded: it cannot be written
+        return item.clone()
+    with torch.inference_mode() if present.is_inference() else torch.no_grad():
+        return present.copy_(item)
+
+
+def _array_again(item: torch.Tensor, present: Any) -> np.ndarray:
+    array = item.cpu().numpy()
+    fits = isinstance(present, np.ndarray) and (present.shape, present.dtype) == (array.shape, array.dtype)
+    if not fits or not present.flags.writeable:
+        return array.copy()
+    np.copyto(present, array)
+    return present
+
+
+def _container_again(tag: str, item: dict[str, Any], present: Any) -> Any:
+    alike = type(present) is _KINDS[tag]
+    if tag == "dict":
+        keys = [made_again(key) for key in item["keys"]]
+        there = [present.get(key) if alike else None for key in keys]
+    else:
+        there = list(present)[: len(item["items"])] if alike and tag not in ("set", "frozenset") else []
+        there += [None] * (len(item["items"]) - len(there))
+    items = [made_again(part, at) for part, at in zip(item["items"], there, strict=True)]
+    if tag == "dict":
+        return _refilled(present if alike else {}, dict(zip(keys, items, strict=True)))
+    if tag in ("tuple", "frozenset"):
+        return _KINDS[tag](items)
+    fits = alike and getattr(present, "maxlen", None) == item.get("maxlen")
+    empty = deque(maxlen=item["maxlen"]) if tag == "deque" else _KINDS[tag]()
+    return _refilled(present if fits else empty, items)
+
+
+def _refilled(container: Any, items: Any) -> Any:
+    container.clear()
+    container.extend(items) if isinstance(container, (list, deque)) else container.update(items)
+    return container

@@ -1,0 +1,224 @@
+"""Objects whose attributes are their state, and settings of terms that changed after the environment was built.
+
+A tensor attribute is always saved, unless the class names it in ``settings``. Every other attribute is saved only
+if it differs from its first value. Loading therefore does not undo a later change of the config.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, look, made_again, same, writable
+
+_BASE = "_state_when_made"
+_TENSOR = "a tensor"  # stands for one that is saved whether it has changed or not
+
+
+class _Base(NamedTuple):
+    """What an object held when it was made, looked at, and the config key that messages name."""
+
+    values: dict[str, Any]
+    key: str | None
+
+
+class Stateful:
+    """An object that saves and restores its attributes (see the module).
+
+    Attributes:
+        settings: names of tensor attributes that come from the config, and are saved only when they have changed.
+    """
+
+    settings: ClassVar[tuple[str, ...]] = ()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what the coming steps depend on."""
+        return save(self)
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned, in an object that was made alike."""
+        restore(self, saved)
+
+
+def made(value: Any, key: str | None = None) -> None:
+    """Note what an object holds now as what it was made with.
+
+    Raises:
+        ConfigError: it keeps something whose state cannot be saved.
+    """
+    try:
+        _require_no_slots(value)
+        looked = {name: look(item, name) for name, item in attributes(value).items()}
+    except (Unsaveable, RecursionError) as error:
+        raise refusal(value, error, key) from error
+    always = {name for name, item in looked.items() if isinstance(item, torch.Tensor) and name not in _settings(value)}
+    vars(value)[_BASE] = _Base({n: _TENSOR if n in always else item for n, item in looked.items()}, key)
+
+
+def save(value: Any) -> dict[str, Any]:
+    """Return the state of an object as tensors and plain values.
+
+    Raises:
+        ConfigError: it now keeps something whose state cannot be saved.
+    """
+    if _BASE not in vars(value):
+        made(value)
+    base, key = vars(value)[_BASE]
+    settings, found = _settings(value), {}
+    try:
+        for name, item in attributes(value).items():
+            now, before = look(item, name), base.get(name, NOTHING)
+            if (isinstance(now, torch.Tensor) and name not in settings) or not same(now, before):
+                found[name] = writable(now, before, name)
+        for name in base.keys() - vars(value).keys():
+            raise Unsaveable(name, NOTHING, "an attribute that was deleted")
+    except (Unsaveable, RecursionError) as error:
+        raise refusal(value, error, key) from error
+    return found
+
+
+def restore(value: Any, saved: Mapping[str, Any]) -> None:
+    """Give an object the state that ``save`` returned; what was not saved goes back to what it was made with."""
+    if _BASE not in vars(value):
+        made(value)
+    base, held = vars(value)[_BASE].values, attributes(value)
+    for name in held.keys() - base.keys() - saved.keys():
+        delattr(value, name)
+    unchanged = {name: item for name, item in base.items() if name not in saved and item is not _TENSOR}
+    for name, item in {**unchanged, **saved}.items():
+        present = held.get(name)
+        if name in saved or not same(look(present, name), item):
+            vars(value)[name] = made_again(item, present)
+
+
+def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
+    """Let an object be as one of its class that was made with other settings, but for its state; tensors stay in place.
+
+    Raises:
+        ConfigError: the other keeps something whose state cannot be saved.
+    """
+    state = value.state_dict()
+    for name, item in attributes(made_anew).items():
+        vars(value)[name] = made_again(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
+    made(value, key)
+    value.load_state_dict(state)
+
+
+def attributes(value: Any) -> dict[str, Any]:
+    """Return an object's own attributes by name."""
+    return {name: item for name, item in vars(value).items() if name != _BASE}
+
+
+def _settings(value: Any) -> tuple[str, ...]:
+    found: tuple[str, ...] = getattr(type(value), "settings", ())
+    return found
+
+
+def _require_no_slots(value: Any) -> None:
+    for kind in type(value).__mro__:
+        if vars(kind).get("__slots__"):
+            raise Unsaveable("__slots__", value)
+
+
+def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
+    """Return the error that tells what an object keeps and may not."""
+    why = "points back at itself" if isinstance(error, RecursionError) else str(error)
+    return ConfigError(
+        f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ",
+        key=key,
+        expected="tensors, arrays, numbers, text, generators, lists and dictionaries of these (a list and the place in "
+        "it instead of an iterator), or objects with state_dict and load_state_dict of their own",
+    )
+
+
+class _Attributes:
+    """Saves the attributes of an object that has no ``state_dict``; of None, nothing."""
+
+    def __init__(self, value: Any, key: str) -> None:
+        self._value = value
+        if value is not None:
+            made(value, key)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {} if self._value is None else save(self._value)
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        if self._value is not None:
+            restore(self._value, saved)
+
+
+def stateful(value: Any, key: str) -> Any:
+    """Return what saves and restores ``value``: itself when it can, else its attributes.
+
+    Raises:
+        ConfigError: it keeps something whose state cannot be saved.
+    """
+    itself = hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
+    return value if itself else _Attributes(value, key)
+
+
+_Looked = dict[str, dict[str, Any]]
+
+
+class Settings:
+    """The settings of a term, as its config gave them: what differs from them is state, set by a curriculum perhaps.
+
+    A change is saved beside the setting that it was made on, and is not restored on another: who changed the
+    setting in the config means it.
+
+    Args:
+        groups: dictionaries of settings by name.
+        key: config key of the term, for messages.
+        skip: names of settings that save their state themselves.
+    """
+
+    def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
+        self._groups = dict(groups)
+        self._key = key
+        self._skip = frozenset(skip)
+        self._base = self._look()
+
+    def _look(self) -> _Looked:
+        try:
+            return {
+                group: {name: look(value, name) for name, value in values.items() if name not in self._skip}
+                for group, values in self._groups.items()
+            }
+        except Unsaveable as error:
+            raise ConfigError(f"a setting {error}, whose state cannot be saved", key=self._key) from error
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the changed settings by group and name, each with what it was."""
+        found: dict[str, Any] = {}
+        for group, values in self._look().items():
+            for name, now in values.items():
+                was = self._base[group].get(name, NOTHING)
+                if not same(now, was):
+                    found.setdefault(group, {})[name] = self._change(name, was, now)
+        return found
+
+    def _change(self, name: str, was: Any, now: Any) -> dict[str, Any]:
+        try:
+            return {"was": _written(None if was is NOTHING else was), "now": writable(now, was, name)}
+        except Unsaveable as error:
+            raise ConfigError(f"the changed setting {error}, which cannot be saved", key=self._key) from error
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned; settings that had not changed are what the config says."""
+        for group, values in self._groups.items():
+            changes, base = saved.get(group, {}), self._base[group]
+            for name in list(values.keys() - base.keys() - changes.keys() - self._skip):
+                del values[name]
+            for name in [*base, *(n for n in changes if n not in base)]:
+                change, own = changes.get(name), base.get(name)
+                wanted = change["now"] if change is not None and same(change["was"], _written(own)) else own
+                if not same(look(values.get(name), name), wanted):
+                    values[name] = made_again(wanted, values.get(name))
+
+
+def _written(looked: Any) -> Any:
+    """Return a setting of the config as a checkpoint takes it."""
+    return writable(looked, looked, "")

@@ -1,0 +1,33 @@
+"""Nested mappings and sequences of tensors: merge the states of two sets of environments, copy a tensor to the host."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+
+def merged(before: Any, after: Any, rows: torch.Tensor) -> Any:
+    """Return a state dict that is ``after`` in some environments' rows and ``before`` in the others'.
+
+    Args:
+        before: a state dict, in which tensors (N, ...) have a row an environment.
+        after: a later one of the same object; of what has no rows, this is returned.
+        rows: environments, (N,) bool.
+    """
+    if isinstance(after, Mapping):
+        return {name: merged(before.get(name), item, rows) for name, item in after.items()}
+    if isinstance(after, (list, tuple)) and isinstance(before, (list, tuple)) and len(before) == len(after):
+        return type(after)(merged(old, new, rows) for old, new in zip(before, after, strict=True))
+    if not isinstance(after, torch.Tensor) or not isinstance(before, torch.Tensor):
+        return after
+    if before.shape != after.shape or after.shape[:1] != rows.shape:
+        return after
+    return torch.where(rows.view(-1, *[1] * (after.ndim - 1)), after, before)
+
+
+def host_copy(tensor: torch.Tensor) -> np.ndarray[Any, Any]:
+    """Return a copy of a tensor in the host's memory, whatever device it is on; later steps do not change it."""
+    return tensor.detach().cpu().numpy().copy()

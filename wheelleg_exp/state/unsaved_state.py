@@ -1,0 +1,263 @@
+"""Find and reject state that no checkpoint could restore.
+
+``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
+and classes, and anything written to the scene, the managers, or the config. Module variables and closures are not
+checked. ``Memory`` finds tensors that share memory. Each attribute is saved and restored separately, so two
+attributes that share memory would not share it afterwards.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.state.saved_values import NOTHING, Kept, Unsaveable, look, same
+from wheelleg_exp.state.stateful import Stateful, attributes
+
+_PLAIN = (bool, int, float, str, type(None))
+_PACKAGE = __name__.partition(".")[0]
+
+
+class Outside:
+    """Notes the surroundings of terms when they are made.
+
+    Args:
+        code: the function or class of each term, by config key.
+        owners: objects that terms may read but not write, by name. Attributes are not allowed to appear on them or on
+            this package's objects below them; their own public numbers and texts are not allowed to change.
+        config: the config that the terms were made from.
+
+    Raises:
+        ConfigError: a class attribute or a default argument is an iterator, whose position cannot be read.
+    """
+
+    def __init__(self, code: Mapping[str, Callable[..., Any]], owners: Mapping[str, Any], config: Any) -> None:
+        self._code, self._config, self._own = code, config, frozenset(owners)
+        self._parts = dict(_parts(owners))
+        self._before = dict(self._seen())
+
+    def require_unchanged(self) -> None:
+        """Raise ConfigError when something has changed, with its name."""
+        now = dict(self._seen())
+        for place in {**self._before, **now}:
+            was, item = self._before.get(place, NOTHING), now.get(place, NOTHING)
+            if was is not item and not same(was, item):
+                key, name = place
+                raise ConfigError(
+                    f"a term has changed {name}, which no checkpoint saves",
+                    key=key,
+                    expected="a class term that stores it on self",
+                )
+
+    def _seen(self) -> Iterator[tuple[tuple[str, str], Any]]:
+        for key, code in self._code.items():
+            for name, item in _code_values(code):
+                if hasattr(item, "__next__"):
+                    raise ConfigError(
+                        f"{name} is a {type(item).__name__}, whose state cannot be saved",
+                        key=key,
+                        expected="a class term with a number on self, set in __init__",
+                    )
+                yield (key, name), _looked(item, name)
+        for key, value in self._parts.items():
+            own = key in self._own
+            for name, item in vars(value).items():
+                if own and isinstance(item, _PLAIN) and not name.startswith("_"):
+                    yield (key, f"the attribute '{name}'"), item
+                elif not _is_default(value, name):
+                    yield (
+                        (key, f"the attribute '{name}'"),
+                        (isinstance(item, torch.Tensor) and {**vars(item)}) or "there",
+                    )
+        yield from _leaves(self._config, "env")
+
+
+def _parts(owners: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield owners, and the objects of this package in their public attributes that do not save themselves, by name."""
+    waiting, seen = list(owners.items()), {id(value) for value in owners.values()}
+    yield from waiting
+    for key, value in waiting:  # which grows
+        for name, item in vars(value).items():
+            is_ours = type(item).__module__.partition(".")[0] == _PACKAGE and hasattr(item, "__dict__")
+            is_public = not name.startswith("_") and not _is_default(value, name)
+            if is_ours and is_public and not isinstance(item, Stateful) and id(item) not in seen:
+                seen.add(id(item))
+                waiting.append((f"{key}.{name}", item))
+                yield waiting[-1]
+
+
+def _is_default(value: Any, name: str) -> bool:
+    """Return whether an attribute overrides a number or None of its class, such as a dataclass has."""
+    return isinstance(getattr(type(value), name, NOTHING), _PLAIN)
+
+
+def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    """Yield attributes and default arguments of a function, or of a class and its bases, that could be state."""
+    if not inspect.isclass(code):
+        function: Any = code
+        while function is not None:
+            owner = getattr(function, "__qualname__", "?")
+            yield from ((f"the attribute '{name}' of '{owner}'", item) for name, item in vars(function).items())
+            yield from _defaults(function)
+            function = getattr(function, "__wrapped__", None)
+        return
+    for owner in code.__mro__:
+        for name, item in list(vars(owner).items()):
+            if hasattr(item, "__get__"):
+                if name != "__init__":  # what __init__ stores on self is saved there
+                    yield from _defaults(getattr(item, "__func__", item))
+            elif not name.startswith(("__", "_abc_")) and not isinstance(item, Kept):
+                yield f"the attribute '{name}' of '{owner.__qualname__}'", item
+
+
+def _defaults(function: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the default arguments of a function that can be changed in place."""
+    if not inspect.isfunction(function):
+        return
+    count, given = function.__code__.co_argcount, function.__defaults__ or ()
+    names = function.__code__.co_varnames[count - len(given) : count]
+    for name, item in (*zip(names, given, strict=True), *(function.__kwdefaults__ or {}).items()):
+        if not isinstance(item, _PLAIN):
+            yield f"the default argument '{name}' of '{function.__qualname__}'", item
+
+
+def _looked(item: Any, name: str) -> Any:
+    try:
+        return look(item, name)
+    except (Unsaveable, RecursionError):
+        return {n: part if isinstance(part, _PLAIN) else "there" for n, part in getattr(item, "__dict__", {}).items()}
+
+
+def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:
+    """Yield the leaves of a config by their keys."""
+    if isinstance(tree, Mapping):
+        for name, item in tree.items():
+            yield from _leaves(item, f"{path}.{name}")
+    elif isinstance(tree, (list, tuple)):
+        for index, item in enumerate(tree):
+            yield from _leaves(item, f"{path}[{index}]")
+    else:
+        yield (path, "the config"), tree
+
+
+_MUTABLE = (list, dict, set, deque)
+_MOST_WORK = 10_000  # of numpy's exact answer; beyond it, overlapping bounds are taken for sharing
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A tensor, an array or a container: whose it is, its name there, and the addresses that it spans."""
+
+    owner: str
+    name: str
+    node: Any
+    first: int
+    end: int
+
+
+class Memory:
+    """Holds the memory of objects apart.
+
+    Args:
+        owners: objects that save their attributes, by config key; none of their tensors may come to lie in another's.
+        others: returns the tensors of the surroundings, by name.
+
+    Raises:
+        ConfigError: two attributes of one object share memory.
+    """
+
+    def __init__(self, owners: Mapping[str, Any], others: Callable[[], Mapping[str, torch.Tensor]]) -> None:
+        self._owners, self._others = dict(owners), others
+        self._shared = self._sharing()
+
+    def require_apart(self) -> None:
+        """Raise ConfigError when something has come to share memory, or shares it no longer."""
+        now = self._sharing()
+        for owner, name, other in sorted(now ^ self._shared):
+            verb = "has come to share" if (owner, name, other) in now else "no longer shares"
+            raise _refusal(owner, f"'{name}' {verb} its memory with {other}")
+
+    def _sharing(self) -> set[tuple[str, str, str]]:
+        """Return who shares memory with whom: an owner, the name of its attribute, and the other's."""
+        places = [p for owner, value in self._owners.items() for p in _places(attributes(value), owner)]
+        places += [_place("", name, tensor) for name, tensor in self._others().items() if tensor.numel()]
+        found, near = set(), list[_Place]()
+        for place in sorted(places, key=lambda p: p.first):
+            near = [other for other in near if other.end > place.first]
+            for other in near:
+                if (place.owner or other.owner) and _share(place.node, other.node):
+                    found.add(self._pair(place, other))
+            near.append(place)
+        return found
+
+    def _pair(self, a: _Place, b: _Place) -> tuple[str, str, str]:
+        if a.owner == b.owner:
+            raise _refusal(a.owner, f"'{a.name}' and '{b.name}' are one thing, or share memory")
+        a, b = sorted((a, b), key=lambda p: (not p.owner, p.owner))
+        return a.owner, a.name, f"{b.owner}.{b.name}" if b.owner else b.name
+
+
+def _refusal(owner: str, message: str) -> ConfigError:
+    return ConfigError(
+        f"{message}, which a resumed run could not make again",
+        key=owner,
+        expected="a clone() of what belongs to others, and one name for each tensor and list",
+    )
+
+
+def _places(items: Mapping[str, Any], owner: str) -> Iterator[_Place]:
+    waiting = list(items.items())
+    while waiting:
+        name, item = waiting.pop()
+        if isinstance(item, (torch.Tensor, np.ndarray)):
+            if item.size if isinstance(item, np.ndarray) else item.numel():
+                yield _place(owner, name, item)
+        elif type(item) in _MUTABLE:
+            yield _Place(owner, name, item, id(item), id(item) + 1)
+        if isinstance(item, dict):
+            waiting += [(f"{name}[{key!r}]", part) for key, part in item.items()]
+        elif isinstance(item, (list, tuple, deque)):
+            waiting += [(f"{name}[{i}]", part) for i, part in enumerate(item)]
+
+
+def _place(owner: str, name: str, node: torch.Tensor | np.ndarray) -> _Place:
+    if isinstance(node, np.ndarray):
+        return _Place(owner, name, node, *np.lib.array_utils.byte_bounds(node))
+    reach = sum((n - 1) * stride for n, stride in zip(node.shape, node.stride(), strict=True)) + 1
+    return _Place(owner, name, node, node.data_ptr(), node.data_ptr() + reach * node.element_size())
+
+
+def _share(a: Any, b: Any) -> bool:
+    """Return whether two things whose spans meet have an element in common."""
+    if not isinstance(a, (torch.Tensor, np.ndarray)) or not isinstance(b, (torch.Tensor, np.ndarray)):
+        return a is b
+    try:
+        return np.shares_memory(_array(a), _array(b), max_work=_MOST_WORK)  # type: ignore[arg-type]  # numpy's stubs know two values
+    except (TypeError, RuntimeError):  # no strides; too hard (an error of numpy's own)
+        return True
+
+
+def _array(node: torch.Tensor | np.ndarray) -> np.ndarray:
+    """Return an array at the same addresses, only to ask where it lies: they may be a GPU's, and nothing is read."""
+    return node if isinstance(node, np.ndarray) else np.asarray(_Addresses(node))
+
+
+class _Addresses:
+    """A tensor's addresses, in numpy's terms."""
+
+    def __init__(self, node: torch.Tensor) -> None:
+        size = node.element_size()
+        self.__array_interface__ = {
+            "version": 3,
+            "typestr": f"|V{size}",
+            "shape": tuple(node.shape),
+            "strides": tuple(stride * size for stride in node.stride()),
+            "data": (node.data_ptr(), True),
+        }

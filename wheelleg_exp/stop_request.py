@@ -1,0 +1,62 @@
+"""Stop a job on Ctrl-C: the first signal asks the job to stop at its next whole point; a second stops it at once."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType, TracebackType
+
+from wheelleg_exp.errors import Interrupted
+
+# Ctrl-C, and what is treated as it: a polite kill, a terminal that was closed.
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+def stop_signals() -> list[signal.Signals]:
+    """Return the signals that ask a program to stop; what ``nohup``, or a shell's ``&``, lets it ignore does not."""
+    numbers = [signal.Signals[name] for name in _NAMES if hasattr(signal, name)]
+    return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+
+
+class StopRequest:
+    """While entered, such a signal sets ``requested``; a second one raises ``Interrupted``.
+
+    But for a second hang-up: a terminal that is closed may send it twice, by the system and by the shell.
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._before: dict[signal.Signals, signal._HANDLER] = {}
+
+    def check(self, agreed: bool | None = None) -> None:
+        """Raise ``Interrupted`` when a stop was asked for.
+
+        Args:
+            agreed: whether processes that stop together have been asked, where there are several.
+        """
+        self._listen()  # imported code may have put handlers of its own in place
+        if self.requested if agreed is None else agreed:
+            raise Interrupted
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.getsignal(number) for number in stop_signals()}
+            self._listen()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before = {}
+
+    def _listen(self) -> None:
+        for number in self._before:
+            if signal.getsignal(number) != self._request:
+                signal.signal(number, self._request)
+
+    def _request(self, number: int, _frame: FrameType | None) -> None:
+        if self.requested and signal.Signals(number).name != "SIGHUP":
+            raise Interrupted
+        self.requested = True

@@ -1,0 +1,178 @@
+"""Check and read sections of the config against the dataclasses that define their keys."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from wheelleg_exp.constraints import Count, Natural, Positive, rules_of
+from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
+from wheelleg_exp.terms.config_values import describe, options_in, value_errors
+from wheelleg_exp.terms.key_syntax import below
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+Section = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """``env.dataset``: which of the episodes that recorders note are written.
+
+    Attributes:
+        export_mode: all; those that succeeded (the termination named `success` fired) and others in folders of their
+            own; the former alone; or none.
+        export_in_close: whether episodes that are under way at the end are written too.
+    """
+
+    export_mode: Literal["all", "succeeded_failed", "succeeded_only", "none"] = "all"
+    export_in_close: bool = False
+
+
+@dataclass(frozen=True)
+class Env:
+    """``env``: the size and pace of the environments, and the sections that others read."""
+
+    num_envs: Count
+    episode_length_s: Positive
+    decimation: Count
+    sim: Section
+    scene: Section
+    robot: Section
+    commands: Section
+    actions: Section
+    observations: Section
+    events: Section
+    rewards: Section
+    terminations: Section
+    curriculum: Section
+    recorders: Section = field(default_factory=dict)
+    dataset: Dataset = Dataset()
+    is_finite_horizon: bool = False
+
+
+@dataclass(frozen=True)
+class ObservationGroup:
+    """``env.observations.<group>``."""
+
+    terms: Section
+    concatenate_terms: bool = True
+    enable_corruption: bool = False
+    history_length: Natural | None = None
+    flatten_history_dim: bool = True
+    concatenate_dim: int = -1
+    history_order: Literal["term", "time"] = "term"
+
+
+_Options = TypeVar("_Options", bound="DataclassInstance")
+
+
+@dataclass(frozen=True)
+class Key:
+    """One allowed key of a section."""
+
+    name: str
+    annotation: Any
+    required: bool
+
+
+def keys_of(options: type) -> dict[str, Key]:
+    """Return the allowed keys of a section from the fields of its dataclass."""
+    hints = typing.get_type_hints(options, include_extras=True)
+    missing = dataclasses.MISSING
+    return {
+        f.name: Key(f.name, hints[f.name], f.default is missing and f.default_factory is missing)
+        for f in dataclasses.fields(options)
+        if f.init
+    }
+
+
+def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+    """Hold the keys and values of one section against the fields of a dataclass and, where each is right, its rules."""
+    keys = keys_of(options)
+    errors = []
+    for name, value in node.items():
+        key = below(path, str(name))
+        if name in keys:
+            errors += _value_errors(key, value, keys[name].annotation)
+        else:
+            errors.append(
+                UnreadKey(key=key, expected="one of " + ", ".join(keys), nearest=nearest_name(str(name), keys))
+            )
+    for absent in keys.values():
+        if absent.required and absent.name not in node:
+            errors.append(MissingValue(key=below(path, absent.name), expected=describe(absent.annotation)))
+    return errors or _broken_rules(path, node, options)
+
+
+def _broken_rules(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+    """Hold the values of a section, each right by itself, against the rules between them."""
+    given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)
+    broken = (found for rule in rules_of(options) for found in rule(given))
+    return [
+        ConfigError(found.message, key=".".join(filter(None, (path, found.key))), expected=found.expected)
+        for found in broken
+    ]
+
+
+def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
+    nested, named = dataclass_in(annotation), _dataclass_of_values(annotation)
+    if nested is not None and isinstance(value, Mapping):
+        return section_errors(key, value, nested)
+    if named is not None and isinstance(value, Mapping):
+        return [e for name, node in value.items() for e in _value_errors(below(key, str(name)), node, named)]
+    return value_errors(key, value, annotation)
+
+
+def _dataclass_of_values(annotation: Any) -> Any | None:
+    """Return what the values of a mapping may be, when that is a dataclass; its names are free."""
+    values = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is dict else ()
+    return next((value for value in values if dataclass_in(value) is not None), None)
+
+
+def dataclass_in(annotation: Any) -> type | None:
+    """Return the dataclass that an annotation names, if any."""
+    kinds = (option for option in options_in(annotation) if isinstance(option, type))
+    return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
+
+
+def read_section(options: type[_Options], node: Any, path: str) -> _Options:
+    """Return a section as its dataclass.
+
+    Raises:
+        ConfigError: the section is missing, a key is missing or unknown, or a value is not what it may be.
+    """
+    if not isinstance(node, Mapping):
+        raise MissingValue(key=path, expected="a mapping")
+    for error in section_errors(path, node, options):
+        raise error
+    keys = keys_of(options)
+    return options(**{n: _read_value(v, below(path, str(n)), keys[n].annotation) for n, v in node.items()})
+
+
+def _read_value(value: Any, path: str, annotation: Any) -> Any:
+    nested, named = dataclass_in(annotation), _dataclass_of_values(annotation)
+    if not isinstance(value, Mapping):
+        return value
+    if nested is not None:
+        return read_section(nested, value, path)
+    if named is not None:
+        return {name: _read_value(node, below(path, str(name)), named) for name, node in value.items()}
+    return value
+
+
+def read_value(options: type, node: Any, path: str, name: str) -> Any:
+    """Return the value at one key of a section that may lack others.
+
+    Raises:
+        ConfigError: the value is missing, or not what it may be.
+    """
+    for error in section_errors(path, node, options):
+        if error.key == below(path, name):
+            raise error
+    return node[name]

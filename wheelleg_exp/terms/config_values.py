@@ -1,0 +1,263 @@
+"""Check whether a plain config value fits an annotation: its type and its constraints (``constraints``)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.constraints import Constraint, MayBeInfinite
+from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.terms.key_syntax import below
+
+_SEQUENCES = (list, Sequence)
+_MAPPINGS = (dict, Mapping)
+_FINITE = "a finite number"
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """One thing that is wrong with a value.
+
+    Attributes:
+        message: what is wrong.
+        expected: what was expected.
+        keys: where it is, below the value; a list's elements count as the list.
+        nearest: the nearest valid word.
+        is_type: whether it is of another type altogether, and not only out of range.
+    """
+
+    message: str
+    expected: str
+    keys: tuple[str, ...] = ()
+    nearest: str | None = None
+    is_type: bool = False
+
+
+def fits(value: Any, annotation: Any) -> bool:
+    """Return whether a value out of YAML fits an annotation.
+
+    An int is fine for a float, a bool is no int, a list is fine for a tuple. An annotation that YAML cannot
+    express (a class, a callable) fits anything, because a nested ``_target_`` node builds it.
+    """
+    return not misfits(value, annotation)
+
+
+def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
+    """Return the mistakes of the value at a config key, each under the key that it belongs to."""
+    errors = []
+    for found in misfits(value, annotation):
+        place = key
+        for part in found.keys:
+            place = below(place, part)
+        errors.append(ConfigError(found.message, key=place, expected=found.expected, nearest=found.nearest))
+    return errors
+
+
+def require_fit(key: str, value: Any, annotation: Any) -> None:
+    """Raise the first mistake of a value as a ConfigError."""
+    for error in value_errors(key, value, annotation):
+        raise error
+
+
+def misfits(value: Any, annotation: Any) -> list[Misfit]:
+    """Return all that is wrong with a value."""
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if annotation is Any or annotation is object:
+        return []
+    if origin is typing.Annotated:
+        return _constrained(value, annotation, arguments[0], constraints_of(annotation))
+    if origin in (typing.Union, types.UnionType):
+        return _of_union(value, annotation)
+    if origin is typing.Literal:
+        known = any(value == option and type(value) is type(option) for option in arguments)
+        return [] if known else [_wrong_type(value, annotation)]
+    if annotation is None or annotation is type(None):
+        return [] if value is None else [_wrong_type(value, annotation)]
+    if annotation in _SCALARS:
+        return _of_scalar(value, annotation)
+    return _of_container(value, annotation, origin or annotation, arguments)
+
+
+def constraints_of(annotation: Any) -> list[Constraint]:
+    """Return the constraints of an annotation itself, not those within it."""
+    parts = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is typing.Annotated else ()
+    return [part for part in parts if isinstance(part, Constraint)]
+
+
+def constraints_in(annotation: Any) -> list[Constraint]:
+    """Return the constraints of an annotation and of what it is made of."""
+    inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
+    return [*constraints_of(annotation), *inside]
+
+
+def bare(annotation: Any) -> Any:
+    """Return an annotation without its own constraints."""
+    return typing.get_args(annotation)[0] if typing.get_origin(annotation) is typing.Annotated else annotation
+
+
+_SCALARS: dict[Any, Callable[[Any], bool]] = {
+    bool: lambda value: isinstance(value, bool),
+    int: lambda value: isinstance(value, int) and not isinstance(value, bool),
+    float: lambda value: isinstance(value, (int, float)) and not isinstance(value, bool),
+    str: lambda value: isinstance(value, str),
+    Path: lambda value: isinstance(value, (str, Path)),
+}
+
+
+def _of_scalar(value: Any, annotation: Any) -> list[Misfit]:
+    if not _SCALARS[annotation](value):
+        return [_wrong_type(value, annotation)]
+    if annotation is float and not math.isfinite(value):
+        return [_out_of_range(value, _FINITE)]
+    return []
+
+
+def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
+    open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
+    found = [] if open_ended else misfits(value, inner)
+    if found:  # the constraints belong to what is expected
+        whole, part = describe(annotation), describe(inner)
+        return [
+            dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
+            for m in found
+        ]
+    broken = next((constraint for constraint in constraints if not constraint.holds(value)), None)
+    if broken is None:
+        return []
+    return [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
+
+
+def _of_union(value: Any, annotation: Any) -> list[Misfit]:
+    """Return what is wrong by the option whose type it is, if there is one."""
+    found = [misfits(value, option) for option in typing.get_args(annotation)]
+    if not all(found):
+        return []
+    near = [option for option in found if not (option[0].is_type and not option[0].keys)]
+    return near[0] if near else [_wrong_type(value, annotation)]
+
+
+def _of_container(value: Any, annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
+    if kind in _MAPPINGS:
+        return _of_mapping(value, annotation, arguments)
+    if kind is tuple or kind in _SEQUENCES:
+        if not isinstance(value, (list, tuple)):
+            return [_wrong_type(value, annotation)]
+        return _of_elements(value, annotation, kind, arguments)
+    return _of_dataclass(value, kind) if dataclasses.is_dataclass(kind) else []
+
+
+def _of_dataclass(value: Any, kind: Any) -> list[Misfit]:
+    """Hold what a parameter takes as an object, which a config builds by a node; a section's is held key by key."""
+    if isinstance(value, kind) or (isinstance(value, Mapping) and "_target_" in value):
+        return []
+    if not isinstance(value, Mapping):
+        return [_wrong_type(value, kind)]
+    return [Misfit(f"{value!r} does not say what it is", f"_target_: {kind.__module__}.{kind.__qualname__}")]
+
+
+def _of_mapping(value: Any, annotation: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
+    if not isinstance(value, Mapping):
+        return [_wrong_type(value, annotation)]
+    found = []
+    for name, item in value.items() if arguments else ():
+        wrong = [dataclasses.replace(m, message=f"unknown key '{name}'") for m in misfits(name, arguments[0])]
+        wrong = wrong or misfits(item, arguments[1])
+        found += [dataclasses.replace(m, keys=(str(name), *m.keys)) for m in wrong]
+    return found
+
+
+def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
+    """Hold a list against the annotations of its elements; it is told as a whole."""
+    if not arguments:
+        return []
+    each = arguments if kind is tuple and Ellipsis not in arguments else arguments[:1] * len(value)
+    if len(each) != len(value):
+        return [_wrong_type(value, annotation)]
+    found = [m for item, of in zip(value, each, strict=True) for m in misfits(item, of)]
+    if any(m.is_type for m in found):
+        return [_wrong_type(value, annotation)]
+    expected = describe(annotation) + (", finite" * any(m.expected == _FINITE for m in found))
+    return [_out_of_range(value, expected)] if found else []
+
+
+def _wrong_type(value: Any, annotation: Any) -> Misfit:
+    words = [str(option) for option in typing.get_args(annotation)] if is_choice(annotation) else []
+    nearest = nearest_name(str(value), words)
+    what = "is not known" if words and isinstance(value, str) else "is not of the right type"
+    return Misfit(f"{value!r} {what}", describe(annotation), nearest=nearest, is_type=True)
+
+
+def _out_of_range(value: Any, expected: str) -> Misfit:
+    return Misfit(f"{value!r} is out of range", expected)
+
+
+def is_choice(annotation: Any) -> bool:
+    """Return whether an annotation counts its values up."""
+    return typing.get_origin(annotation) is typing.Literal
+
+
+# --- in words ---
+
+
+def describe(annotation: Any) -> str:
+    """Return an annotation in words, constraints included."""
+    return ", ".join((type_words(annotation), *limit_words(annotation)))
+
+
+def limit_words(annotation: Any) -> tuple[str, ...]:
+    """Return the constraints of an annotation in words."""
+    constraints = constraints_of(annotation)
+    words = tuple(c.words() for c in constraints if c.words())
+    if not any(c.form for c in constraints):
+        return words
+    elements = typing.get_args(bare(annotation))
+    each = limit_words(elements[0]) if len(elements) == 1 else ()
+    return (*words, "each " + ", ".join(each)) if each else words
+
+
+_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "text", Path: "a path"}
+
+
+def type_words(annotation: Any) -> str:
+    """Return the type of an annotation in words."""
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if annotation is None or annotation is type(None):
+        return "null"
+    if origin is typing.Annotated:
+        return next((c.form for c in constraints_of(annotation) if c.form), type_words(arguments[0]))
+    if origin in (typing.Union, types.UnionType):
+        return _either([describe(option) for option in arguments])
+    if origin is typing.Literal:
+        return "one of " + ", ".join(str(option) for option in arguments)
+    if annotation in _NAMES:
+        return _NAMES[annotation]
+    kind = origin or annotation
+    if kind is tuple and Ellipsis not in arguments and arguments:
+        return "a list of " + ", ".join(describe(a) for a in arguments)
+    if kind is tuple or kind in _SEQUENCES:
+        return f"a list, each {describe(arguments[0])}" if arguments else "a list"
+    if kind in _MAPPINGS or dataclasses.is_dataclass(kind):
+        plain = len(arguments) != 2 or arguments[1] is Any
+        return "a mapping" if plain else f"a mapping, each value {describe(arguments[1])}"
+    return getattr(annotation, "__name__", str(annotation))
+
+
+def _either(options: Sequence[str]) -> str:
+    mark = ", or " if any("," in option for option in options) else " or "
+    return mark.join(options)
+
+
+def options_in(annotation: Any) -> Iterator[Any]:
+    """Yield the options of a union, or the one annotation, without constraints."""
+    annotation = bare(annotation)
+    if typing.get_origin(annotation) not in (typing.Union, types.UnionType):
+        yield annotation
+        return
+    for option in typing.get_args(annotation):
+        yield from options_in(option)

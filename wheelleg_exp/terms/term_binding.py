@@ -1,0 +1,328 @@
+"""Resolve the target of a term node, and bind the node's keys to the target's parameters.
+
+A term node is a flat mapping of ``_target_``, the manager's own fields, and the term's parameters. A target must
+come from an allowed package, because a config runs no other code.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from importlib import import_module
+from typing import Annotated, Any
+
+from wheelleg_exp import packages
+from wheelleg_exp.constraints import Bounds, Natural, Node, NonNegativeInterval, NotEmpty, Ordered
+from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
+from wheelleg_exp.packages import installed_packages, joined_packages
+from wheelleg_exp.user_exceptions import importing, in_words
+
+TARGET = "_target_"
+# A config may build terms, noise, entities, actuators and sensors, but call nothing else of this package.
+_OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
+
+
+class NotAllowed(ConfigError):
+    """A target or a class lies outside the allowed packages."""
+
+
+def allowed_packages() -> tuple[str, ...]:
+    """Return the packages that targets may come from: this one's terms, and those that declare themselves.
+
+    A user's package joins by an entry point in the group ``wheelleg_exp.packages``, whose value is its name: installed,
+    or in the ``pyproject.toml`` of the project whose configs are in use (see ``wheelleg_exp.packages``).
+    """
+    return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
+
+
+@functools.cache
+def _declared_packages() -> tuple[str, ...]:
+    """Read the declarations of every installed distribution, once: it takes a millisecond."""
+    return installed_packages()
+
+
+def require_allowed(target: str, path: str) -> None:
+    """Raise ConfigError unless ``target`` lies in an allowed package, so that a config runs no other code."""
+    packages = allowed_packages()
+    if not is_inside(target, packages):
+        raise NotAllowed(
+            f"target '{target}' is outside the allowed packages",
+            key=f"{path}.{TARGET}",
+            expected="a target in " + ", ".join(packages),
+            nearest=_in_nearest_package(target, packages),
+        )
+
+
+def _in_nearest_package(target: str, packages: tuple[str, ...]) -> str | None:
+    """Return a target with the name of its package put right."""
+    top, _, rest = target.partition(".")
+    near = nearest_name(top, [package.split(".")[0] for package in packages])
+    return f"{near}.{rest}" if near not in (None, top) else None
+
+
+def is_inside(name: str, packages: tuple[str, ...]) -> bool:
+    """Return whether a dotted name lies in one of the packages."""
+    return any(name.startswith(f"{package}.") for package in packages)
+
+
+_HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hydra's own instantiate
+
+# Names that a manager keeps for itself; no target may use one as a parameter.
+RESERVED: dict[str, tuple[str, ...]] = {
+    "commands": (),
+    "actions": ("delay",),
+    "observations": ("modifiers", "noise", "clip", "scale", "history_length", "flatten_history_dim", "delay"),
+    "events": ("mode", "interval_range_s", "is_global_time", "min_step_count_between_reset"),
+    "rewards": ("weight",),
+    "terminations": ("time_out",),
+    "curriculum": (),
+    "recorders": (),
+}
+
+# The section that a tree may leave out and is then built without; absent others are empty ones.
+OPTIONAL = "recorders"
+
+# What the managers' own fields may be, and which of them every term of a section must have.
+FIELD_TYPES: dict[str, Any] = {
+    "weight": float,
+    "time_out": bool,
+    "mode": Annotated[str, NotEmpty()],
+    "interval_range_s": NonNegativeInterval | None,
+    "is_global_time": bool,
+    "min_step_count_between_reset": Natural,
+    "history_length": Natural,
+    "flatten_history_dim": bool,
+    "modifiers": Sequence[Node] | None,
+    "noise": Node | None,
+    "clip": Bounds | None,
+    "scale": float | Annotated[Sequence[float], NotEmpty()] | None,
+    "delay": Annotated[Sequence[Natural], Ordered()] | None,
+}
+REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
+# Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.
+EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
+# Fields that only events of one mode read.
+MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
+
+# What a manager passes to every target; never written in a config.
+INJECTED = ("env", "env_ids", "generator")
+_ISAAC_LAB = "wheelleg_exp.isaaclab"
+_CFG_ENV = ["cfg", "env"]  # what classes written for Isaac Lab take
+
+# Where targets stand now that configs and runs of earlier versions name.
+_MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
+
+
+class NotSelected(ConfigError):
+    """There are settings for a term that no list names."""
+
+
+@dataclass(frozen=True)
+class TermNode:
+    """A term node, split: ``fields`` are the manager's, ``params`` go to the target."""
+
+    name: str
+    path: str
+    target: str
+    fields: dict[str, Any] = field(default_factory=dict)
+    params: dict[str, Any] = field(default_factory=dict)
+
+
+def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
+    """Take null terms out of a tree, give absent sections an empty mapping, and return the paths that were null."""
+    env = config.get("env")
+    if not isinstance(env, dict):
+        return ()
+    removed: list[str] = []
+    for section in RESERVED:
+        if section == OPTIONAL and section not in env:
+            continue
+        if env.get(section) is None:
+            env[section] = {}
+        removed += _drop_null(env, section, "env")
+    groups = env["observations"]
+    if isinstance(groups, dict):
+        for name, group in groups.items():
+            if isinstance(group, dict) and "terms" in group:
+                group["terms"] = {} if group["terms"] is None else group["terms"]
+                removed += _drop_null(group, "terms", f"env.observations.{name}")
+    return tuple(removed)
+
+
+def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
+    section = parent[key]
+    if not isinstance(section, dict):
+        return []
+    parent[key] = {name: node for name, node in section.items() if node is not None}
+    return [f"{path}.{key}.{name}" for name, node in section.items() if node is None]
+
+
+def split_node(kind: str, path: str, node: Any) -> TermNode:
+    """Split one term node into the manager's fields and the target's parameters.
+
+    Args:
+        kind: a key of ``RESERVED``, the section that the node stands in.
+        path: the node's config key, such as ``env.rewards.alive``.
+        node: the composed mapping.
+
+    Raises:
+        ConfigError: the node is no mapping or has no target.
+    """
+    if not isinstance(node, Mapping):
+        raise ConfigError(f"a term must be a mapping, not {node!r}", key=path, expected="_target_ and parameters")
+    if TARGET not in node:
+        short = (str(key) for key in node if len(str(key)) <= len(TARGET) + 1)
+        misspelled = next((key for key in short if nearest_name(key, [TARGET])), None)
+        if misspelled is not None:
+            expected = "_target_: package.module.name"
+            raise UnreadKey(key=f"{path}.{misspelled}", expected=expected, nearest=TARGET)
+        raise NotSelected(
+            "there are settings for this term, but the term is not selected (it has no _target_)",
+            key=path,
+            expected=f"the term in the task's list of {kind}, or no settings for it",
+        )
+    reserved = RESERVED[kind]
+    fields = {k: v for k, v in node.items() if k in reserved}
+    params = {k: v for k, v in node.items() if k not in reserved and k != TARGET}
+    return TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), fields, params)
+
+
+def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield ``(path, node)`` of each mapping at or below ``node``; list indices stand in brackets."""
+    if isinstance(node, Mapping):
+        yield path, node
+        for key, value in node.items():
+            yield from walk_nodes(value, f"{path}.{key}" if path else str(key))
+    elif isinstance(node, (list, tuple)):
+        for index, value in enumerate(node):
+            yield from walk_nodes(value, f"{path}[{index}]")
+
+
+def walk_targets(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield ``(path, target)`` for every ``_target_`` at or below ``node``."""
+    return ((where, str(part[TARGET])) for where, part in walk_nodes(node, path) if TARGET in part)
+
+
+def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """Return the keyword arguments of a ``_target_`` node.
+
+    Raises:
+        ConfigError: another of Hydra's special keys stands in it: a node is called with its keys, and nothing else.
+    """
+    for key in node:
+        if key in _HYDRA_ONLY:
+            raise ConfigError(
+                f"Hydra's '{key}' does not work here",
+                key=f"{path}.{key}",
+                expected=f"{TARGET} and its parameters alone",
+            )
+    return {str(key): value for key, value in node.items() if key != TARGET}
+
+
+def resolve_target(target: str, path: str) -> Callable[..., Any]:
+    """Import and return an allowed target.
+
+    Raises:
+        ConfigError: the target is not allowed, does not exist, or is not callable.
+    """
+    target = _MOVED.get(target, target)
+    require_allowed(target, path)
+    module_name, _, attribute = target.rpartition(".")
+    try:
+        packages.make_importable(target)
+    except ConfigError as error:
+        error.key = error.key or f"{path}.{TARGET}"
+        raise
+    try:
+        with importing(module_name):
+            module = import_module(module_name)
+    except Exception as error:  # a user's module may fail in any way
+        reason = str(error) if isinstance(error, ImportError) else in_words(error)
+        absent = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
+        expected = "package.module.name" if absent else "a module that can be imported"
+        raise ConfigError(
+            f"cannot import '{module_name}': {reason}", key=f"{path}.{TARGET}", expected=expected
+        ) from error
+    found = getattr(module, attribute, None)
+    why = getattr(module, "ABSENT", {}).get(attribute)
+    if why is not None:
+        raise ConfigError(f"'{attribute}' of Isaac Lab's is not there: {why}", key=f"{path}.{TARGET}")
+    if not callable(found):
+        public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
+        raise ConfigError(
+            f"'{module_name}' has no callable '{attribute}'",
+            key=f"{path}.{TARGET}",
+            nearest=target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public),
+        )
+    # What a module has only imported is not its own: a standard library function must not slip through.
+    require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
+    return found
+
+
+def resolve_class(name: Any) -> Any:
+    """Return what an allowed ``class_name`` of an agent names, as rsl_rl finds it; None when there is nothing.
+
+    Raises:
+        ConfigError: its module does not import.
+    """
+    from rsl_rl.utils import resolve_callable
+
+    text = str(name).replace(":", ".")
+    packages.make_importable(text)
+    try:
+        with importing(text):
+            return resolve_callable(name)
+    except Exception as error:
+        absent = isinstance(error, ImportError) and (error.name is None or f"{text}.".startswith(f"{error.name}."))
+        if absent or isinstance(error, AttributeError) or "." not in text:
+            return None
+        raise ConfigError(f"cannot import '{text}': {in_words(error)}", expected="a module that imports") from error
+
+
+def takes_cfg(target: Callable[..., Any]) -> bool:
+    """Return whether a target is a class that is made by ``(cfg, env)``, as those written for Isaac Lab are."""
+    return inspect.isclass(target) and list(inspect.signature(target).parameters)[:2] == _CFG_ENV
+
+
+def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
+    """Return whose signature says what a config may set.
+
+    Of a class made by ``(cfg, env)`` that is ``__call__`` or, where it has none, the class that annotates ``cfg``.
+    """
+    if not takes_cfg(target):
+        return target
+    if inspect.isclass(target) and any("__call__" in vars(kind) for kind in target.__mro__[:-1]):
+        called: Callable[..., Any] = vars(next(k for k in target.__mro__ if "__call__" in vars(k)))["__call__"]
+        return called
+    return cfg_class(target) or target
+
+
+def cfg_class(target: Callable[..., Any]) -> type | None:
+    """Return the class that annotates ``cfg`` of a class made by ``(cfg, env)``; None when it cannot be found."""
+    made = vars(target).get("__init__") or target.__init__
+    found = made.__annotations__.get("cfg")
+    if isinstance(found, str):
+        first, *rest = found.split(".")
+        found = reduce(
+            lambda holder, name: getattr(holder, name, None), rest, getattr(made, "__globals__", {}).get(first)
+        )
+    return found if inspect.isclass(found) else None
+
+
+def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
+    """Return whether the module of a term imports our stand-ins of Isaac Lab's modules: its draws are global ones."""
+    module = sys.modules.get(getattr(target, "__module__", ""))
+    found = vars(module).values() if module is not None else ()
+    names = (str(getattr(v, "__name__" if inspect.ismodule(v) else "__module__", "")) for v in found)
+    return any(f"{name}.".startswith(f"{_ISAAC_LAB}.") for name in names)
+
+
+def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters of ``target`` that a config may set."""
+    parameters = inspect.signature(read_from(target)).parameters.values()
+    open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {p.name: p for p in parameters if p.name not in ("self", *INJECTED) and p.kind not in open_ended}

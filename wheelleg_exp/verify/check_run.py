@@ -1,0 +1,339 @@
+"""Check one run against its own manifest, and its files against each other.
+
+Checked are the inputs (parameters, source, robot) and the results (iterations, checkpoints, recording, exported
+policy).
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import read_json, read_text, read_yaml, require_mapping, sha256
+from wheelleg_exp.plain_data import json_value, require_bounded
+from wheelleg_exp.run.file_inventory import odd_entries
+from wheelleg_exp.run.iteration_log import read_log
+from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, resolved
+from wheelleg_exp.run.run_directory import FAILURE, RunDirectory, checkpoint_iteration
+from wheelleg_exp.run.run_list import effective_status
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, entries
+from wheelleg_exp.terms.key_syntax import Keys
+from wheelleg_exp.terms.term_binding import drop_removed
+from wheelleg_exp.verify import check_files
+from wheelleg_exp.verify.check_files import Check, RunFindings, Subject
+from wheelleg_exp.verify.comparison_text import changes_text
+from wheelleg_exp.verify.run_differences import plain_changes
+
+# Resolvers whose answer depends on where and when one asks.
+_OUTSIDE = re.compile(r"\$\{\s*(oc\.env|now|hydra)\s*:")
+
+
+@dataclass(frozen=True)
+class _Config:
+    """Hydra's config: as written; resolved and without removed terms; and whether it asks the surroundings."""
+
+    written: dict[str, Any]
+    resolved: dict[str, Any]
+    asks: bool
+
+
+def params(subject: Subject) -> Check:
+    """Hold the parameters against the config that they came from, and seed and task against the manifest."""
+    if not subject.has_snapshot:
+        return Check("params", "", skipped="the run broke off while its snapshot was written")
+    found = dict(zip(PARTS, load_params(subject.run), strict=True))
+    drop_removed(found)
+    text = "env.yaml and agent.yaml are the config's env and agent"
+    config = _config(subject.run.path / CONFIG, subject.data.get("config_variables"))
+    if isinstance(config, str):
+        return Check("params", text, skipped=config)
+    failures, notes = list(_identity_problems(subject, config.resolved)), []
+    for part in PARTS:
+        changes = plain_changes(found[part], config.resolved.get(part), (part,))
+        open_ones = [change for change in changes if config.asks and _is_interpolated(config.written, change.keys)]
+        changes = [change for change in changes if change not in open_ones]
+        if changes:
+            failures.append(f"params/{part}.yaml is not the config's {part}: {changes_text(changes)}")
+        notes += [f"{change.key} depended on where the run was made, and was not checked" for change in open_ones]
+    return Check("params", text, failures, notes)
+
+
+def _identity_problems(subject: Subject, config: Mapping[str, Any]) -> Iterator[str]:
+    seeds, task = subject.data.get("seeds"), config.get("task")
+    if seeds and config.get("seed") is not None and config["seed"] != seeds[0]:
+        yield f"the config's seed is {config['seed']}, the manifest's {seeds[0]}"
+    if isinstance(task, Mapping) and task.get("name") != subject.data["task"]:
+        yield f"the config's task is '{task.get('name')}', the manifest's '{subject.data['task']}'"
+
+
+def _config(path: Path, variables: Mapping[str, str] | None) -> _Config | str:
+    """Return Hydra's config, or why it cannot be had; recorded environment variables have their old values."""
+    if not path.is_file():
+        return f"there is no {CONFIG} to hold them against"
+    tree = read_yaml(path)
+    if not isinstance(tree, dict):
+        return f"{CONFIG} is no mapping"
+    try:
+        kept = resolved(tree, variables or {}, _unknown)
+    except RunDirectoryError as error:
+        return f"{CONFIG} {error.message}"
+    asks = _OUTSIDE.search(read_text(path)) is not None
+    drop_removed(kept)
+    return _Config(tree, kept, asks)
+
+
+def _unknown(_variable: str) -> None:
+    """Return the value of a variable that was not kept: settings that depend on it are not checked."""
+
+
+def _is_interpolated(tree: Any, keys: Keys) -> bool:
+    """Return whether the value at some keys is written as an interpolation, or lies in one."""
+    for name in keys:
+        if isinstance(tree, str):
+            break
+        tree = tree.get(name) if isinstance(tree, Mapping) else None
+    return "${" in str(tree)
+
+
+def source(subject: Subject) -> Check:
+    """Hold the record of the source against the manifest, and the patches against the record."""
+    if not subject.has_snapshot:
+        return Check("source", "", skipped="the run broke off while its snapshot was written")
+    path = subject.run.source / RECORD_NAME
+    if not path.is_file():
+        return Check("source", "", [f"there is no source/{RECORD_NAME}"])
+    record = read_json(path)
+    if not isinstance(record, Mapping):
+        return Check("source", "", [f"source/{RECORD_NAME} describes no source"])
+    summary = subject.data.get("source") or {}
+    failures = [
+        f"{key} is {record.get(key)} in source/{RECORD_NAME} and {value} in the manifest"
+        for key, value in summary.items()
+        if key in ("status", "commit", "tree", "dirty") and record.get(key) != value
+    ]
+    records = entries(record)
+    failures += [problem for one in records for problem in _patch_problems(subject.run.source, one)]
+    notes = [f"{one.get('status')}: {one['note']}" for one in records if one.get("note")]
+    return Check(
+        "source", f"commit {str(record.get('commit'))[:10]}, tree {str(record.get('tree'))[:10]}", failures, notes
+    )
+
+
+def _patch_problems(folder: Path, record: Mapping[str, Any]) -> Iterator[str]:
+    name = record.get("patch")
+    if not isinstance(name, str):
+        return
+    path = folder / Path(name).name
+    if not path.is_file():
+        yield f"source/{name} is missing"
+        return
+    if sha256(path) != record.get("patch_sha256"):
+        yield f"source/{name} is not the patch that source/{RECORD_NAME} describes"
+
+
+def asset(subject: Subject) -> Check:
+    """Check that the robot is there, and which one it is."""
+    identity = subject.run.path / ROBOT
+    if not identity.is_file():
+        return Check("asset", "", skipped="the run kept no robot")
+    known = read_json(identity)
+    sources = known.get("sources") if isinstance(known, Mapping) else None
+    model = known.get("model_sha256") if isinstance(known, Mapping) else None
+    failures = [] if (subject.run.asset / "robot.xml").is_file() else ["asset/robot.xml is missing"]
+    if not isinstance(model, str) or not re.fullmatch(r"[0-9a-f]{64}", model):
+        failures.append(f"{ROBOT} has no digest of the compiled model")
+    return Check("asset", f"{len(sources or ())} source files, compiled model {str(model)[:10]}", failures)
+
+
+def iterations(subject: Subject) -> Check:
+    """Check that the log counts from 0 without gap or repeat, and ends as the results say."""
+    log, failures = subject.log, list(subject.log.problems)
+    notes: list[str] = []
+    missing = not subject.run.iterations.is_file()
+    if missing and not subject.run.checkpoints() and subject.status != "finished":
+        return Check("iterations", "", skipped="the run has no iteration yet")
+    if log.cut_off:
+        (failures if subject.has_ended else notes).append("the last line is cut off")
+    failures += _results_problems(subject)
+    names = list(log.lines[-1].digests) if log.lines else []
+    text = f"{len(log.lines)} iterations from 0 on; digests of {', '.join(names) or 'nothing'}"
+    return Check("iterations", text, failures, notes)
+
+
+def _results_problems(subject: Subject) -> Iterator[str]:
+    """Hold the manifest's results against the last iteration."""
+    results, lines = subject.manifest.results, subject.log.lines
+    if not subject.has_ended or not lines or subject.log.problems:
+        return
+    if results.get("iterations", len(lines)) != len(lines):
+        yield f"the manifest says {results['iterations']} iterations, the log has {len(lines)}"
+        return
+    for name, value in results.items():
+        if name in lines[-1].scalars and lines[-1].scalars[name] != value:
+            yield f"the manifest says {name} {value}, the last iteration {lines[-1].scalars[name]}"
+
+
+def checkpoints(subject: Subject) -> Check:
+    """Load every checkpoint, and hold it against its name and the log."""
+    paths = subject.run.checkpoints()
+    if not paths:
+        last = subject.manifest.results.get("checkpoint")
+        missing = ["a finished run has no checkpoint"] if subject.status == "finished" or last else []
+        return Check("checkpoints", "none", missing)
+    failures: list[str] = []
+    notes: list[str] = []
+    agreed = 0
+    for path in paths:
+        problems, compared = _checkpoint_problems(subject, path)
+        failures += [f"{path.name} {problem}" for problem in problems]
+        agreed += bool(compared) and not problems
+    if agreed + len({failure.split()[0] for failure in failures}) < len(paths):
+        notes.append("the digests of the log have another definition, so the others were only loaded")
+    last = subject.manifest.results.get("checkpoint")
+    if subject.has_ended and last and last != paths[-1].name:
+        failures.append(f"the manifest says that the last one is {last}, the last one here is {paths[-1].name}")
+    return Check("checkpoints", f"{len(paths)} load; {agreed} agree with the digests of the log", failures, notes)
+
+
+def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[str]]:
+    """Return what is wrong with a checkpoint, and the digests that it was held against."""
+    from wheelleg_exp.rl import checkpoint, digests
+
+    iteration = checkpoint_iteration(path)
+    try:
+        state = checkpoint.load(path, finite=False)
+    except RunDirectoryError as error:
+        return [error.message], []
+    problems = [] if state["iter"] == iteration else [f"is of iteration {state['iter']}"]
+    if iteration >= len(subject.log.lines):
+        return [*problems, "is of an iteration that the log does not have"], []
+    line = subject.log.lines[iteration]
+    if line.digest_format != digests.FORMAT:
+        return problems, []
+    found = digests.of_state(state)
+    differing = [name for name in found if line.digests.get(name) not in (None, found[name])]
+    if differing:
+        problems.append(f"does not agree with the log's digests of {', '.join(differing)}")
+    return problems, list(found)
+
+
+def failure(subject: Subject) -> Check:
+    """Check that what the run keeps of its failure can be read, and is what the manifest says."""
+    entry, path = subject.data.get("failure"), subject.run.path / FAILURE
+    if entry is None:
+        return Check("failure", "none")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            require_bounded(archive)
+        with np.load(path, allow_pickle=False) as arrays:
+            about = require_mapping(json_value(str(arrays["about"])), path)
+            text = f"{entry['key']} in iteration {entry['iteration']}: {len(arrays.files) - 1} arrays"
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        return Check("failure", "", [f"{FAILURE} cannot be read: {error}"])
+    differing = [key for key in ("key", "iteration", "message") if about.get(key) != entry.get(key)]
+    return Check("failure", text, [f"{FAILURE} and the manifest differ in {', '.join(differing)}"] if differing else [])
+
+
+def recording(subject: Subject) -> Check:
+    """Check that the recording can be read and was closed."""
+    path = subject.run.recording
+    if not path.exists():
+        return Check("recording", "", skipped="the run has none")
+    from wheelleg_exp.recording.reading.recording_contents import Contents
+
+    contents = Contents(path)
+    health = contents.health
+    told = health.lines()[1:]
+    text = f"{len(contents.pieces)} entities in {health.messages} messages, {health.size / 1e6:.1f} MB"
+    if health.damaged or (subject.has_ended and health.readable < health.size):
+        return Check("recording", text, told)
+    if subject.has_ended and not health.is_closed:
+        return _unfinished(subject, text, told)
+    return Check("recording", text, notes=told)
+
+
+def _unfinished(subject: Subject, text: str, told: list[str]) -> Check:
+    """Tell a recording without an index: whole, when its bytes are those that the run left; else who knows what."""
+    record = subject.manifest.recorded_files().get(subject.run.recording.name)
+    if record is None or record["sha256"] != sha256(subject.run.recording):
+        return Check("recording", text, told)
+    why = subject.data.get("recording_unfinished")
+    reason = f" ({why})" if isinstance(why, str) else ""
+    note = "it is as the run left it, and lacks nothing but the index that makes it quick to open"
+    return Check("recording", text, notes=[f"{note}{reason}: 'wheelleg inspect RUN --repair' writes a copy with one"])
+
+
+def exported(subject: Subject) -> Check:
+    """Check that the exported policy can be read."""
+    folder = subject.run.exported
+    names = sorted(path.name for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
+    if not names:
+        return Check("exported", "", skipped="the run exported no policy")
+    failures = []
+    if "policy.pt" in names and _archive_problem(folder / "policy.pt"):
+        failures.append("exported/policy.pt is damaged")
+    if "policy.json" in names and not isinstance(read_json(folder / "policy.json"), Mapping):
+        failures.append("exported/policy.json describes no policy")
+    return Check("exported", ", ".join(names), failures)
+
+
+def _archive_problem(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            require_bounded(archive)
+            return archive.testzip() is not None
+    except Exception:  # a damaged archive may fail in any way
+        return True
+
+
+_OF_THE_FILES = (check_files.manifest, check_files.files)
+_OF_THE_CONTENT = (
+    params,
+    source,
+    asset,
+    iterations,
+    checkpoints,
+    failure,
+    recording,
+    exported,
+)
+
+
+def verify_run(run: RunDirectory) -> RunFindings:
+    """Hold a run against its manifest, and its files against each other.
+
+    Nothing of the run is executed: checkpoints are loaded as numbers and names alone.
+
+    Raises:
+        RunDirectoryError: the manifest is missing or damaged, or its format is not known here.
+    """
+    manifest = run.manifest()
+    subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
+    checks = [_guarded(check, subject) for check in _OF_THE_FILES]
+    odd = odd_entries(run.path)
+    if odd:  # behind a link stands what is none of the run's, and a pipe may never end
+        checks.append(
+            Check("entries", "", [f"{name} is {what}, which may lead anywhere" for name, what in odd.items()])
+        )
+        skipped = "the run holds something else than files and folders"
+        checks += [Check(check.__name__, "", skipped=skipped) for check in _OF_THE_CONTENT]
+    else:
+        checks += [_guarded(check, subject) for check in _OF_THE_CONTENT]
+    return RunFindings(run.path, subject.status, checks)
+
+
+def _guarded(check: Callable[[Subject], Check], subject: Subject) -> Check:
+    """Run a check; a file that it cannot read is its failure, not everybody's."""
+    try:
+        return check(subject)
+    except RunDirectoryError as error:
+        return Check(check.__name__, "", [str(error)])
+    except Exception as error:  # the files may hold anything
+        return Check(check.__name__, "", [f"it cannot be checked: {type(error).__name__}: {error}"])

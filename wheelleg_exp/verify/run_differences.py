@@ -1,0 +1,348 @@
+"""Differences of two runs in settings, robot, code, versions, hardware, threads, and environment variables.
+
+A difference *allows* other numbers when it is known to change the order or the kind of floating-point operations,
+and nothing else: another CPU, other vector instructions, another build of the libraries that compute. Other
+settings and another number of physics threads never allow other numbers. Other code *forbids* a comparison within
+tolerance, because its effect cannot be separated from the effect of rounding.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.config.explaining.config_diff import ABSENT, Change, changes, same
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import read_bytes, read_json, sha256
+from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.run_config import ROBOT, load_params, written_config
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.source_changes import describe_changes
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, entries
+from wheelleg_exp.terms.key_syntax import Keys
+
+# They change when and what is written, how fast, or what there is room for: too little is an error.
+_HARMLESS = (
+    ("agent", "max_iterations"),
+    ("agent", "save_interval"),
+    ("agent", "max_non_finite"),
+    ("agent", "torch_threads"),
+    ("agent", "logger"),
+    ("env", "sim", "nthread"),
+    ("env", "sim", "nconmax"),
+    ("env", "sim", "njmax"),
+    ("env", "sim", "graph"),
+    ("env", "sim", "deterministic"),
+    ("recording",),
+)
+
+
+def decides(keys: Keys) -> bool:
+    """Return whether the setting at these keys can change a number; what lies below harmless keys cannot either."""
+    return not any(keys[: len(harmless)] == harmless for harmless in _HARMLESS)
+
+
+def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
+    """Return how the settings of two runs differ, those that decide numbers first.
+
+    Raises:
+        RunDirectoryError: the parameters of a run are missing or damaged.
+    """
+    found = plain_changes(_settings(a), _settings(b))
+    return sorted(found, key=lambda change: not decides(change.keys))
+
+
+def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
+    """Return how the robots differ: the file's digests, the generated MJCF, the compiled model."""
+    return plain_changes(_robot(a), _robot(b))
+
+
+def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
+    """Return how two plain values differ: leaves, to the bit, and the order of terms, in which they run."""
+    return [*changes(a, b, _same, keys), *_reordered(keys, a, b)]
+
+
+def as_dict(change: Change) -> dict[str, Any]:
+    """Return a change for JSON."""
+    a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
+    return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
+
+
+def recording_changes(changes: list[Change]) -> list[Change]:
+    """Return the changes that decide what a recording holds."""
+    return [change for change in changes if change.keys[0].startswith("recording")]
+
+
+def _settings(run: RunDirectory) -> dict[str, Any]:
+    env, agent = load_params(run)
+    data = run.manifest().data
+    resumes = [entry for entry in data["resumes"] if isinstance(entry, Mapping)]
+    changed = [[entry.get("iteration"), changes] for entry in resumes if (changes := _resume_changes(entry))]
+    settings = {
+        "seed": data.get("seeds"),
+        "task": data["task"],
+        "env": env,
+        "agent": agent,
+        "resumed with other settings": changed,
+    }
+    config = written_config(run)
+    return {**settings, "recording": config["recording"]} if "recording" in config else settings
+
+
+def _resume_changes(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a resume changed of the settings that decide numbers."""
+    changes = [change for change in entry.get("changes") or () if isinstance(change, Mapping)]
+    return {str(c.get("key")): c.get("now") for c in changes if decides(tuple(str(c.get("key")).split(".")))}
+
+
+def _robot(run: RunDirectory) -> dict[str, Any]:
+    mjcf, identity = run.asset / "robot.xml", run.path / ROBOT
+    try:
+        known = read_json(identity) if identity.is_file() else {}
+        digest = sha256(mjcf) if mjcf.is_file() else None
+    except RunDirectoryError as error:
+        return {"damaged": str(error)}
+    known = known if isinstance(known, Mapping) else {}
+    return {"sources": known.get("sources"), "robot.xml": digest, "compiled model": known.get("model_sha256")}
+
+
+def _reordered(keys: Keys, a: Any, b: Any) -> Iterator[Change]:
+    if not (isinstance(a, Mapping) and isinstance(b, Mapping)):
+        return
+    ones, others = ([name for name in x if name in y and isinstance(x[name], Mapping)] for x, y in ((a, b), (b, a)))
+    if ones != others and sorted(map(str, ones)) == sorted(map(str, others)):
+        yield Change((*keys[:-1], f"{keys[-1] if keys else ''} (order)"), ones, others)
+    for name in ones:
+        yield from _reordered((*keys, str(name)), a[name], b[name])
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, float) and isinstance(b, float):
+        return struct.pack("d", a) == struct.pack("d", b) or (a != a and b != b)
+    return same(a, b)
+
+
+SECTIONS = ("versions", "hardware", "threads", "environment_variables")
+UNKNOWN_CODE = "files, not kept"
+_CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
+
+_ALLOWING: dict[str, dict[str, str]] = {
+    "hardware": {
+        "cpu": "another CPU",
+        "cpu_family": "another CPU",
+        "cpu_model": "another CPU",
+        "cpu_flags": "other vector instructions",
+        "machine": "another CPU architecture",
+        "torch_cpu_capability": "other vector instructions",
+        "platform": "another C library (sine, cosine, exponential)",
+    },
+    "versions": {name: f"another {name}" for name in ("torch", "mujoco", "numpy")},
+    "threads": {
+        "cpu_capability": "other vector instructions",
+        "device": "another device",
+        "mkl": "other kernels of the matrix library",
+        "matmul": "other products in the update (agent.matmul)",
+    },
+    "environment_variables": {
+        name: "other kernels of the matrix libraries"
+        for name in (
+            "MKL_CBWR",
+            "MKL_ENABLE_INSTRUCTIONS",
+            "MKL_DEBUG_CPU_TYPE",
+            "ATEN_CPU_CAPABILITY",
+            "ONEDNN_MAX_CPU_ISA",
+            "DNNL_MAX_CPU_ISA",
+            "OPENBLAS_CORETYPE",
+        )
+    },
+}
+_THREADS_OF_TORCH = "another number of torch threads, where that changes sums"
+
+
+@dataclass(frozen=True)
+class FactDifference:
+    """One fact in which two runs differ.
+
+    Attributes:
+        section: ``code``, ``resumed``, ``versions``, ``hardware``, ``threads``, ``environment_variables`` or
+            ``distributions``.
+        name: the fact.
+        a: its value in A; a list when A was resumed under another.
+        b: its value in B.
+        allows: why it may change the last digits of a number; None when it must not.
+        forbids: whether it may change any number by any amount: the code, or a resume that was inexact for more than
+            the machine. No tolerance holds then.
+        note: what differs, in words, where the values are digests.
+    """
+
+    section: str
+    name: str
+    a: Any
+    b: Any
+    allows: str | None = None
+    forbids: bool = False
+    note: str = ""
+
+
+def environment_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[FactDifference]:
+    """Return how two manifests, or parts of them, differ in ``SECTIONS``; one that a side lacks is left out."""
+    found = []
+    for section in SECTIONS:
+        ones, others = _values(a, section), _values(b, section)
+        if ones is not None and others is not None:
+            for name in sorted({*ones, *others}):
+                one, other = ones.get(name, []), others.get(name, [])
+                if one != other:
+                    found.append(_difference(section, name, one, other, (a, b)))
+    return found
+
+
+def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
+    """Return how two runs differ in code, environment and installed distributions."""
+    one, other = a.manifest(), b.manifest()
+    facts = environment_differences(one.data, other.data)
+    told = {_normal(difference.name) for difference in facts if difference.section == "versions"}
+    more = [d for d in _distributions(a, b) if _normal(d.name) not in told]
+    return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
+
+
+def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
+    """Return each fact's values over the processes that wrote the run, the first process first."""
+    before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
+    processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
+    tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
+    values: dict[str, list[Any]] = {}
+    for name in dict.fromkeys(name for table in tables for name in table):
+        for value in (table.get(name) for table in tables):
+            if value not in values.setdefault(name, []):
+                values[name].append(value)
+    return values if tables else None
+
+
+def _difference(section: str, name: str, a: list[Any], b: list[Any], manifests: tuple[Any, Any]) -> FactDifference:
+    return FactDifference(section, name, _single(a), _single(b), _allows(section, name, a, b, manifests))
+
+
+def _single(values: list[Any]) -> Any:
+    return values[0] if len(values) == 1 else values or None
+
+
+def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tuple[Any, Any]) -> str | None:
+    if (section, name) == ("threads", "torch"):
+        return None if all(map(_independent, manifests)) else _THREADS_OF_TORCH
+    if (section, name) == ("hardware", "platform") and [*map(_library, a)] == [*map(_library, b)]:
+        return None  # another kernel
+    return _ALLOWING.get(section, {}).get(name)
+
+
+def _independent(manifest: Mapping[str, Any]) -> bool:
+    """Return whether torch's threads could change no number, in all processes: as recorded, else as MKL was told."""
+    recorded = (_values(manifest, "threads") or {}).get("independent")
+    if recorded is not None:
+        return all(value is True for value in recorded)
+    told = (_values(manifest, "environment_variables") or {}).get("MKL_CBWR", [])
+    return bool(told) and all(str(value).endswith(",STRICT") and "COMPATIBLE" not in str(value) for value in told)
+
+
+def _library(platform: Any) -> str:
+    """Return the system and its C library from ``platform.platform()``, without the kernel's version."""
+    system, _, library = str(platform).partition("-with-")
+    return f"{system.split('-')[0]} {library}" if library else str(platform)
+
+
+def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
+    """Return the recorded source of each repository, the main one first."""
+    path = run.source / RECORD_NAME
+    try:
+        record = read_json(path) if path.is_file() else manifest.data.get("source")
+    except RunDirectoryError:
+        record = manifest.data.get("source")
+    return entries(record)
+
+
+def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) -> Iterator[FactDifference]:
+    for number in range(max(len(a), len(b), 1)):
+        one, other = (side[number] if number < len(side) else {} for side in (a, b))
+        if _same_code(one, other):
+            continue
+        mark = f" ({number + 1})" if number else ""
+        facts = [name for name in _CODE if one.get(name) != other.get(name)]
+        note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
+        for name in facts:
+            yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
+        if not facts:  # nothing tells what the files were
+            yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
+
+
+def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
+    """Tell resumes that were not exact, with why: with other code, or on another machine."""
+    ones, others = _inexact(a), _inexact(b)
+    for name in dict.fromkeys([*ones, *others]):
+        one, other = ("; ".join(map(_why, side.get(name, ()))) or None for side in (ones, others))
+        if one != other:
+            entries = [*ones.get(name, ()), *others.get(name, ())]
+            yield FactDifference("resumed", name, one, other, forbids=not all(map(is_the_machine, entries)))
+
+
+def _inexact(manifest: Manifest) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the resumes that were not exact, by where they began; several may begin at one checkpoint."""
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for entry in manifest.data["resumes"]:
+        if isinstance(entry, Mapping) and entry.get("exact") is False:
+            found.setdefault(f"from iteration {entry.get('iteration')}", []).append(entry)
+    return found
+
+
+def _why(entry: Mapping[str, Any]) -> str:
+    return "; ".join(map(str, entry.get("why") or ())) or "not exactly"
+
+
+def is_the_machine(entry: Mapping[str, Any]) -> bool:
+    """Return whether the recorded differences of machine and versions are all that made a resume inexact."""
+    differences = entry.get("differences") or ()
+    sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
+    return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())
+
+
+def _same_code(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    """Return whether two records are of the same files, whatever they were committed as."""
+    return any(a.get(key) is not None and a.get(key) == b.get(key) for key in ("tree", "content_sha256"))
+
+
+def _distributions(a: RunDirectory, b: RunDirectory) -> Iterator[FactDifference]:
+    ones, others = _installed(a), _installed(b)
+    if ones and others:
+        for name in sorted({*ones, *others}):
+            if ones.get(name) != others.get(name):
+                yield FactDifference("distributions", name, ones.get(name), others.get(name))
+
+
+def _installed(run: RunDirectory) -> dict[str, str]:
+    """Return name and version of the distributions in ``environment.txt``."""
+    try:
+        lines = read_bytes(run.environment).decode("utf-8", errors="replace").splitlines()
+    except RunDirectoryError:
+        return {}
+    pairs = (line.split("#")[0].strip().partition("==") for line in lines)
+    return {_normal(name): version for name, _, version in pairs if name and version}
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def allowing(differences: Iterable[FactDifference]) -> list[FactDifference]:
+    """Return the differences that allow other numbers."""
+    return [difference for difference in differences if difference.allows]
+
+
+def forbidding(differences: Iterable[FactDifference]) -> list[FactDifference]:
+    """Return the differences with which no tolerance holds."""
+    return [difference for difference in differences if difference.forbids]

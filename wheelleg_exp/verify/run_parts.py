@@ -1,0 +1,251 @@
+"""Compare parts of two runs over the iterations that both have.
+
+The parts are scalars, digests, recordings, and results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.iteration_log import IterationLog, Line, read_log
+from wheelleg_exp.run.manifest import SNAPSHOT
+from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory
+from wheelleg_exp.run.run_list import effective_status
+from wheelleg_exp.verify.check_files import Subject, damage
+from wheelleg_exp.verify.run_differences import as_dict, plain_changes
+
+_CLOSED = ("finished", "interrupted")
+_OF_ITERATIONS = (MANIFEST_NAME, "iterations.jsonl")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One of the two runs.
+
+    Attributes:
+        run: the run.
+        status: what became of it.
+        log: its iterations.
+        damage: what is wrong with its files, by name.
+    """
+
+    run: RunDirectory
+    status: str
+    log: IterationLog
+    damage: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Task and id."""
+        return f"{self.run.path.parent.name}/{self.run.id}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        facts = {"run": str(self.run.path), "status": self.status, "iterations": len(self.log.lines)}
+        return {**facts, "problems": [f"{name} {what}" for name, what in self.damage.items()]}
+
+
+@dataclass(frozen=True)
+class Span:
+    """Which iterations are compared.
+
+    Attributes:
+        until: those below this number.
+        whole: whether these are all that either run has, and will have.
+        closed: whether both ended by themselves besides, so that their files are not cut off somewhere.
+        shorter: the run that stopped earlier, where that counts: ``A`` or ``B``.
+    """
+
+    until: int
+    whole: bool
+    closed: bool
+    shorter: str | None = None
+
+    def covers(self, name: str) -> bool:
+        """Return whether a file has a part in what is compared: of the first iterations, later files have none."""
+        checkpoint = CHECKPOINT.fullmatch(name)
+        if self.whole or checkpoint is None:
+            return self.whole or name in _OF_ITERATIONS or name.startswith(SNAPSHOT)
+        return int(checkpoint[1]) < self.until
+
+
+def measure(run: RunDirectory) -> Measured:
+    """Read what a run became.
+
+    Raises:
+        RunDirectoryError: its manifest cannot be read.
+    """
+    manifest, log = run.manifest(), read_log(run.iterations)
+    subject = Subject(run, manifest, effective_status(manifest), log)
+    found = damage(subject)
+    if run.iterations.exists() and log.problems:
+        found.setdefault(run.iterations.name, f"is damaged: {'; '.join(log.problems)}")
+    return Measured(run, subject.status, log, found)
+
+
+def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> Span:
+    """Return which iterations of two runs are compared (see ``compare_runs``).
+
+    Raises:
+        RunDirectoryError: there are none, and no damage is why.
+    """
+    lengths = len(a.log.lines), len(b.log.lines)
+    asked = max(lengths) if iterations is None else iterations
+    until = min(*lengths, asked)
+    if until < 1 and not (a.damage or b.damage):
+        empty = a if not lengths[0] else b
+        problem = f": {empty.log.problems[0]}" if empty.log.problems else ""
+        raise RunDirectoryError(
+            f"no iteration of '{empty.run.id}' can be compared{problem}", expected="runs that trained"
+        )
+    going = any(side.status == "running" for side in (a, b))
+    uneven = min(lengths[0], asked) != min(lengths[1], asked)
+    whole = lengths[0] == lengths[1] == until and not going
+    closed = whole and all(side.status in _CLOSED for side in (a, b))
+    counts = uneven and not common and not going
+    return Span(until, whole, closed, ("A" if lengths[0] < lengths[1] else "B") if counts else None)
+
+
+State = Literal["equal", "different", "not compared"]
+
+# Results that tell how long it took, not what came out.
+_TIME = "seconds"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a comparison.
+
+    Attributes:
+        state: ``equal`` to the bit, ``different``, or ``not compared``.
+        text: one line for people.
+        details: what a program may want to know.
+    """
+
+    state: State
+    text: str
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the part for JSON."""
+        return {"state": self.state, "text": self.text, **self.details}
+
+
+@dataclass(frozen=True)
+class Parting:
+    """Where two logs part: the iteration, and the digests and scalars that differ in it."""
+
+    iteration: int
+    digests: list[str]
+    equal_digests: list[str]
+    scalars: list[str]
+
+
+def compared_digests(a: Line, b: Line) -> list[str]:
+    """Return the names of the digests that two lines can be compared by."""
+    return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
+
+
+def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
+    """Return where two logs of equal length first differ; None when they are equal."""
+    for one, other in zip(a, b, strict=True):
+        names = compared_digests(one, other)
+        digests = [name for name in names if one.digests[name] != other.digests[name]]
+        scalars = differing_scalars(one, other)
+        if digests or scalars:
+            return Parting(one.iteration, digests, [name for name in names if name not in digests], scalars)
+    return None
+
+
+def differing_scalars(a: Line, b: Line) -> list[str]:
+    """Return the scalars in which two iterations differ, a missing one and the sign of a zero included."""
+    names = dict.fromkeys([*a.scalars, *b.scalars])
+    return [n for n in names if n not in a.scalars or n not in b.scalars or repr(a.scalars[n]) != repr(b.scalars[n])]
+
+
+def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
+    """Compare the scalars of every iteration."""
+    changed = {x.iteration: names for x, y in zip(a, b, strict=True) if (names := differing_scalars(x, y))}
+    if not a:
+        return Part("not compared", "there is no iteration that both have")
+    width = max(len(line.scalars) for line in a)
+    details: dict[str, Any] = {"iterations": len(a), "differing_iterations": len(changed)}
+    if not changed:
+        return Part("equal", f"{width} scalars of {len(a)} iterations", details)
+    first = next(iter(changed))
+    details |= {"first": first, "names": changed[first]}
+    return Part("different", f"from iteration {first} on, in {len(changed)} of {len(a)} iterations", details)
+
+
+def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
+    """Compare the digests of every iteration, by name."""
+    names: dict[str, int] = {}
+    first: dict[str, int] = {}
+    for one, other in zip(a, b, strict=True):
+        for name in compared_digests(one, other):
+            names[name] = names.get(name, 0) + 1
+            if one.digests[name] != other.digests[name]:
+                first.setdefault(name, one.iteration)
+    details: dict[str, Any] = {"names": list(names), "first_difference": first}
+    if not names:
+        return Part("not compared", "the runs have no digests of one definition", details)
+    if not first:
+        return Part("equal", f"{', '.join(names)}: {max(names.values())} iterations", details)
+    told = ", ".join(f"{name} from iteration {k} on" for name, k in sorted(first.items(), key=lambda item: item[1]))
+    return Part("different", told, details)
+
+
+def recording_part(a: RunDirectory, b: RunDirectory) -> Part:
+    """Compare what the training's recordings hold, entity by entity; texts and wall-clock times are left out."""
+    ones, others = a.recording, b.recording
+    if not ones.exists() or not others.exists():
+        there = [side for side, path in (("A", ones), ("B", others)) if path.exists()]
+        return Part("not compared", f"only {there[0]} has a recording" if there else "neither run has a recording")
+    from wheelleg_exp.recording.reading.recording_digest import entity_digests
+
+    sides: list[dict[str, str]] = []
+    for side, path in (("A", ones), ("B", others)):
+        try:
+            sides.append(entity_digests(path))
+        except RunDirectoryError as error:
+            return Part("different", f"{side}'s cannot be read: {error}", {"unreadable": side})
+    one, other = sides
+    changed = [entity for entity in one if entity in other and one[entity] != other[entity]]
+    only_a, only_b = ([entity for entity in x if entity not in y] for x, y in ((one, other), (other, one)))
+    details = {"entities": len(one), "differing": changed, "only_a": only_a, "only_b": only_b}
+    if not (changed or only_a or only_b):
+        return Part("equal", f"{len(one)} entities", details)
+    return Part("different", _entities_text(one, changed, only_a, only_b), details)
+
+
+def _entities_text(one: Mapping[str, str], changed: list[str], only_a: list[str], only_b: list[str]) -> str:
+    counted = [(changed, f"of {len(one)} entities differ"), (only_a, "only in A"), (only_b, "only in B")]
+    return "; ".join(f"{len(names)} {what} ({some(names)})" for names, what in counted if names)
+
+
+def some(names: Sequence[str], shown: int = 3) -> str:
+    """Return the first few names, and how many more there are."""
+    rest = len(names) - shown
+    return ", ".join(names[:shown]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def results_part(a: RunDirectory, b: RunDirectory) -> Part:
+    """Compare the results in the manifests, without the times."""
+    ones, others = ({k: v for k, v in run.manifest().results.items() if not k.endswith(_TIME)} for run in (a, b))
+    if not ones or not others:
+        there = [side for side, results in (("A", ones), ("B", others)) if results]
+        return Part("not compared", f"only {there[0]} has results" if there else "neither run has results")
+    changes = plain_changes(ones, others)
+    details = {"differing": [as_dict(change) for change in changes]}
+    if not changes:
+        return Part("equal", f"{len(ones)} figures", details)
+    told = [f"{change.key} {_shown(change.a)} and {_shown(change.b)}" for change in changes]
+    return Part("different", some(told), details)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

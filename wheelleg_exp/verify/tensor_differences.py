@@ -1,0 +1,128 @@
+"""Compare two trees of tensors, numbers, and text bit by bit. Imports torch, so import this module lazily."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from wheelleg_exp.rl.digests import tensor_bytes
+
+_ABSENT = "(absent)"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One leaf in which two trees differ.
+
+    Attributes:
+        name: its dotted path.
+        kind: ``values``, or what else differs: ``shape``, ``dtype``, ``kind``, ``only in A``, ``only in B``.
+        a: the value in A where the difference is largest, or the shape, dtype or kind.
+        b: the same of B.
+        index: where in the tensor that is.
+        largest: the largest absolute difference (NaN where one side alone is NaN or infinite).
+        relative: that one over the larger of the two magnitudes.
+        count: how many elements differ.
+        of: how many elements there are.
+    """
+
+    name: str
+    kind: str
+    a: Any
+    b: Any
+    index: tuple[int, ...] = ()
+    largest: float | None = None
+    relative: float | None = None
+    count: int = 1
+    of: int = 1
+
+
+def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
+    """Yield the leaves in which two trees differ, in A's order and then B's."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for key in dict.fromkeys([*a, *b]):
+            yield from _child(a, b, key, f"{name}.{key}" if name else str(key))
+    elif isinstance(a, (list, tuple)) and isinstance(b, (list, tuple)):
+        for index in range(max(len(a), len(b))):
+            yield from _child(dict(enumerate(a)), dict(enumerate(b)), index, f"{name}[{index}]")
+    elif isinstance(a, torch.Tensor) and isinstance(b, torch.Tensor):
+        yield from _tensors(name, a, b)
+    elif type(a) is not type(b):
+        yield Difference(name, "kind", type(a).__name__, type(b).__name__)
+    elif not _same(a, b):
+        yield _numbers(name, a, b)
+
+
+def count_leaves(tree: Any) -> int:
+    """Return the number of tensors, numbers and texts in a tree."""
+    if isinstance(tree, Mapping):
+        return sum(map(count_leaves, tree.values()))
+    return sum(map(count_leaves, tree)) if isinstance(tree, (list, tuple)) else 1
+
+
+def relative_distance(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
+    """Return ``|a - b| / |b|`` over all tensors of two flat mappings, Euclidean; infinite for other shapes."""
+    if a.keys() != b.keys() or any(a[name].shape != b[name].shape for name in a):
+        return math.inf
+    apart = sum(float((a[name].double() - b[name].double()).square().sum()) for name in a)
+    size = sum(float(b[name].double().square().sum()) for name in b)
+    return math.sqrt(apart / size) if size else (math.inf if apart else 0.0)
+
+
+def _child(a: Mapping[Any, Any], b: Mapping[Any, Any], key: Any, name: str) -> Iterator[Difference]:
+    if key not in b:
+        yield Difference(name, "only in A", _brief(a[key]), _ABSENT)
+    elif key not in a:
+        yield Difference(name, "only in B", _ABSENT, _brief(b[key]))
+    else:
+        yield from tree_differences(a[key], b[key], name)
+
+
+def _brief(value: Any) -> str:
+    return f"{value.dtype} {tuple(value.shape)}" if isinstance(value, torch.Tensor) else type(value).__name__
+
+
+def _tensors(name: str, a: torch.Tensor, b: torch.Tensor) -> Iterator[Difference]:
+    if a.shape != b.shape:
+        yield Difference(name, "shape", list(a.shape), list(b.shape))
+    elif a.dtype != b.dtype:
+        yield Difference(name, "dtype", str(a.dtype), str(b.dtype))
+    elif tensor_bytes(a) != tensor_bytes(b):
+        yield _values(name, a, b)
+
+
+def _values(name: str, a: torch.Tensor, b: torch.Tensor) -> Difference:
+    width = a.element_size()
+    bits = [torch.frombuffer(bytearray(tensor_bytes(x)), dtype=torch.uint8).reshape(-1, width) for x in (a, b)]
+    differs = (bits[0] != bits[1]).any(dim=1)
+    ones, others = (x.detach().cpu().contiguous().reshape(-1).double() for x in (a, b))
+    apart = (ones - others).abs()
+    apart[(ones == others) | (ones.isnan() & others.isnan())] = 0.0  # equal infinities; zeros and NaNs of other bits
+    odd = differs & ~apart.isfinite()
+    at = int(odd.int().argmax()) if bool(odd.any()) else _largest(apart, differs)
+    largest, one, other = float(apart[at]), float(ones[at]), float(others[at])
+    scale = max(abs(one), abs(other))
+    relative = largest / scale if scale and math.isfinite(scale) else (0.0 if largest == 0.0 else math.nan)
+    index = tuple(int(i) for i in torch.unravel_index(torch.tensor(at), a.shape)) if a.ndim else ()
+    return Difference(name, "values", one, other, index, largest, relative, int(differs.sum()), a.numel())
+
+
+def _largest(apart: torch.Tensor, differs: torch.Tensor) -> int:
+    """Return the place of the largest difference; of the first other bits when all values are equal."""
+    return int(apart.argmax()) if bool(apart.any()) else int(differs.int().argmax())
+
+
+def _numbers(name: str, a: Any, b: Any) -> Difference:
+    if not isinstance(a, (int, float)) or isinstance(a, bool):
+        return Difference(name, "values", a, b)
+    largest, scale = abs(a - b), max(abs(a), abs(b))
+    return Difference(name, "values", a, b, (), float(largest), float(largest / scale) if scale else 0.0)
+
+
+def _same(a: Any, b: Any) -> bool:
+    return struct.pack("d", a) == struct.pack("d", b) if isinstance(a, float) else bool(a == b)
