@@ -522,6 +522,12 @@ def _compare(old: Any, new: Any, path: str) -> list[str]:
         return [f"{path}: no tensor equals the old {name}" for name, value in old.items() if value not in digests]
     if isinstance(old, dict) and isinstance(new, dict):
         return [line for key in {**old, **new} for line in _compare(old.get(key), new.get(key), f"{path} / {key}")]
+    if path == "compose: list terms / answer":  # terms are listed in the order of their definitions, which is free
+        old, new = (
+            sorted(terms or [], key=lambda term: (term["group"], term["term"], term["target"])) for terms in (old, new)
+        )
+    if path.endswith(" / where") and isinstance(new, str) and new.startswith("wheelleg_exp."):
+        old, new = (str(name).rpartition(".")[2] for name in (old, new))  # the module that defines a class may move
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         pairs = enumerate(zip(old, new, strict=True))
         return [line for index, (a, b) in pairs for line in _compare(a, b, f"{path} / {index}")]
