@@ -117,12 +117,12 @@ SMALL = (ALONE, "protocol.strip.episodes=2")
 
 
 def test_the_reference_comes_over_and_swings_most_on_the_strip(task):
-    found = evaluate(*task, balancer(1.0), protocol("terrain", *SMALL, "protocol.strip.amplitudes=[0.0001,0.002]"))
+    found = evaluate(*task, balancer(1.0), protocol("terrain", *SMALL, "protocol.strip.amplitudes=[0.00003,0.002]"))
     assert (found.value("strip/survival"), found.value("strip/success")) == (1.0, 1.0)
-    assert found.value("strip/recovered/0.1mm") == 1.0
+    assert found.value("strip/recovered/0.03mm") == 1.0
     on, before = (found.value(f"strip/swing_{where}/2mm") for where in ("on", "before"))
     assert on > 2 * before
-    assert on > 1.2 * found.value("strip/swing_on/0.1mm")
+    assert on > 5 * found.value("strip/swing_on/0.03mm")
     assert found.value("strip/distance_ratio/2mm") == pytest.approx(1.0, abs=0.1)
 
 
