@@ -139,7 +139,7 @@ def test_a_run_without_checkpoints_is_told(run):
     [
         ("env.num_evns=4", ["env.num_evns", "override", "did you mean 'env.num_envs'?"]),
         ("env.num_envs=0", ["env.num_envs", "at least 1"]),
-        ("robot=physical", ["robot", "a config group is chosen when a run begins"]),
+        ("robot=physical", ["robot", "config groups can only be selected for a new run"]),
         ("seed=1,2", ["seed", "one value"]),
         ("seed", ["seed", "key=value"]),
     ],

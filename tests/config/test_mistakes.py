@@ -44,7 +44,7 @@ OVERRIDES = {
     "group without its mount": (
         ["reward=[alive]"],
         [
-            "reward: this group is mounted nowhere under this name",
+            "reward: no file mounts a group under this name",
             "override reward=[alive]",
             "'reward@env.rewards'",
         ],
@@ -67,7 +67,7 @@ OVERRIDES = {
     ),
     "optional key that no file sets": (
         ["agent.clip_actions=1"],
-        ["agent.clip_actions: no file of the task sets it", "expected +agent.clip_actions=1"],
+        ["agent.clip_actions: no file of the task sets this key", "expected +agent.clip_actions=1"],
     ),
     "misspelled top key": (["sed=3"], ["sed: there is no such key", "override sed=3", "did you mean 'seed'"]),
     "created key": (
@@ -98,12 +98,12 @@ OVERRIDES = {
         ["+evn.x=3"],
         ["evn: nothing reads this key", "override +evn.x=3", "did you mean 'env'"],
     ),
-    "added twice": (["+seed=3"], ["seed: there is a value already", "override +seed=3", "expected seed=3"]),
+    "added twice": (["+seed=3"], ["seed: the key has a value already", "override +seed=3", "expected seed=3"]),
     "malformed": (["seed"], ["seed: not an override", "override seed", "key=value"]),
     "malformed value": (["seed=[1"], ["seed=[1: not an override", "override seed=[1", "key=value"]),
     "a regular expression without quotes": (
         ["env.robot.actuators=[.*0[23]$]"],
-        ["env.robot.actuators=[.*0[23]$]: not an override", "in quotes", "env.robot.actuators=['...']"],
+        ["env.robot.actuators=[.*0[23]$]: not an override", "quotes around text", "env.robot.actuators=['...']"],
     ),
     "a mapping with an unknown key": (
         ["env.sim={solvr: cg}"],
@@ -227,7 +227,7 @@ OVERRIDES = {
     ),
     "target that takes a reserved name": (
         ["env.rewards.alive._target_=shelf_terms.takes_weight"],
-        ["env.rewards.alive:", "keeps for itself"],
+        ["env.rewards.alive:", "is a field of the manager"],
     ),
     "agent class outside the allow-list": (
         ["agent.algorithm.class_name=os:system"],
@@ -327,14 +327,18 @@ OVERRIDES = {
     "a group mounted in the wrong place": (
         ["+reward@env.reward=smooth"],
         [
-            "env.reward: nothing reads what 'reward' brings",
+            "env.reward: nothing reads the options of 'reward' here",
             "override +reward@env.reward=smooth",
             "'reward@env.rewards'",
         ],
     ),
-    "an observation group that no network gets": (
+    "an observation group that no network reads the observation group": (
         ["agent.obs_groups.critic=[policy]"],
-        ["agent.obs_groups.critic: no network gets", "'critic'", "override agent.obs_groups.critic=[policy]"],
+        [
+            "agent.obs_groups.critic: no network reads the observation group",
+            "'critic'",
+            "override agent.obs_groups.critic=[policy]",
+        ],
     ),
     "a set of groups that no network reads": (
         ["+agent.obs_groups.actr=[policy]"],
@@ -377,7 +381,7 @@ OVERRIDES = {
     ),
     "an option taken out of a list": (
         ["~reward@env.rewards=alive"],
-        ["reward@env.rewards: an option of a list cannot be taken out", "override ~reward", "~env.rewards.alive"],
+        ["reward@env.rewards: an option of a list cannot be removed", "override ~reward", "~env.rewards.alive"],
     ),
     "a deleted group": (["~task"], ["task: this value is missing", "override ~task"]),
 }
@@ -399,7 +403,11 @@ FILES = {
         [],
         ["robot/article", "configs/robot/article.yaml:6", "duplicate key"],
     ),
-    "no mapping": (("robot/article.yaml", "- a\n- b\n"), [], ["configs/robot/article.yaml:1", "no mapping"]),
+    "no mapping": (
+        ("robot/article.yaml", "- a\n- b\n"),
+        [],
+        ["configs/robot/article.yaml:1", "does not contain a mapping"],
+    ),
     "package line below a comment": (
         ("sim/mujoco.yaml", "# The solver.\n# @package env.sim\ndt: 0.01\n"),
         [],
@@ -468,13 +476,17 @@ FILES = {
     "a term under another name": (
         ("reward/alive.yaml", "alve:\n  _target_: shelf_terms.alive\n  weight: 1.0\n"),
         [],
-        ["env.rewards.alive: this file holds the term 'alve'", "configs/reward/alive.yaml:1", "did you mean 'alive'"],
+        [
+            "env.rewards.alive: this file contains the term 'alve'",
+            "configs/reward/alive.yaml:1",
+            "did you mean 'alive'",
+        ],
     ),
     "a term without its name": (
         ("reward/height.yaml", "_target_: shelf_terms.height\nweight: 1.0\ntarget_height: 0.1\n"),
         [],
         [
-            "env.rewards.height: this file holds no term 'height'",
+            "env.rewards.height: this file does not contain the key 'height'",
             "configs/reward/height.yaml:1",
             "did you mean 'height'",
         ],
@@ -482,7 +494,7 @@ FILES = {
     "an empty file of a term": (
         ("reward/alive.yaml", ""),
         [],
-        ["env.rewards.alive: this file is empty, and holds no term 'alive'", "configs/reward/alive.yaml:1"],
+        ["env.rewards.alive: this file is empty, and does not contain the term 'alive'", "configs/reward/alive.yaml:1"],
     ),
     "a task without a package line": (
         ("task/mine.yaml", "# Mine.\ndefaults: [stand, _self_]\nenv: {num_envs: 3}\n"),
@@ -502,12 +514,16 @@ FILES = {
     "a list whose order is not kept": (
         ("task/stand.yaml", "  - _self_\n", "", "defaults:\n", "defaults:\n  - _self_\n"),
         [],
-        ["env.rewards: the order of the list is not kept", "configs/task/stand.yaml:23", "alive, height"],
+        ["env.rewards: the order of the terms is not that of the list", "configs/task/stand.yaml:23", "alive, height"],
     ),
     "a list mounted in the wrong place": (
         ("task/stand.yaml", "/reward@env.rewards:", "/reward@env.reward:"),
         [],
-        ["env.reward: nothing reads what 'reward' brings", "configs/task/stand.yaml:11", "'reward@env.rewards'"],
+        [
+            "env.reward: nothing reads the options of 'reward' here",
+            "configs/task/stand.yaml:11",
+            "'reward@env.rewards'",
+        ],
     ),
     "a tab": (
         ("reward/alive.yaml", "alive:\n\t_target_: shelf_terms.alive\n"),
@@ -628,7 +644,7 @@ def test_a_list_that_overrides_nothing_does_not_hide_other_mistakes(command, edi
     edit("task/walk.yaml", "- _self_", "- _self_\n  - override /reward@env.reward: [alive]")
     assert command(["task=walk", "env.num_envs=0"]) == 2
     message = capsys.readouterr().err
-    assert "reward@env.reward: this group is mounted nowhere under this name (configs/task/walk.yaml:7)" in message
+    assert "reward@env.reward: no file mounts a group under this name (configs/task/walk.yaml:7)" in message
     assert "env.num_envs: 0 is out of range" in message
 
 

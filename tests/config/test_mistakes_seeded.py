@@ -28,28 +28,35 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
     ("defaults", "an agent without override"): (
         [mine("/agent: ppo")],
         ["task=mine"],
-        ["agent: an option of this group is chosen already (configs/task/mine.yaml:5)", "- override /agent: ppo"],
+        ["agent: an option of this group is selected already (configs/task/mine.yaml:5)", "- override /agent: ppo"],
     ),
     ("defaults", "a robot without override"): (
         [mine("/robot: physical")],
         ["task=mine"],
-        ["robot: an option of this group is chosen already (configs/task/mine.yaml:5)", "- override /robot: physical"],
+        [
+            "robot: an option of this group is selected already (configs/task/mine.yaml:5)",
+            "- override /robot: physical",
+        ],
     ),
     ("defaults", "an override before other entries"): (
         [mine("override /robot: physical", "/reward@env.rewards: [smooth]")],
         ["task=mine"],
-        ["robot: this override stands before other entries", "configs/task/mine.yaml:5", "behind all other entries"],
+        ["robot: this override comes before other entries", "configs/task/mine.yaml:5", "after all other entries"],
     ),
     ("defaults", "an override without its slash"): (
         [mine("override reward@env.rewards: [alive]")],
         ["task=mine"],
-        ["task/reward@env.rewards: the group's name lacks its slash", "mine.yaml:5", "- override /reward@env.rewards"],
+        [
+            "task/reward@env.rewards: the group's name lacks its leading slash",
+            "mine.yaml:5",
+            "- override /reward@env.rewards",
+        ],
     ),
     ("defaults", "a list in an observation group itself"): (
         [(STAND, "/observation@env.observations.policy.terms:", "/observation@env.observations.policy:")],
         [],
         [
-            "env.observations.policy: terms are mounted at 'env.observations.policy', which is no list of terms",
+            "env.observations.policy: terms are mounted at 'env.observations.policy', which is not a list of terms",
             "configs/task/stand.yaml:8",
             "did you mean 'observation@env.observations.policy.terms'",
         ],
@@ -57,12 +64,12 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
     ("defaults", "a package line that is nearly right"): (
         [(STAND, "# @package _global_", "# @package global")],
         [],
-        ["task/stand: this file's package line says 'global'", "configs/task/stand.yaml:1", "'# @package _global_'"],
+        ["task/stand: this file's package line names 'global'", "configs/task/stand.yaml:1", "'# @package _global_'"],
     ),
     ("defaults", "a robot's package line that is nearly right"): (
         [("robot/article.yaml", "# @package env.robot", "# @package env.robo")],
         [],
-        ["robot/article: this file's package line says 'env.robo'", "configs/robot/article.yaml:1", "env.robot"],
+        ["robot/article: this file's package line names 'env.robo'", "configs/robot/article.yaml:1", "env.robot"],
     ),
     ("defaults", "a missing comma"): (
         [(STAND, "[alive, height]", "[alive height]")],
@@ -89,7 +96,7 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
     ("file", "a list in place of a mapping"): (
         [(ALIVE, "- alive\n")],
         [],
-        ["reward/alive: the file holds no mapping", "configs/reward/alive.yaml:1"],
+        ["reward/alive: the file does not contain a mapping", "configs/reward/alive.yaml:1"],
     ),
     ("file", "no target"): (
         [(ALIVE, "alive:\n  weight: 1.0\n")],
@@ -109,7 +116,7 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
     ("file", "parameters as Isaac Lab writes them"): (
         [(HEIGHT, "  target_height: 0.07", "  params: {target_height: 0.07}")],
         [],
-        ["env.rewards.height.params:", "target_height beside _target_, not below 'params'", "height.yaml:5"],
+        ["env.rewards.height.params:", "target_height next to _target_, not below 'params'", "height.yaml:5"],
     ),
     ("file", "a misspelled parameter without a default"): (
         [(HEIGHT, "target_height", "target_heigth")],
@@ -139,7 +146,7 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
     ("file", "no name in two groups"): (
         [(SPEED, "_target_: shelf_terms.speed\n")],
         [],
-        ["env.observations.policy.terms.speed: this file holds no term 'speed'", "observation/speed.yaml:1"],
+        ["env.observations.policy.terms.speed: this file does not contain the key 'speed'", "observation/speed.yaml:1"],
     ),
     # --- a target of one's own ---
     ("code", "an import of what is not there"): (
@@ -165,7 +172,10 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
     ("code", "a class that is no term"): (
         [("../shelf_broken.py", "class alive:\n    def __init__(self, env): ...\n")],
         ["env.rewards.alive._target_=shelf_broken.alive"],
-        ["env.rewards.alive: 'shelf_broken.alive' is no TermBase", "a subclass of TermBase or a function"],
+        [
+            "env.rewards.alive: 'shelf_broken.alive' is not a subclass of TermBase",
+            "a subclass of TermBase or a function",
+        ],
     ),
     ("code", "a term that cannot be called"): (
         [
@@ -181,18 +191,18 @@ SEEDED: dict[tuple[str, str], tuple[list[tuple[str, ...]], list[str], list[str]]
     ("code", "a function as an action"): (
         [],
         ["env.actions.effort._target_=shelf_terms.alive"],
-        ["env.actions.effort: 'shelf_terms.alive' is no ActionTerm", "a subclass of ActionTerm"],
+        ["env.actions.effort: 'shelf_terms.alive' is not a subclass of ActionTerm", "a subclass of ActionTerm"],
     ),
     # --- overrides ---
     ("overrides", "blanks around the equals sign"): (
         [],
         ["env.num_envs", "=", "4"],
-        ["env.num_envs = 4: this is several words", "expected env.num_envs=4, without blanks"],
+        ["env.num_envs = 4: these are several words", "expected env.num_envs=4, without spaces"],
     ),
     ("overrides", "a blank behind the equals sign"): (
         [],
         ["env.num_envs=", "4"],
-        ["env.num_envs= 4: this is several words", "expected env.num_envs=4, without blanks"],
+        ["env.num_envs= 4: these are several words", "expected env.num_envs=4, without spaces"],
     ),
     ("overrides", "a colon"): ([], ["env.num_envs:4"], ["env.num_envs:4: not an override", "expected env.num_envs=4"]),
     ("overrides", "two equals signs"): (

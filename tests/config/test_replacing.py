@@ -72,9 +72,9 @@ def test_a_primary_config_can_be_replaced(tmp_path):
 @pytest.mark.parametrize(
     ("mark", "said"),
     [
-        ("# @replaces reward/height", "replaces only what has its own name"),
-        ("# @replaces", "replaces only what has its own name"),
-        ("# @replaces reward/alive at once", "replaces only what has its own name"),
+        ("# @replaces reward/height", "can only replace a file of its own name"),
+        ("# @replaces", "can only replace a file of its own name"),
+        ("# @replaces reward/alive at once", "can only replace a file of its own name"),
     ],
 )
 def test_a_mark_names_the_file_itself(mark, said, tmp_path):

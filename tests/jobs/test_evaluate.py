@@ -65,7 +65,10 @@ def test_another_robot_is_refused(run, capsys):
 def test_an_override_that_no_evaluation_reads_is_refused_by_name(run, override, capsys):
     assert main(["evaluate", str(run.path), *SHORT, "env.decimation=3", override]) == 2
     said = capsys.readouterr().err
-    assert f"{override.lstrip('~').partition('=')[0]}: this command ignores it (override {override}); expected" in said
+    assert (
+        f"{override.lstrip('~').partition('=')[0]}: this command ignores the key (override {override}); expected"
+        in said
+    )
     assert "env.decimation" not in said
     assert not run.evaluation.exists()
 

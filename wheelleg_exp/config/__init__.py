@@ -1,10 +1,11 @@
-"""The composed config: made, checked and explained; free of torch and MuJoCo until it checks.
+"""Compose, check, and explain the config. Without torch and MuJoCo, except for the checks that need them.
 
-| module | what it offers |
+| module | contents |
 |---|---|
 | `composing` | files and overrides become one tree, with the place of every leaf |
-| `checking` | every mistake in it, all at once |
-| `explaining` | what stands at a key, what it means, what else could stand there |
-| `keys` | the one model of what may stand at a key |
-| `schema`, `tree`, `problems` | its fixed part, helpers, several mistakes in one error |
+| `checking` | every mistake in the tree, all at once |
+| `explaining` | the value of a key, its meaning, and the values that the key accepts |
+| `key_slots` | the type, default and bounds of each key |
+| `schema` | the fixed part of the tree |
+| `config_tree`, `config_errors` | helpers for trees; several mistakes in one error |
 """

@@ -11,7 +11,7 @@ _OVERRIDE = "override "
 
 
 class Mistakes(ConfigError):
-    """Several mistakes, one a line; ``errors`` holds each."""
+    """Several mistakes, one per line; ``errors`` contains each of them."""
 
     def __init__(self, errors: Sequence[ConfigError]) -> None:
         lines = "\n".join(f"  {error}" for error in errors)
@@ -20,17 +20,17 @@ class Mistakes(ConfigError):
 
 
 class UnknownName(ConfigError):
-    """A value names a part of the config that is not there; ``named`` is the key that it should have."""
+    """A value names a part of the config that does not exist; ``named`` is the missing key."""
 
     named: str
 
 
 class AbsentKey(ConfigError):
-    """An override names a key that is not there."""
+    """An override names a key that does not exist."""
 
 
 def join(errors: Sequence[ConfigError]) -> ConfigError:
-    """Return one error that tells all of ``errors``, one a line; a single error is returned as it is."""
+    """Return one error for all of ``errors``, with one line each. A single error is returned unchanged."""
     return errors[0] if len(errors) == 1 else Mistakes(errors)
 
 
@@ -45,13 +45,13 @@ def raise_all(errors: Sequence[ConfigError], cause: Exception | None = None) -> 
 
 
 def override_of(error: WheellegError) -> str | None:
-    """Return the override that an error blames, as typed; None when it blames a file or nothing."""
+    """Return the override that caused an error, as typed; None if its place is a file or unknown."""
     where = error.where or ""
     return where.removeprefix(_OVERRIDE) if where.startswith(_OVERRIDE) else None
 
 
 def document(error: WheellegError) -> dict[str, Any]:
-    """Return a mistake for scripts: key, message, file and line or override, what was expected, nearest name."""
+    """Return a mistake as JSON: key, message, file and line or override, expected value, nearest name."""
     override = override_of(error)
     place, _, line = (error.where or "").rpartition(":")
     has_line = override is None and line.isdigit()

@@ -23,8 +23,8 @@ def file_text(file: Path) -> str:
     """Return the text of a config file.
 
     Raises:
-        OSError: there is none, or it is no ordinary file: on a pipe nobody waits.
-        UnicodeDecodeError: it is no UTF-8.
+        OSError: the file does not exist, or is not a regular file. Reading a pipe could wait forever.
+        UnicodeDecodeError: the file is not UTF-8.
     """
     if not file.is_file():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
@@ -32,7 +32,7 @@ def file_text(file: Path) -> str:
 
 
 def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
-    """Yield ``(keys, value)`` of each leaf; a list is one leaf, and so is an empty mapping."""
+    """Yield ``(keys, value)`` of each leaf. A list or an empty mapping is one leaf."""
     if isinstance(node, Mapping) and node:
         for key, value in node.items():
             yield from leaves(value, (*prefix, str(key)))
@@ -50,7 +50,7 @@ def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
 
 
 def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
-    """Return the nested mapping that has these leaves."""
+    """Return the nested mapping with these leaves."""
     tree: dict[str, Any] = {}
     for keys, value in entries.items():
         node = tree
@@ -61,7 +61,7 @@ def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
 
 
 def at(tree: Any, keys: Keys | str) -> Any:
-    """Return the node at keys, or at a dotted path, list elements included; None when there is none."""
+    """Return the node at keys or at a dotted path, which can contain list indices; None if it does not exist."""
     for key in split_path(keys) if isinstance(keys, str) else keys:
         if isinstance(tree, Mapping):
             tree = tree.get(key)
@@ -73,13 +73,13 @@ def at(tree: Any, keys: Keys | str) -> Any:
 
 
 def section_at(tree: Any, keys: Keys | str) -> Mapping[str, Any]:
-    """Return the mapping at keys; an empty one when there is none."""
+    """Return the mapping at keys; an empty one if there is no mapping."""
     node = at(tree, keys)
     return node if isinstance(node, Mapping) else {}
 
 
 def select(node: Any, path: str) -> Any:
-    """Return the node at ``path``; raises KeyError when there is none."""
+    """Return the node at ``path``; raise KeyError if it does not exist."""
     for key in split_path(path):
         if not isinstance(node, Mapping):
             raise KeyError(path)
@@ -101,7 +101,7 @@ def yaml_node(file: Path) -> yaml.Node | None:
 
 
 def line_table(file: Path) -> dict[Keys, int]:
-    """Return the line (from 1) on which each key of the file stands."""
+    """Return the line (from 1) of each key of the file."""
     table: dict[Keys, int] = {}
     _collect_lines(yaml_node(file), (), table)
     return table
@@ -148,9 +148,9 @@ class DefaultsEntry:
 
     Attributes:
         key: the group as written, without ``override`` and ``optional``, such as ``/reward@env.rewards``.
-        value: what it selects.
-        override: whether it replaces what another file selected.
-        line: its line, from 1.
+        value: the selected option or options.
+        override: whether the entry replaces the selection of another file.
+        line: the line of the entry, from 1.
     """
 
     key: str
@@ -160,20 +160,20 @@ class DefaultsEntry:
 
 
 def defaults_items(file: Path) -> list[yaml.Node]:
-    """Return the nodes of a file's defaults list, nothing where it has none."""
+    """Return the nodes of a file's defaults list; empty if the file has none."""
     root = yaml_node(file)
     pairs = root.value if isinstance(root, yaml.MappingNode) else []
     return [item for key, value in pairs if key.value == "defaults" for item in value.value]
 
 
 def defaults_entries(file: Path) -> list[DefaultsEntry]:
-    """Return the entries of a file's defaults list that name a group; plain entries have none."""
+    """Return the entries of a file's defaults list that name a group."""
     items = defaults_items(file)
     return [_entry(*pair) for item in items if isinstance(item, yaml.MappingNode) for pair in item.value]
 
 
 def self_before_others(file: Path) -> bool:
-    """Return whether a file's defaults list puts ``_self_`` before other entries, which then overwrite its body."""
+    """Return whether ``_self_`` comes before other entries of a file's defaults list, which then overwrite its body."""
     items = defaults_items(file)
     names = [str(item.value) for item in items if isinstance(item, yaml.ScalarNode)]
     return "_self_" in names and not (isinstance(items[-1], yaml.ScalarNode) and items[-1].value == "_self_")

@@ -1,4 +1,8 @@
-"""Return the slots of the config: the type, default, bounds, and description of each key that the config accepts."""
+"""Return the slots of the config: the type, default, bounds, and description of each key that the config accepts.
+
+A slot comes from the code that reads the key: a dataclass for a section, a signature for a term, a class of rsl_rl
+for the agent.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wheelleg_exp.config import schema
-from wheelleg_exp.config.config_tree import at as at
-from wheelleg_exp.config.explaining import key_documentation as fixed
-from wheelleg_exp.config.explaining.key_documentation import parameter_lines
+from wheelleg_exp.config.config_tree import at
+from wheelleg_exp.config.explaining.key_documentation import FIELDS, KEYS, meaning_of, parameter_lines
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.options import PARAMETERS, agent_options
 from wheelleg_exp.terms import term_binding
-from wheelleg_exp.terms import term_binding as terms
 from wheelleg_exp.terms.config_sections import ObservationGroup, dataclass_in, keys_of
 from wheelleg_exp.terms.config_values import options_in
 from wheelleg_exp.terms.key_syntax import Keys
@@ -25,15 +27,16 @@ from wheelleg_exp.terms.term_errors import type_hints
 
 REQUIRED = inspect.Parameter.empty
 _RSL_CLASS = "class_name"
-# Parameters that rsl_rl passes itself, to its algorithms and to its networks, and what it reads beside parameters.
+# Parameters that rsl_rl itself passes to its algorithms, networks and extensions. A config cannot set them.
 _PASSED_TO_ALGORITHM = ("self", "actor", "critic", "student", "teacher", "storage", "device", "multi_gpu_cfg")
 _PASSED_TO_NETWORK = ("self", "obs", "obs_groups", "obs_set", "output_dim", "cnns")
 _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
-# Sections below the algorithm without a class of their own, and the class of rsl_rl.extensions that reads each.
+# Sections of the algorithm without a `class_name`, and the class of rsl_rl.extensions that reads each section.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
-_READ_BESIDE: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
+# Keys that rsl_rl reads in a section, although the constructor has no such parameter.
+_OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
 
-# Parameters that name a term of another section, by the section of the term that has them ("" is any).
+# Parameters that name a term of another section. The first key is the section of the term with the parameter, "" any.
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",
@@ -44,23 +47,24 @@ _NAMES = {
 
 @dataclass(frozen=True)
 class Slot:
-    """What may stand at one key.
+    """The type and description of one key that a config can set.
 
     Attributes:
         annotation: the type.
-        default: what holds where the key is not set; ``REQUIRED`` when it must be.
-        meaning: what it is.
-        reader: the dotted name of what reads it.
+        default: the value if the key is not set; ``REQUIRED`` if it must be set.
+        meaning: the description of the key.
+        reader: the dotted name of the class or function that reads the key.
     """
 
     annotation: Any = Any
-    default: Any = field(default_factory=lambda: REQUIRED)  # as a default it would mean none to `inspect`
+    # A plain default of Parameter.empty would tell `inspect` that the field has no default.
+    default: Any = field(default_factory=lambda: REQUIRED)
     meaning: str = ""
     reader: str = ""
 
 
 def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
-    """Return what may stand at ``keys``, whether or not it is set; None when nothing reads such a key."""
+    """Return the slot of a key, whether or not the key is set; None if nothing reads such a key."""
     if not keys:
         return Slot(_root(tree), reader=_name(_root(tree)))
     named = slots(tree, keys[:-1])
@@ -70,13 +74,13 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     element = None if above is None else _element(above, keys[-1])
     if element is None:
         return None
-    # What is said of a section holds for no single term.
+    # The description of a section does not apply to a single term in it.
     inherited = "" if section_of(keys) is not None else element.meaning
-    return dataclasses.replace(element, meaning=fixed.meaning_of(keys) or inherited)
+    return dataclasses.replace(element, meaning=meaning_of(keys) or inherited)
 
 
 def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the keys that may stand below ``keys``, where their names are set down."""
+    """Return the slots of the keys below ``keys``; empty if any name is accepted there."""
     node = at(tree, keys)
     section = section_of(keys)
     if section is not None and isinstance(node, Mapping) and TARGET in node:
@@ -84,7 +88,7 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
     if isinstance(node, Mapping) and TARGET in node:
         return _target_slots(node)
     if isinstance(node, Mapping) and keys[:1] == ("agent",) and _RSL_CLASS in node:
-        own = {_RSL_CLASS: Slot(str, meaning=fixed.KEYS["agent.*.class_name"])}
+        own = {_RSL_CLASS: Slot(str, meaning=KEYS["agent.*.class_name"])}
         found = rsl_class(node[_RSL_CLASS])
         return own if found is None else own | class_slots(found, keys[-1])
     extension = extension_of(keys)
@@ -96,7 +100,7 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
 
 
 def section_of(keys: Keys) -> str | None:
-    """Return the section of the term that ``keys`` name, or None when they name no term."""
+    """Return the section of the term at ``keys``; None if ``keys`` are not the keys of a term."""
     if len(keys) == 3 and keys[0] == "env" and keys[1] in RESERVED and keys[1] != "observations":
         return keys[1]
     observation = len(keys) == 5 and keys[:2] == ("env", "observations") and keys[3] == "terms"
@@ -104,17 +108,22 @@ def section_of(keys: Keys) -> str | None:
 
 
 def term_keys(keys: Keys) -> Keys | None:
-    """Return the keys of the term at or above ``keys``, or None."""
+    """Return the keys of the term at or above ``keys``; None outside a term."""
     return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
 
 
 def named_section(section: str | None, name: str) -> str | None:
-    """Return the section whose terms a parameter names, of a term of ``section``; None when it names none."""
+    """Return the section whose terms a parameter refers to; None if the parameter refers to no term.
+
+    Args:
+        section: the section of the term that has the parameter.
+        name: the parameter.
+    """
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
 def target_of(node: Any) -> Callable[..., Any] | None:
-    """Return a node's target, or None when it has none or it cannot be had."""
+    """Return a node's target; None if the node has no target, or the target cannot be imported."""
     name = node.get(TARGET) if isinstance(node, Mapping) else None
     try:
         return resolve_target(str(name), "") if name is not None else None
@@ -157,7 +166,7 @@ def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:
         factory = factories[name]
         default = factory() if factory is not dataclasses.MISSING else defaults[name]
         default = REQUIRED if default is dataclasses.MISSING else default
-        meaning = lines.get(name) or fixed.meaning_of((*keys, name))
+        meaning = lines.get(name) or meaning_of((*keys, name))
         made[name] = Slot(key.annotation, default, meaning, _name(options))
     return made
 
@@ -165,14 +174,14 @@ def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:
 def _field_slots(section: str) -> dict[str, Slot]:
     made = {}
     for name in RESERVED[section]:
-        meaning, default = fixed.FIELDS.get(name, ("", ...))
+        meaning, default = FIELDS.get(name, ("", ...))
         annotation = FIELD_TYPES.get(name, Any)
         made[name] = Slot(annotation, REQUIRED if default is ... else default, meaning, f"the manager of {section}")
     return made
 
 
 def _target_slots(node: Mapping[str, Any]) -> dict[str, Slot]:
-    own = {TARGET: Slot(str, meaning=fixed.KEYS["*._target_"])}
+    own = {TARGET: Slot(str, meaning=KEYS["*._target_"])}
     target = target_of(node)
     return own if target is None else {**own, **_signature_slots(target, signature_parameters(target))}
 
@@ -191,7 +200,7 @@ def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspec
 
 
 def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
-    """Return the keys of an object that stands as the default of a parameter that is not set."""
+    """Return the slots inside a parameter that is not set and whose default is an object."""
     above = slot(tree, keys)
     if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
         return {}
@@ -201,11 +210,11 @@ def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
 
 
 def class_slots(found: Any, section: str) -> dict[str, Slot]:
-    """Return the parameters of a class of rsl_rl that a config may set.
+    """Return the parameters of a class of rsl_rl that a config can set.
 
     Args:
         found: the class.
-        section: the key of ``agent`` that it stands at, such as ``algorithm``.
+        section: the key in ``agent`` that names the class, such as ``algorithm``.
     """
     passed: tuple[str, ...] = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
     passed = _PASSED_TO_EXTENSION if section in EXTENSIONS else passed
@@ -214,7 +223,7 @@ def class_slots(found: Any, section: str) -> dict[str, Slot]:
     taken = {n: p for n, p in parameters.items() if n not in passed and p.kind not in open_ended}
     slots = _signature_slots(found, taken)
     known = {n: dataclasses.replace(s, annotation=PARAMETERS.get(n, s.annotation)) for n, s in slots.items()}
-    return known | {name: Slot(annotation) for name, annotation in _READ_BESIDE.get(section, {}).items()}
+    return known | {name: Slot(annotation) for name, annotation in _OTHER_KEYS.get(section, {}).items()}
 
 
 def extension_of(keys: Keys) -> Any | None:
@@ -227,23 +236,23 @@ def extension_of(keys: Keys) -> Any | None:
 
 
 def class_packages() -> tuple[str, ...]:
-    """Return the packages that the classes of an agent may come from."""
+    """Return the packages that the classes of an agent can come from."""
     return ("rsl_rl", "wheelleg_exp.rl", *term_binding.allowed_packages())
 
 
 def rsl_class(name: Any) -> Any:
-    """Return a class of rsl_rl, or of an allowed package, by the name that an agent's config gives it; else None."""
+    """Return the class of an agent's ``class_name``; None if no rsl_rl or allowed package has it."""
     text = str(name).replace(":", ".")
     if "." in text and not term_binding.is_inside(text, class_packages()):
         return None
     try:
-        return terms.resolve_class(name)
+        return term_binding.resolve_class(name)
     except ConfigError:
         return None
 
 
 def _element(above: Slot, key: str) -> Slot | None:
-    """Return the slot of an element of a mapping or a list whose own keys nobody sets down."""
+    """Return the slot of an element of a mapping or a list; None if ``above`` is neither."""
     element = dataclasses.replace(above, default=REQUIRED)
     for annotation in options_in(above.annotation):
         origin, arguments = typing.get_origin(annotation) or annotation, typing.get_args(annotation)

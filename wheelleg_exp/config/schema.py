@@ -1,7 +1,7 @@
-"""The fixed part of the composed tree: which keys there are, of which type, in which range.
+"""Define the fixed part of the composed config: its keys, their types, and their ranges.
 
-The keys of a section are the fields of the dataclass that reads it, so that the two cannot drift apart; what a value
-may be stands in the field's annotation (``constraints``).
+The keys of a section are the fields of the dataclass that reads the section. The annotation of a field defines the
+type and the range of its value (``constraints``).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Literal
 from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
 from wheelleg_exp.terms.config_sections import Env, Section
 
-# Section of the tree -> the dataclass whose fields are its keys; imported when it is needed.
+# Section of the tree -> the dataclass whose fields are the keys of the section. It is imported on first use.
 OPTIONS: dict[str, str] = {
     "env.sim": "wheelleg_exp.sim.options.SimOptions",
     "env.scene": "wheelleg_exp.sim.options.SceneOptions",
@@ -35,7 +35,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Check:
-    """``check``: findings that are known and accepted; null lets one speak again that a parent silences."""
+    """``check``: the reasons for accepted findings, by rule. null reports a finding that a parent silences."""
 
     silence: dict[str, str | None] = field(default_factory=dict)
 
@@ -57,7 +57,7 @@ class Root:
 
 @dataclass(frozen=True)
 class Play:
-    """``play``: how figures are taken."""
+    """``play``: how figures are measured."""
 
     settle_s: NonNegative
 
@@ -84,7 +84,7 @@ class PlayRecording:
 
 @dataclass(frozen=True)
 class PlayRoot:
-    """The top of the tree that a play reads: the run's own ``env`` and ``agent``, and the play's settings."""
+    """The top level of a play's config: ``env`` and ``agent`` of the run, and the settings of the play."""
 
     seed: Seed
     play: Play
@@ -96,14 +96,14 @@ class PlayRoot:
 
 @dataclass(frozen=True)
 class PipelineRoot:
-    """The top of the tree of a pipeline, whose phases are read where they are run."""
+    """The top level of a pipeline's config. The code that runs the pipeline reads its phases."""
 
     pipeline: Section
 
 
 @dataclass(frozen=True)
 class EvaluateRoot:
-    """The top of the tree that an evaluation reads: the run's own ``env`` and ``agent``, and the protocol."""
+    """The top level of an evaluation's config: ``env`` and ``agent`` of the run, and the protocol."""
 
     seed: Seed
     protocol: Section
@@ -111,7 +111,7 @@ class EvaluateRoot:
     agent: Section
 
 
-# The rules of `wheelleg check --physics`, which `check.silence` may name.
+# The rules of `wheelleg check --physics`, which `check.silence` can name.
 PHYSICS_RULES: tuple[str, ...] = (
     "action_clip_never_acts",
     "action_scale",
@@ -167,12 +167,12 @@ PHYSICS_RULES: tuple[str, ...] = (
 
 
 def is_open(root: type, path: str) -> bool:
-    """Return whether the keys of the section at ``path`` are not set down by ``root`` itself."""
+    """Return whether another dataclass than ``root`` defines the keys of the section at ``path``."""
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 
 def options_of(path: str) -> type | None:
-    """Return the dataclass that reads the section at ``path``, or None when none is set down."""
+    """Return the dataclass that reads the section at ``path``; None if ``OPTIONS`` lacks the section."""
     name = OPTIONS.get(path)
     if name is None:
         return None

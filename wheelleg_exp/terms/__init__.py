@@ -1,12 +1,10 @@
-"""Configs of terms held against the code that they name, without torch and MuJoCo.
+"""Check the terms of a config against the code that they name, without torch and MuJoCo.
 
-| module | what it offers |
+| module | contents |
 |---|---|
-| `binding` | a term node: its target, the manager's fields, the parameters |
-| `allowed_targets` | which packages a `_target_` may come from |
-| `sections` | the fixed keys of the environment; any section against its dataclass |
-| `values` | whether a value fits an annotation |
-| `term_errors` | all that is wrong with a term node and the nodes in it |
-| `failures` | what goes wrong in the code that a config names, with its key and line |
-| `keys` | keys of the tree as text |
+| `term_binding` | a term node: its target, which must be allowed, the manager's fields, the parameters |
+| `config_sections` | the fixed keys of the environment; any section against its dataclass |
+| `config_values` | a value against an annotation |
+| `term_errors` | every mistake in a term node; exceptions in the code that a config names, with key and line |
+| `key_syntax` | config keys and overrides as text |
 """

@@ -22,12 +22,13 @@ Section = dict[str, Any]
 
 @dataclass(frozen=True)
 class Dataset:
-    """``env.dataset``: which of the episodes that recorders note are written.
+    """``env.dataset``: which of the recorders' episodes are written to files.
 
     Attributes:
-        export_mode: all; those that succeeded (the termination named `success` fired) and others in folders of their
-            own; the former alone; or none.
-        export_in_close: whether episodes that are under way at the end are written too.
+        export_mode: ``all``: every episode. ``succeeded_failed``: every episode, in one folder for successes and one
+            for failures; an episode succeeds if the termination named `success` fires. ``succeeded_only``: only
+            successes. ``none``: no episode.
+        export_in_close: whether episodes that are still running at the end are written, too.
     """
 
     export_mode: Literal["all", "succeeded_failed", "succeeded_only", "none"] = "all"
@@ -36,7 +37,7 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Env:
-    """``env``: the size and pace of the environments, and the sections that others read."""
+    """``env``: number of environments, episode length, decimation, and the sections of other dataclasses."""
 
     num_envs: Count
     episode_length_s: Positive
@@ -93,7 +94,7 @@ def keys_of(options: type) -> dict[str, Key]:
 
 
 def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
-    """Hold the keys and values of one section against the fields of a dataclass and, where each is right, its rules."""
+    """Check one section against a dataclass's fields and, if each value is valid, against the dataclass's rules."""
     keys = keys_of(options)
     errors = []
     for name, value in node.items():
@@ -111,7 +112,6 @@ def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[Co
 
 
 def _broken_rules(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
-    """Hold the values of a section, each right by itself, against the rules between them."""
     given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)
     broken = (found for rule in rules_of(options) for found in rule(given))
     return [
@@ -130,13 +130,13 @@ def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
 
 
 def _dataclass_of_values(annotation: Any) -> Any | None:
-    """Return what the values of a mapping may be, when that is a dataclass; its names are free."""
+    """Return the dataclass of a mapping's values; None if the annotation is not a mapping to a dataclass."""
     values = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is dict else ()
     return next((value for value in values if dataclass_in(value) is not None), None)
 
 
 def dataclass_in(annotation: Any) -> type | None:
-    """Return the dataclass that an annotation names, if any."""
+    """Return the dataclass that an annotation names; None if it names no dataclass."""
     kinds = (option for option in options_in(annotation) if isinstance(option, type))
     return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
 
@@ -145,7 +145,7 @@ def read_section(options: type[_Options], node: Any, path: str) -> _Options:
     """Return a section as its dataclass.
 
     Raises:
-        ConfigError: the section is missing, a key is missing or unknown, or a value is not what it may be.
+        ConfigError: the section is missing, a key is missing or unknown, or a value is not valid.
     """
     if not isinstance(node, Mapping):
         raise MissingValue(key=path, expected="a mapping")
@@ -167,10 +167,10 @@ def _read_value(value: Any, path: str, annotation: Any) -> Any:
 
 
 def read_value(options: type, node: Any, path: str, name: str) -> Any:
-    """Return the value at one key of a section that may lack others.
+    """Return the value at one key of a section. Other keys of the section can be missing.
 
     Raises:
-        ConfigError: the value is missing, or not what it may be.
+        ConfigError: the value is missing or not valid.
     """
     for error in section_errors(path, node, options):
         if error.key == below(path, name):

@@ -22,14 +22,14 @@ _FINITE = "a finite number"
 
 @dataclass(frozen=True)
 class Misfit:
-    """One thing that is wrong with a value.
+    """One mistake in a value.
 
     Attributes:
-        message: what is wrong.
-        expected: what was expected.
-        keys: where it is, below the value; a list's elements count as the list.
+        message: the mistake.
+        expected: the expected value.
+        keys: the path from the value to the mistake; a mistake in a list's element belongs to the list.
         nearest: the nearest valid word.
-        is_type: whether it is of another type altogether, and not only out of range.
+        is_type: whether the value has the wrong type; False if the value is out of range.
     """
 
     message: str
@@ -40,16 +40,16 @@ class Misfit:
 
 
 def fits(value: Any, annotation: Any) -> bool:
-    """Return whether a value out of YAML fits an annotation.
+    """Return whether a value from YAML fits an annotation.
 
-    An int is fine for a float, a bool is no int, a list is fine for a tuple. An annotation that YAML cannot
-    express (a class, a callable) fits anything, because a nested ``_target_`` node builds it.
+    An int fits a float, a bool does not fit an int, a list fits a tuple. Every value fits an annotation that YAML
+    cannot express (a class, a callable), because a nested ``_target_`` node builds such an object.
     """
     return not misfits(value, annotation)
 
 
 def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
-    """Return the mistakes of the value at a config key, each under the key that it belongs to."""
+    """Return the mistakes in the value at a config key, each with the full key of its place."""
     errors = []
     for found in misfits(value, annotation):
         place = key
@@ -60,13 +60,13 @@ def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
 
 
 def require_fit(key: str, value: Any, annotation: Any) -> None:
-    """Raise the first mistake of a value as a ConfigError."""
+    """Raise the first mistake in a value as a ConfigError."""
     for error in value_errors(key, value, annotation):
         raise error
 
 
 def misfits(value: Any, annotation: Any) -> list[Misfit]:
-    """Return all that is wrong with a value."""
+    """Return every mistake in a value."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
         return []
@@ -85,13 +85,13 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
 
 
 def constraints_of(annotation: Any) -> list[Constraint]:
-    """Return the constraints of an annotation itself, not those within it."""
+    """Return the constraints of an annotation itself, without the constraints of its elements or options."""
     parts = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is typing.Annotated else ()
     return [part for part in parts if isinstance(part, Constraint)]
 
 
 def constraints_in(annotation: Any) -> list[Constraint]:
-    """Return the constraints of an annotation and of what it is made of."""
+    """Return the constraints of an annotation, and of its elements and options."""
     inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
     return [*constraints_of(annotation), *inside]
 
@@ -121,7 +121,7 @@ def _of_scalar(value: Any, annotation: Any) -> list[Misfit]:
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
     open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     found = [] if open_ended else misfits(value, inner)
-    if found:  # the constraints belong to what is expected
+    if found:  # the text of the expected value must include the constraints
         whole, part = describe(annotation), describe(inner)
         return [
             dataclasses.replace(m, expected=whole + m.expected.removeprefix(part)) if m.expected.startswith(part) else m
@@ -134,7 +134,7 @@ def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[
 
 
 def _of_union(value: Any, annotation: Any) -> list[Misfit]:
-    """Return what is wrong by the option whose type it is, if there is one."""
+    """Return the mistakes against the option whose type matches the value; without one, a wrong type."""
     found = [misfits(value, option) for option in typing.get_args(annotation)]
     if not all(found):
         return []
@@ -153,7 +153,7 @@ def _of_container(value: Any, annotation: Any, kind: Any, arguments: tuple[Any, 
 
 
 def _of_dataclass(value: Any, kind: Any) -> list[Misfit]:
-    """Hold what a parameter takes as an object, which a config builds by a node; a section's is held key by key."""
+    """Require a ``_target_`` node for a parameter that is an object. Sections are checked in config_sections."""
     if isinstance(value, kind) or (isinstance(value, Mapping) and "_target_" in value):
         return []
     if not isinstance(value, Mapping):
@@ -173,7 +173,7 @@ def _of_mapping(value: Any, annotation: Any, arguments: tuple[Any, ...]) -> list
 
 
 def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
-    """Hold a list against the annotations of its elements; it is told as a whole."""
+    """Check the elements of a list. A wrong element is reported as a mistake in the whole list."""
     if not arguments:
         return []
     each = arguments if kind is tuple and Ellipsis not in arguments else arguments[:1] * len(value)
@@ -187,7 +187,8 @@ def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tu
 
 
 def _wrong_type(value: Any, annotation: Any) -> Misfit:
-    words = [str(option) for option in typing.get_args(annotation)] if is_choice(annotation) else []
+    is_choice = typing.get_origin(annotation) is typing.Literal
+    words = [str(option) for option in typing.get_args(annotation)] if is_choice else []
     nearest = nearest_name(str(value), words)
     what = "is not known" if words and isinstance(value, str) else "is not of the right type"
     return Misfit(f"{value!r} {what}", describe(annotation), nearest=nearest, is_type=True)
@@ -197,21 +198,16 @@ def _out_of_range(value: Any, expected: str) -> Misfit:
     return Misfit(f"{value!r} is out of range", expected)
 
 
-def is_choice(annotation: Any) -> bool:
-    """Return whether an annotation counts its values up."""
-    return typing.get_origin(annotation) is typing.Literal
-
-
-# --- in words ---
+# --- annotations as text ---
 
 
 def describe(annotation: Any) -> str:
-    """Return an annotation in words, constraints included."""
+    """Return an annotation as text, constraints included."""
     return ", ".join((type_words(annotation), *limit_words(annotation)))
 
 
 def limit_words(annotation: Any) -> tuple[str, ...]:
-    """Return the constraints of an annotation in words."""
+    """Return the constraints of an annotation as text."""
     constraints = constraints_of(annotation)
     words = tuple(c.words() for c in constraints if c.words())
     if not any(c.form for c in constraints):
@@ -225,14 +221,15 @@ _NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 def type_words(annotation: Any) -> str:
-    """Return the type of an annotation in words."""
+    """Return the type of an annotation as text."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is None or annotation is type(None):
         return "null"
     if origin is typing.Annotated:
         return next((c.form for c in constraints_of(annotation) if c.form), type_words(arguments[0]))
     if origin in (typing.Union, types.UnionType):
-        return _either([describe(option) for option in arguments])
+        options = [describe(option) for option in arguments]
+        return (", or " if any("," in option for option in options) else " or ").join(options)
     if origin is typing.Literal:
         return "one of " + ", ".join(str(option) for option in arguments)
     if annotation in _NAMES:
@@ -248,13 +245,8 @@ def type_words(annotation: Any) -> str:
     return getattr(annotation, "__name__", str(annotation))
 
 
-def _either(options: Sequence[str]) -> str:
-    mark = ", or " if any("," in option for option in options) else " or "
-    return mark.join(options)
-
-
 def options_in(annotation: Any) -> Iterator[Any]:
-    """Yield the options of a union, or the one annotation, without constraints."""
+    """Yield the options of a union, or the annotation itself, without constraints."""
     annotation = bare(annotation)
     if typing.get_origin(annotation) not in (typing.Union, types.UnionType):
         yield annotation

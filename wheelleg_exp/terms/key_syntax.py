@@ -14,12 +14,12 @@ _PART = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
 
 
 def is_override(word: str) -> bool:
-    """Return whether a word of a command line changes a config; others are names."""
+    """Return whether a word of a command line is an override; any other word is a name."""
     return "=" in word or word.startswith(("~", "+"))
 
 
 def dotted(keys: Iterable[str]) -> str:
-    """Return the path as text; a key that holds dots or brackets itself stands in brackets."""
+    """Return the path as text. A key that contains dots or brackets is put in brackets."""
     text = ""
     for key in keys:
         text = below(text, key)
@@ -27,7 +27,7 @@ def dotted(keys: Iterable[str]) -> str:
 
 
 def below(path: str, key: str) -> str:
-    """Return the path of a key below another."""
+    """Return the path of the key ``key`` in the section at ``path``."""
     if re.search(r"[.\[\]]", key):
         return f"{path}[{key}]"
     return f"{path}.{key}" if path else key
@@ -38,9 +38,9 @@ def split_path(path: str) -> Keys:
     return tuple(bracket or plain for bracket, plain in _PART.findall(path))
 
 
-PIPELINE = "pipeline"  # the primary config of pipelines, and their key
+PIPELINE = "pipeline"  # the name of the primary config for pipelines, and of its section
 
 
 def names_pipeline(word: str) -> bool:
-    """Return whether an override, or a key, chooses or changes a pipeline, and not what its phases train."""
+    """Return whether an override or a key selects or changes a pipeline. Others change what its phases train."""
     return word.lstrip("+~").partition("=")[0].split(".")[0] == PIPELINE

@@ -22,31 +22,30 @@ from wheelleg_exp.packages import installed_packages, joined_packages
 from wheelleg_exp.user_exceptions import importing, in_words
 
 TARGET = "_target_"
-# A config may build terms, noise, entities, actuators and sensors, but call nothing else of this package.
+# A config can build terms, noise, entities, actuators and sensors, but cannot call other code of this package.
 _OWN_PACKAGES = ("wheelleg_exp.mdp", "wheelleg_exp.managers", "wheelleg_exp.sim")
 
 
 class NotAllowed(ConfigError):
-    """A target or a class lies outside the allowed packages."""
+    """A target or a class is outside the allowed packages."""
 
 
 def allowed_packages() -> tuple[str, ...]:
-    """Return the packages that targets may come from: this one's terms, and those that declare themselves.
+    """Return the packages that targets may come from: this package's terms, and packages that declare themselves.
 
-    A user's package joins by an entry point in the group ``wheelleg_exp.packages``, whose value is its name: installed,
-    or in the ``pyproject.toml`` of the project whose configs are in use (see ``wheelleg_exp.packages``).
+    A user's package declares itself with an entry point in the group ``wheelleg_exp.packages``, whose value is the
+    package's name. The package is installed, or its entry point is in the ``pyproject.toml`` of the project whose
+    configs are in use (see ``wheelleg_exp.packages``).
     """
     return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
 
 
-@functools.cache
-def _declared_packages() -> tuple[str, ...]:
-    """Read the declarations of every installed distribution, once: it takes a millisecond."""
-    return installed_packages()
+# Cached, because reading every installed distribution takes a millisecond.
+_declared_packages = functools.cache(installed_packages)
 
 
 def require_allowed(target: str, path: str) -> None:
-    """Raise ConfigError unless ``target`` lies in an allowed package, so that a config runs no other code."""
+    """Raise ConfigError unless ``target`` is in an allowed package, so that a config runs no other code."""
     packages = allowed_packages()
     if not is_inside(target, packages):
         raise NotAllowed(
@@ -58,20 +57,20 @@ def require_allowed(target: str, path: str) -> None:
 
 
 def _in_nearest_package(target: str, packages: tuple[str, ...]) -> str | None:
-    """Return a target with the name of its package put right."""
+    """Return the target with its top package replaced by the nearest allowed one; None if no name is near."""
     top, _, rest = target.partition(".")
     near = nearest_name(top, [package.split(".")[0] for package in packages])
     return f"{near}.{rest}" if near not in (None, top) else None
 
 
 def is_inside(name: str, packages: tuple[str, ...]) -> bool:
-    """Return whether a dotted name lies in one of the packages."""
+    """Return whether a dotted name is in one of the packages."""
     return any(name.startswith(f"{package}.") for package in packages)
 
 
 _HYDRA_ONLY = ("_args_", "_partial_", "_recursive_", "_convert_")  # keys of Hydra's own instantiate
 
-# Names that a manager keeps for itself; no target may use one as a parameter.
+# The managers' own fields by section. No target may have a parameter of such a name.
 RESERVED: dict[str, tuple[str, ...]] = {
     "commands": (),
     "actions": ("delay",),
@@ -83,10 +82,10 @@ RESERVED: dict[str, tuple[str, ...]] = {
     "recorders": (),
 }
 
-# The section that a tree may leave out and is then built without; absent others are empty ones.
+# If a tree lacks this section, it stays missing. Other missing sections are treated as empty.
 OPTIONAL = "recorders"
 
-# What the managers' own fields may be, and which of them every term of a section must have.
+# The types of the managers' own fields, and the fields that every term of a section must have.
 FIELD_TYPES: dict[str, Any] = {
     "weight": float,
     "time_out": bool,
@@ -103,27 +102,27 @@ FIELD_TYPES: dict[str, Any] = {
     "delay": Annotated[Sequence[Natural], Ordered()] | None,
 }
 REQUIRED_FIELDS: dict[str, tuple[str, ...]] = {"rewards": ("weight",), "events": ("mode",)}
-# Events may have modes of the user's own; one that is nearly a known one is taken for a misspelling.
+# Events can have user-defined modes. A mode that is nearly equal to a known mode is treated as a misspelling.
 EVENT_MODES = ("prestartup", "startup", "reset", "interval", "step")
-# Fields that only events of one mode read.
+# The fields that only events of one mode read, and that mode.
 MODE_FIELDS = {"interval_range_s": "interval", "is_global_time": "interval", "min_step_count_between_reset": "reset"}
 
-# What a manager passes to every target; never written in a config.
+# The arguments that a manager passes to every target. A config never contains them.
 INJECTED = ("env", "env_ids", "generator")
 _ISAAC_LAB = "wheelleg_exp.isaaclab"
-_CFG_ENV = ["cfg", "env"]  # what classes written for Isaac Lab take
+_CFG_ENV = ["cfg", "env"]  # the constructor's parameters of classes that were written for Isaac Lab
 
-# Where targets stand now that configs and runs of earlier versions name.
+# Targets in configs and runs of earlier versions, and their current paths.
 _MOVED = {"wheelleg_exp.sim.contact.ContactSensor": "wheelleg_exp.sim.sensors.ContactSensor"}
 
 
 class NotSelected(ConfigError):
-    """There are settings for a term that no list names."""
+    """The config has settings for a term that no list selects."""
 
 
 @dataclass(frozen=True)
 class TermNode:
-    """A term node, split: ``fields`` are the manager's, ``params`` go to the target."""
+    """A split term node: ``fields`` belong to the manager, ``params`` are passed to the target."""
 
     name: str
     path: str
@@ -133,7 +132,7 @@ class TermNode:
 
 
 def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
-    """Take null terms out of a tree, give absent sections an empty mapping, and return the paths that were null."""
+    """Remove null terms from a tree, make missing sections empty mappings, and return the paths that were null."""
     env = config.get("env")
     if not isinstance(env, dict):
         return ()
@@ -165,12 +164,12 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
     """Split one term node into the manager's fields and the target's parameters.
 
     Args:
-        kind: a key of ``RESERVED``, the section that the node stands in.
+        kind: the section that contains the node, a key of ``RESERVED``.
         path: the node's config key, such as ``env.rewards.alive``.
         node: the composed mapping.
 
     Raises:
-        ConfigError: the node is no mapping or has no target.
+        ConfigError: the node is not a mapping, or has no target.
     """
     if not isinstance(node, Mapping):
         raise ConfigError(f"a term must be a mapping, not {node!r}", key=path, expected="_target_ and parameters")
@@ -192,7 +191,7 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
 
 
 def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield ``(path, node)`` of each mapping at or below ``node``; list indices stand in brackets."""
+    """Yield ``(path, node)`` of each mapping at or below ``node``; list indices are in brackets."""
     if isinstance(node, Mapping):
         yield path, node
         for key, value in node.items():
@@ -211,7 +210,7 @@ def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
     """Return the keyword arguments of a ``_target_`` node.
 
     Raises:
-        ConfigError: another of Hydra's special keys stands in it: a node is called with its keys, and nothing else.
+        ConfigError: the node has another of Hydra's special keys, which nothing here reads.
     """
     for key in node:
         if key in _HYDRA_ONLY:
@@ -240,7 +239,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception as error:  # a user's module may fail in any way
+    except Exception as error:  # a user's module can raise anything
         reason = str(error) if isinstance(error, ImportError) else in_words(error)
         absent = isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}.")
         expected = "package.module.name" if absent else "a module that can be imported"
@@ -250,7 +249,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     found = getattr(module, attribute, None)
     why = getattr(module, "ABSENT", {}).get(attribute)
     if why is not None:
-        raise ConfigError(f"'{attribute}' of Isaac Lab's is not there: {why}", key=f"{path}.{TARGET}")
+        raise ConfigError(f"Isaac Lab's '{attribute}' is not supported: {why}", key=f"{path}.{TARGET}")
     if not callable(found):
         public = [n for n in dir(module) if not n.startswith("_") and callable(getattr(module, n))]
         raise ConfigError(
@@ -258,16 +257,20 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
             key=f"{path}.{TARGET}",
             nearest=target.replace(":", ".") if ":" in attribute else nearest_name(attribute, public),
         )
-    # What a module has only imported is not its own: a standard library function must not slip through.
+    # An allowed module can import any function. Check where the function is defined, so that a config cannot call a
+    # function of the standard library through the module.
     require_allowed(f"{getattr(found, '__module__', None) or module_name}.{attribute}", path)
     return found
 
 
 def resolve_class(name: Any) -> Any:
-    """Return what an allowed ``class_name`` of an agent names, as rsl_rl finds it; None when there is nothing.
+    """Return the class or function that an allowed ``class_name`` of an agent names, resolved as rsl_rl resolves it.
+
+    Returns:
+        The class or function, or None if the name does not exist.
 
     Raises:
-        ConfigError: its module does not import.
+        ConfigError: the module cannot be imported.
     """
     from rsl_rl.utils import resolve_callable
 
@@ -284,14 +287,15 @@ def resolve_class(name: Any) -> Any:
 
 
 def takes_cfg(target: Callable[..., Any]) -> bool:
-    """Return whether a target is a class that is made by ``(cfg, env)``, as those written for Isaac Lab are."""
+    """Return whether a target is a class whose constructor takes ``(cfg, env)``, like Isaac Lab's terms."""
     return inspect.isclass(target) and list(inspect.signature(target).parameters)[:2] == _CFG_ENV
 
 
 def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
-    """Return whose signature says what a config may set.
+    """Return the callable whose signature lists the parameters that a config can set.
 
-    Of a class made by ``(cfg, env)`` that is ``__call__`` or, where it has none, the class that annotates ``cfg``.
+    For a class whose constructor takes ``(cfg, env)``, return ``__call__``. Without ``__call__``, return the class that
+    annotates ``cfg``. For any other target, return the target itself.
     """
     if not takes_cfg(target):
         return target
@@ -302,7 +306,7 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cfg_class(target: Callable[..., Any]) -> type | None:
-    """Return the class that annotates ``cfg`` of a class made by ``(cfg, env)``; None when it cannot be found."""
+    """Return the class that annotates ``cfg`` in a constructor ``(cfg, env)``; None if it cannot be found."""
     made = vars(target).get("__init__") or target.__init__
     found = made.__annotations__.get("cfg")
     if isinstance(found, str):
@@ -314,7 +318,7 @@ def cfg_class(target: Callable[..., Any]) -> type | None:
 
 
 def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
-    """Return whether the module of a term imports our stand-ins of Isaac Lab's modules: its draws are global ones."""
+    """Return whether a term's module imports ``wheelleg_exp.isaaclab``. Such a term draws from global generators."""
     module = sys.modules.get(getattr(target, "__module__", ""))
     found = vars(module).values() if module is not None else ()
     names = (str(getattr(v, "__name__" if inspect.ismodule(v) else "__module__", "")) for v in found)
@@ -322,7 +326,7 @@ def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
 
 
 def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """Return the parameters of ``target`` that a config may set."""
+    """Return the parameters of ``target`` that a config can set."""
     parameters = inspect.signature(read_from(target)).parameters.values()
     open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     return {p.name: p for p in parameters if p.name not in ("self", *INJECTED) and p.kind not in open_ended}

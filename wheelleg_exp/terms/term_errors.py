@@ -38,7 +38,7 @@ from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
 def field_errors(section: str, term: TermNode) -> list[ConfigError]:
-    """Return the mistakes of the manager's own fields of a term."""
+    """Return the mistakes in the manager's own fields of a term."""
     errors = [
         ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
         for name in REQUIRED_FIELDS.get(section, ())
@@ -56,12 +56,12 @@ def _mode_errors(term: TermNode) -> list[ConfigError]:
         return []
     nearest = nearest_name(mode, EVENT_MODES)
     if nearest is not None and mode != nearest:
-        expected = ", ".join(EVENT_MODES) + ", or a name of your own that is not so like one of them"
+        expected = ", ".join(EVENT_MODES) + ", or a user-defined name that is less similar to these"
         message = f"unknown mode '{mode}'"
         return [ConfigError(message, key=f"{term.path}.mode", expected=expected, nearest=nearest)]
     errors = [
         ConfigError(
-            f"only events of mode '{owner}' read it, and this one has mode '{mode}'",
+            f"only events of mode '{owner}' read this field, and this event has mode '{mode}'",
             key=f"{term.path}.{name}",
             expected=f"mode {owner}, or no {name}",
         )
@@ -75,17 +75,17 @@ def _mode_errors(term: TermNode) -> list[ConfigError]:
 
 
 def parameter_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
-    """Return the mistakes of a term's parameters: their names, their values, and the rules between them."""
+    """Return the mistakes in a term's parameters: their names, their values, and the rules between them."""
     return list(_name_errors(section, term, target)) + _value_errors(term, target)
 
 
 def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]) -> list[ConfigError]:
-    """Return the mistakes of a ``_target_`` node that is no term itself: a sensor, an actuator, noise, an entity."""
+    """Return the mistakes in a ``_target_`` node that is not a term: a sensor, an actuator, noise, an entity."""
     try:
         term = TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), {}, target_arguments(node, path))
     except ConfigError as error:
         return [error]
-    return parameter_errors("commands", term, target)  # a section without fields of its manager's
+    return parameter_errors("commands", term, target)  # the manager of this section has no fields of its own
 
 
 def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
@@ -93,19 +93,19 @@ def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> It
     for name in accepted:
         if name in RESERVED[section]:
             yield ConfigError(
-                f"'{term.target}' has a parameter '{name}', a name that the manager keeps for itself",
+                f"'{term.target}' has a parameter '{name}', but this name is a field of the manager",
                 key=term.path,
                 expected="a target without parameters named " + ", ".join(RESERVED[section]),
             )
             return
     known = [*accepted, *RESERVED[section]]
-    meant: set[str] = set()  # what is missing because it is written otherwise is told there
+    meant: set[str] = set()  # required parameters that a misspelled key stands for: not reported as missing
     for name, value in term.params.items():
         if name in accepted:
             continue
         nearest, expected = nearest_name(name, known), "one of " + ", ".join(known) if known else "no parameters"
         if isinstance(value, Mapping) and set(value) & set(known):
-            expected = f"{', '.join(value)} beside _target_, not below '{name}'"
+            expected = f"{', '.join(value)} next to _target_, not below '{name}'"
             meant |= set(value)
         meant |= {nearest} if nearest else set()
         message = f"'{term.target}' takes no parameter '{name}'"
@@ -121,7 +121,7 @@ def _name_errors(section: str, term: TermNode, target: Callable[..., Any]) -> It
 
 
 def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
-    """Hold parameters against the annotations of the target and, where each is right by itself, against its rules."""
+    """Check parameters against the target's annotations and, if each value is valid, against the target's rules."""
     hints = type_hints(target)
     errors: list[ConfigError] = []
     accepted = signature_parameters(target)
@@ -133,7 +133,7 @@ def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigErro
         return errors
     given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
     if any(value is inspect.Parameter.empty for value in given.values()):
-        return []  # what is missing is told by its name
+        return []  # _name_errors reports the missing parameter
     return [
         ConfigError(broken.message, key=f"{term.path}.{broken.key}", expected=broken.expected)
         for rule in rules_of(target)
@@ -142,10 +142,10 @@ def _value_errors(term: TermNode, target: Callable[..., Any]) -> list[ConfigErro
 
 
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
-    """Return the annotations of what a target takes, constraints included, but for those that cannot be read.
+    """Return the annotations of a target's parameters, constraints included.
 
-    One that names what its module imports for type checkers alone, as terms of Isaac Lab name the environment's class,
-    hides none of the others.
+    An annotation can be unreadable because it names a class that is imported under ``TYPE_CHECKING`` only. Terms of
+    Isaac Lab annotate the environment in this way. Such an annotation is left out, and the remaining ones are returned.
     """
     target = read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
@@ -158,34 +158,34 @@ def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
 def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     for name, annotation in getattr(function, "__annotations__", {}).items():
         alone = types.SimpleNamespace(__annotations__={name: annotation})
-        with suppress(Exception):  # whatever evaluating a text may raise
+        with suppress(Exception):  # evaluating the text of an annotation can raise anything
             yield name, typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)[name]
 
 
 def has_target(value: Any) -> bool:
-    """Return whether something is built within a value, so that it is not plain."""
+    """Return whether a value contains a ``_target_`` node."""
     return any(True for _ in walk_targets(value))
 
 
 @contextmanager
 def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
-    """Tell what a part of the scene raises in the body as an error of its config key.
+    """Convert an exception that a part of the scene raises in the body into an error with the part's config key.
 
     Args:
-        path: its config key.
+        path: the part's config key.
         part: the object.
-        has_worked: whether the scene has been built with it: then the run has failed, not its input.
+        has_worked: whether the scene has been built with the part. Then the run has failed, not the input.
 
     Raises:
-        ConfigError: the part raises an error; SimulationFailure when it has worked.
+        ConfigError: the part raised an exception. With ``has_worked``, SimulationFailure instead.
     """
     try:
         yield
     except BaseException as error:
-        told = failure(error, path, dotted_name(part), part, has_worked=has_worked, what="code")
-        if told is error:
+        converted = failure(error, path, dotted_name(part), part, has_worked=has_worked, what="code")
+        if converted is error:
             raise
-        raise told from error
+        raise converted from error
 
 
 def dotted_name(part: Any) -> str:
@@ -196,15 +196,17 @@ def dotted_name(part: Any) -> str:
 def failure(
     error: BaseException, path: str, target: str, code: Any, *, has_worked: bool, what: str = "a term"
 ) -> BaseException:
-    """Return what a term's code raised as an error for people; a stop that somebody has asked for stays what it is.
+    """Convert an exception from a term's code into an error with config key, file, and line.
+
+    An interrupt, and an error of this package that is not a ConfigError, are returned unchanged.
 
     Args:
-        error: what it raised.
+        error: the exception.
         path: the term's config key.
         target: dotted name of the function or class.
         code: the function or object.
-        has_worked: whether it has been called before without an error: then the run has failed, not its input.
-        what: the code in words.
+        has_worked: whether an earlier call succeeded. Then the run has failed, not the input.
+        what: the text for the code in the message.
     """
     if isinstance(error, ConfigError):
         return placed(error, path)
@@ -221,7 +223,7 @@ def failure(
 
 
 def placed(error: ConfigError, path: str) -> ConfigError:
-    """Return the error with its key below the term's, unless it names a place of its own."""
+    """Return the error with the term's path before its key, unless the key is a full path already."""
     found = copy.copy(error)
     if found.key is None or not found.key.startswith("env."):
         found.key = f"{path}.{found.key}" if found.key else path
@@ -229,7 +231,7 @@ def placed(error: ConfigError, path: str) -> ConfigError:
 
 
 def code_place(code: Any) -> str | None:
-    """Return the file and line at which a function, or the class of an object, is defined; None when unknown."""
+    """Return the file and line at which a function, or the class of an object, is defined; None if unknown."""
     found = _definition(code)
     try:
         file, line = inspect.getsourcefile(found), inspect.getsourcelines(found)[1]
@@ -243,7 +245,7 @@ def _definition(code: Any) -> Callable[..., Any]:
 
 
 def _line_of(error: BaseException, code: Any) -> str | None:
-    """Return the innermost line of the term's own file that the error passed through."""
+    """Return the innermost line of the term's file in the exception's traceback."""
     try:
         file = inspect.getsourcefile(_definition(code))
     except TypeError:
@@ -253,7 +255,7 @@ def _line_of(error: BaseException, code: Any) -> str | None:
 
 
 def described(value: Any) -> str:
-    """Return in words what a value is; what has a shape is told by it, whoever made it."""
+    """Return a short text for a value: the shape of a tensor or an array, otherwise the type and the value."""
     shape = getattr(value, "shape", None)
     if isinstance(shape, tuple):
         kind = "a numpy array" if type(value).__module__ == "numpy" else "a tensor"

@@ -1,9 +1,10 @@
-"""Every mistake in a config that can be found without simulating, all at once.
+"""Find every mistake in a config without a simulation, all at once.
 
-| module | what it offers |
+| module | contents |
 |---|---|
-| `collect` | all of them, those included that Hydra would stop at |
-| `check` | those of a composed config; a `check_*` each for agent, terms, robot, links, mounts and Hydra's keys |
-| `diagnose`, `diagnose_groups` | what Hydra raises, as errors for people |
-| `robot_names` | joints and bodies of the robot's file |
+| `find_mistakes` | every mistake, including those at which Hydra stops |
+| `check_agent` | the agent's keys and classes |
+| `check_terms` | terms, and references between sections |
+| `check_robot_names` | names of joints, bodies and sensors against the robot |
+| `check_defaults_lists` | package lines, term files, order, and Hydra's own settings |
 """

@@ -1,4 +1,4 @@
-"""Checking ``agent``: the keys that rsl_rl reads, and the classes that it would import."""
+"""Check ``agent``: the keys that rsl_rl reads, and the classes that it imports."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits, value_errors
 from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
-# Keys whose text rsl_rl imports and calls.
+# Keys with a dotted name that rsl_rl imports and calls.
 _CLASS_KEYS = ("class_name", "data_augmentation_func")
-# Parameters whose words rsl_rl looks up, and the function of its utils that does so.
+# Parameters with a name that rsl_rl resolves, and the function of rsl_rl.utils that resolves it.
 RESOLVERS = {"activation": "resolve_nn_activation", "optimizer": "resolve_optimizer"}
 _DISTRIBUTION = "distribution_cfg"
 _MIRROR = "wheelleg_exp.rl.symmetry.left_right"
@@ -26,12 +26,12 @@ _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 
 def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[ConfigError]:
-    """Return the mistakes of the agent section.
+    """Return the mistakes in the agent section.
 
     Args:
         agent: the section.
-        groups: names of the observation groups, which ``obs_groups`` may name.
-        num_envs: number of environments, which decides the samples of an iteration.
+        groups: names of the observation groups, which ``obs_groups`` refers to.
+        num_envs: number of environments. It determines the number of samples in an iteration.
     """
     if not isinstance(agent, Mapping):
         return []
@@ -48,46 +48,27 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
 
 
 def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
-    named = list(sets.items()) if isinstance(sets, Mapping) and groups else []
-    empty = [
-        ConfigError("names no group", key=f"agent.obs_groups.{name}", expected="some of " + ", ".join(groups))
-        for name, members in named
-        if members == []
-    ]
-    empty += [
-        ConfigError("names a group twice", key=f"agent.obs_groups.{name}", expected="each group once")
-        for name, members in named
-        if isinstance(members, list) and len({str(m) for m in members}) < len(members)
-    ]
-    unread = [
-        ConfigError(
-            "no network reads this set",
-            key=f"agent.obs_groups.{name}",
-            expected="one of " + ", ".join(_SETS),
-            nearest=nearest_name(str(name), _SETS),
-        )
-        for name, _ in named
-        if name not in _SETS
-    ]
-    return (
-        empty
-        + unread
-        + [
-            ConfigError(
-                f"there is no observation group '{group}'",
-                key=f"agent.obs_groups.{name}",
-                expected="one of " + ", ".join(groups),
-                nearest=nearest_name(str(group), groups),
-            )
-            for name, members in named
-            for group in (members if isinstance(members, list) else [])
-            if group not in groups
-        ]
-    )
+    empty, unread, unknown = [], [], []
+    for name, members in sets.items() if isinstance(sets, Mapping) and groups else ():
+        key, listed = f"agent.obs_groups.{name}", members if isinstance(members, list) else []
+        if members == []:
+            empty.append(ConfigError("names no group", key=key, expected="some of " + ", ".join(groups)))
+        if len({str(group) for group in listed}) < len(listed):
+            empty.append(ConfigError("names a group twice", key=key, expected="each group once"))
+        if name not in _SETS:
+            expected, nearest = "one of " + ", ".join(_SETS), nearest_name(str(name), _SETS)
+            unread.append(ConfigError("no network reads this set", key=key, expected=expected, nearest=nearest))
+        for group in listed:
+            if group not in groups:
+                message, expected = f"there is no observation group '{group}'", "one of " + ", ".join(groups)
+                unknown.append(
+                    ConfigError(message, key=key, expected=expected, nearest=nearest_name(str(group), groups))
+                )
+    return empty + unread + unknown
 
 
 def _check_class_name(path: str, name: Any) -> list[ConfigError]:
-    """Refuse a class that is not rsl_rl's or an allowed package's own; only modules of these are imported."""
+    """Reject a class that is not defined in rsl_rl or an allowed package. Only modules of these are imported."""
     packages = class_packages()
     text = str(name).replace(":", ".")
     plain = re.fullmatch(r"[A-Za-z_]\w*", text) is not None
@@ -103,34 +84,34 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
     if found is None:
         nearest = nearest_name(str(name), [*_library_names(), _MIRROR])
         return [ConfigError(f"there is no class '{name}'", key=path, expected=expected, nearest=nearest)]
-    # What a module has only imported is not its own: a standard library function must not slip through.
+    # An allowed module can import any function. Check where the object is defined, not only its name.
     own = term_binding.is_inside(f"{getattr(found, '__module__', '')}.{text}", packages)
     return [] if own else [refused]
 
 
 def _check_constructor(path: str, node: Any) -> list[ConfigError]:
-    """Hold a section's keys against the constructor of its class."""
+    """Check a section's keys against the constructor of the section's class."""
     if not isinstance(node, Mapping):
         return []
     if "class_name" not in node:
         return [MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")]
     found = rsl_class(node["class_name"])
     if found is None:
-        return []  # told by its name
+        return []  # _check_class_name reports it
     errors = _check_parameters(path, node, found)
     draws = (
         path in ("agent.actor", "agent.student")
         and not _takes_any(found)
         and _DISTRIBUTION in class_slots(found, "actor")
     )
-    if draws and node.get(_DISTRIBUTION) is None:  # rsl_rl takes an actor without one, and cannot train it
-        expected = "what actions are drawn from, such as {class_name: GaussianDistribution}"
+    if draws and node.get(_DISTRIBUTION) is None:  # rsl_rl accepts an actor without a distribution, but cannot train it
+        expected = "the distribution of the actions, such as {class_name: GaussianDistribution}"
         errors.append(MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected))
     return errors
 
 
 def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
-    """Hold the sections of random network distillation and of symmetry against what reads them."""
+    """Check the sections of random network distillation and of symmetry."""
     algorithm, sets = agent.get("algorithm"), agent.get("obs_groups")
     errors: list[ConfigError] = []
     for name in EXTENSIONS:
@@ -144,16 +125,15 @@ def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
             MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs") for key in needed
         ]
         if name == "symmetry_cfg" and node.get("data_augmentation_func") == _MIRROR and not agent.get("symmetry"):
-            expected = "joint_pairs, which say what the mirror image of each joint is"
+            expected = "joint_pairs, which name the mirror image of each joint"
             errors.append(MissingValue(key="agent.symmetry", expected=expected))
         if name == "rnd_cfg" and isinstance(sets, Mapping) and not sets.get("rnd_state"):
-            expected = "the observation groups whose novelty counts"
+            expected = "the observation groups whose novelty is rewarded"
             errors.append(MissingValue(key="agent.obs_groups.rnd_state", expected=expected))
     return errors
 
 
 def _check_images(symmetry: Any) -> list[ConfigError]:
-    """Hold the rules by which observations turn in a mirror against those that there are."""
     from wheelleg_exp.rl import mirror_rules
 
     terms = symmetry.get("terms") if isinstance(symmetry, Mapping) else None
@@ -183,7 +163,7 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[Co
             )
         elif isinstance(value, Mapping) and "class_name" in value:
             errors += _check_constructor(key, value)
-        elif name not in PARAMETERS:  # whose values are right
+        elif name not in PARAMETERS:  # parameter_errors checks the values of PARAMETERS
             wrong = value_errors(key, value, accepted[name].annotation)
             errors += wrong or (_check_word(key, name, value) if name in RESOLVERS else [])
     return errors
@@ -193,12 +173,12 @@ def _takes_any(found: Any) -> bool:
     from rsl_rl.algorithms import Distillation
 
     parameters = inspect.signature(found.__init__).parameters.values()
-    # Distillation takes any, and leaves what it does not know.
+    # Distillation accepts any keyword, but ignores unknown ones.
     return found is not Distillation and any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
 
 
 def known_words(name: str, value: Any = "?") -> list[str] | None:
-    """Return the activations or optimisers that rsl_rl knows, as far as it says so; None when it takes ``value``."""
+    """Return the activations or optimisers that rsl_rl lists in its error; None if rsl_rl accepts ``value``."""
     import rsl_rl.utils
 
     try:

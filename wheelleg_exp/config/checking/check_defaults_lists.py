@@ -23,14 +23,14 @@ _OBSERVATION_GROUP = re.compile(r"env\.observations\.[^.]+")
 
 @dataclass(frozen=True)
 class MountedFile:
-    """One file at its place in the tree.
+    """One config file, mounted at a key of the tree.
 
     Attributes:
         config_path: the file as Hydra names it, ``reward/alive``.
-        package: the key that its content stands under; empty is the top.
+        package: the key below which the file's content is mounted; empty for the top.
         file: the file.
-        content: its keys.
-        parent: the config whose defaults list names it.
+        content: the content of the file.
+        parent: the config whose defaults list selects the file.
     """
 
     config_path: str
@@ -51,7 +51,7 @@ class MountedFile:
 
 
 def mounted_files(composed: Composed) -> list[MountedFile]:
-    """Return every file of the composition, in the order in which they are merged."""
+    """Return every file of a composed config, in the order in which Hydra merged them."""
     loaded = composed.loader.repository_used.loaded
     found = []
     for default in composed.loader.merged:
@@ -63,7 +63,7 @@ def mounted_files(composed: Composed) -> list[MountedFile]:
 
 
 def mount_place(composed: Composed, mounted: MountedFile) -> str:
-    """Return the override, or the file and line, that brought a file to its package."""
+    """Return the override, or the file and line, that mounted a file at its package."""
     for override in reversed(composed.parsed):
         value = override.value()
         names = value if isinstance(value, list) else [value]
@@ -75,27 +75,23 @@ def mount_place(composed: Composed, mounted: MountedFile) -> str:
 
 
 def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find files whose package line is missing, so that their content stands in the wrong place."""
+    """Find files whose package line is missing, so that their content is at the wrong key."""
+    # A package in a defaults list overrides the file's own line. Such a file needs no line.
     misplaced = {
-        file.config_path for file in files if file.package in (file.group.replace("/", "."), _own_package(file))
+        file.config_path for file in files if file.package in (file.group.replace("/", "."), package_header(file.file))
     }
     found = missing_headers(composed.loader.repository_used, ())
     return [error for error in found if error.key in misplaced]
 
 
-def _own_package(file: MountedFile) -> str | None:
-    """Return the package that a file's own line names; the mount of a defaults list goes before it."""
-    return package_header(file.file)
-
-
 def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find files of terms that do not carry the term under the file's own name, each told once."""
+    """Find term files that do not contain a term with the file's own name. Each file is reported once."""
     wrong = [file for file in files if _is_term_list(file.package) and file.name not in file.content]
     return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
 
 
 def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find files of terms whose term has no target, in them or in what is merged with them."""
+    """Find term files whose term has no target, neither in the file nor in a file that is merged with it."""
     errors = []
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
@@ -108,16 +104,16 @@ def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFil
                 where = show_file(file.file, lines.get((file.name,), 1))
                 errors.append(ConfigError(message, key=key, where=where, expected=expected))
             except ConfigError:
-                continue  # it is misspelled, which is told
+                continue  # check_terms reports a misspelled _target_
     return errors
 
 
 def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find terms that are mounted in an observation group itself, in place of its terms."""
+    """Find terms that are mounted in an observation group itself, instead of its ``terms``."""
     astray = [file for file in files if _OBSERVATION_GROUP.fullmatch(file.package) and _holds_term(file)]
     return [
         ConfigError(
-            f"terms are mounted at '{file.package}', which is no list of terms",
+            f"terms are mounted at '{file.package}', which is not a list of terms",
             key=file.package,
             where=mount_place(composed, file),
             expected=f"/{file.group}@{file.package}.terms: [...]",
@@ -144,11 +140,11 @@ def _term_file_error(file: MountedFile) -> ConfigError:
     names = [str(key) for key in file.content]
     first = min((lines.get((name,), 1) for name in names), default=1)
     if not names:
-        message = f"this file is empty, and holds no term '{file.name}'"
+        message = f"this file is empty, and does not contain the term '{file.name}'"
     elif TARGET in file.content:
-        message = f"this file holds no term '{file.name}'; its settings stand at the top"
+        message = f"this file does not contain the key '{file.name}'; its settings are at the top level"
     else:
-        message = f"this file holds the term '{names[0]}', not '{file.name}'"
+        message = f"this file contains the term '{names[0]}', not '{file.name}'"
     expected = f"'{file.name}:' at the top, and the term's settings below it"
     return ConfigError(
         message,
@@ -160,7 +156,7 @@ def _term_file_error(file: MountedFile) -> ConfigError:
 
 
 def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> dict[str, Any]:
-    """Return the config without what files that lack their term's name have left among the terms."""
+    """Return the config without the settings that term files without their term's name put among the terms."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:
         section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
@@ -171,16 +167,16 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Let keys that nothing reads, and that exist only because files were mounted there, blame the mount.
+    """If a key is unread only because files were mounted at the wrong key, change its error to blame the mount.
 
-    Settings for the terms that the mount has led astray are no mistakes of their own.
+    Settings for the terms in these files are not reported.
     """
     astray: set[str] = set()
     for error in errors:
         brought = _brought(error, composed, files)
         if brought:
             error.where = mount_place(composed, brought[0])
-            error.message = f"nothing reads what '{brought[0].group}' brings here"
+            error.message = f"nothing reads the options of '{brought[0].group}' here"
             packages = {file.package for file in files if file.group == brought[0].group} - {brought[0].package}
             usual = sorted(packages) or [_section_of(brought[0].group)]
             error.nearest = f"{brought[0].group}@{usual[0]}" if usual[0] else error.nearest
@@ -189,16 +185,16 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
 
 
 def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
-    """Return the files that alone make a key which nothing reads."""
+    """Return the files mounted at an unread key, if no other file or override sets anything below it."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
-    brought = [file for file in files if _is_at_or_below(file.package, error.key)]
+    brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
     own = {file.file for file in brought}
     return brought if all(source.file in own for source in composed.provenance.below(error.key)) else []
 
 
 def emptied_by(composed: Composed, key: str) -> str | None:
-    """Return the override that left nothing at ``key``: an empty list of options, or a group that is deleted."""
+    """Return the override that removed everything at ``key``: an empty list of options, or a deleted group."""
     for override in composed.parsed:
         empty = override.value() == [] and override.package == key
         empty = empty or (override.is_delete() and override.key_or_group == key)
@@ -213,15 +209,11 @@ def _section_of(group: str) -> str:
     return f"env.{names[0]}" if names else ""
 
 
-def _is_at_or_below(path: str, key: str) -> bool:
-    return path == key or path.startswith(f"{key}.")
-
-
 def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
-    """Find terms that stand in a list, or in a list and its parent's, more than once.
+    """Find terms that a list, or a list and its parent's list, contains more than once.
 
-    There is one term of the name all the same, and what a parent's body sets of it is overwritten by its file. A term
-    that was taken out by a null may be listed again.
+    Only one term results, and its file overwrites the parent's settings for it. After null has removed a term, it can
+    be listed again.
     """
     seen: dict[tuple[str, str], int] = {}
     errors = []
@@ -238,7 +230,7 @@ def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list
 
 
 def _last_choice(composed: Composed, file: MountedFile) -> str:
-    """Return the override, or the file and line, of the list that names a file last."""
+    """Return the override, or the file and line, of the last list that contains a file."""
     mounts = [mount for mount in composed.mounts if (mount.group, mount.package) == (file.group, file.package)]
     choices = [choice for mount in mounts for choice in mount.choices]
     lists = [
@@ -250,7 +242,7 @@ def _last_choice(composed: Composed, file: MountedFile) -> str:
 
 
 def _sets_null(file: MountedFile, key: str) -> bool:
-    """Return whether a file takes the term at ``key`` out."""
+    """Return whether a file sets the term at ``key`` to null."""
     below = key.removeprefix(f"{file.package}.") if file.package else key
     *above, name = below.split(".")
     node = section_at(file.content, tuple(above))
@@ -258,15 +250,15 @@ def _sets_null(file: MountedFile, key: str) -> bool:
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
-    """Find values of a file that are lost to the files that it builds on, because ``_self_`` stands before them.
+    """Find values of a file that its parents overwrite, because ``_self_`` is before them in the defaults list.
 
-    The primary config is meant to be overwritten, and so are values that stay the same.
+    Values of the primary config, and values that stay equal, are not reported.
     """
     loaded = composed.loader.repository_used.loaded
     early = {item.file for name, item in loaded.items() if name != composed.primary and self_before_others(item.file)}
     return [
         ConfigError(
-            f"{hidden.value!r} is lost: {source.where} overwrites it, because _self_ stands before it in the defaults",
+            f"{hidden.value!r} is lost: {source.where} overwrites it, because _self_ is before it in the defaults",
             key=hidden.path,
             where=hidden.where,
             expected="_self_ at the end of the defaults list",
@@ -278,9 +270,9 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Find term lists whose order is not the order of the composed terms.
+    """Find term lists whose order differs from the order of the composed terms.
 
-    It happens when a setting of a term stands before the term itself is mounted: the key is made there.
+    The order changes if a file sets a parameter of a term before the term is mounted: the key is created there.
     """
     by_package: dict[str, list[MountedFile]] = {}
     for file in files:
@@ -306,17 +298,18 @@ def _order_error(
     setters = [s for source in sources for s in (source, *source.shadowed) if s.file != member.file]
     by = (setters[0] if setters else first).where
     return ConfigError(
-        f"the order of the list is not kept: it is {', '.join(present)}, because '{early}' is set before it is listed",
+        f"the order of the terms is not that of the list: it is {', '.join(present)}, because '{early}' is set before "
+        "it is listed",
         key=package,
         where=by,
-        expected=f"{', '.join(wanted)}, as the lists say: put _self_ last, or set '{early}' after it is listed",
+        expected=f"{', '.join(wanted)}, the order of the list: put _self_ last, or set '{early}' after it is listed",
     )
 
 
 def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
-    """Return the errors of settings and choices in files that nothing reads, not even in a sweep.
+    """Return an error for each of Hydra's own settings in files that nothing reads, not even a sweep.
 
-    The primary config is left out: there Hydra itself is kept from logging and from making folders.
+    The primary config is left out: its settings stop Hydra from logging and from creating folders.
     """
     errors = []
     for mounted in files:

@@ -22,7 +22,7 @@ ASSET_KEY = "env.robot.asset"
 
 @dataclass(frozen=True)
 class RobotNames:
-    """Names of joints and bodies, breadth first, as the robot orders them when its config says nothing."""
+    """Names of joints and bodies, breadth first: the robot's default order."""
 
     joints: list[str]
     bodies: list[str]
@@ -33,10 +33,10 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
 
     Args:
         env: the ``env`` section.
-        asset_roots: folders of the user's own assets.
+        asset_roots: folders of the user's assets.
 
     Raises:
-        ConfigError: the file is not there, or holds no robot.
+        ConfigError: the file is missing, or does not contain a robot.
     """
     from wheelleg_exp.asset import convert_cached
     from wheelleg_exp.asset.cache import find_beside
@@ -47,8 +47,8 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
         beside, base = find_beside(env, asset_roots), robot.get("base", "auto")
         return convert_cached(source, base=base, cache_dir=cache_dir() / "assets", beside=beside).output
     except AssetError as error:
-        told = error if str(error.key).startswith("env.") else error.of(ASSET_KEY)
-        raise ConfigError(told.message, key=told.key, expected=told.expected, nearest=told.nearest) from error
+        keyed = error if str(error.key).startswith("env.") else error.of(ASSET_KEY)
+        raise ConfigError(keyed.message, key=keyed.key, expected=keyed.expected, nearest=keyed.nearest) from error
 
 
 def read_names(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> RobotNames:
@@ -57,7 +57,7 @@ def read_names(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> RobotName
 
 
 def names_in_mjcf(file: Path) -> RobotNames:
-    """Return the names of the moving tree in an MJCF that the converter wrote, breadth first."""
+    """Return the names of joints and bodies in the robot's tree of a converted MJCF, breadth first."""
     world = ElementTree.parse(file).getroot().find("worldbody")
     roots = world.findall("body") if world is not None else []
     queue = deque(body for body in roots if body.find("body") is not None or _joints(body) or _is_free(body))
@@ -90,14 +90,14 @@ _BY_JOINT = {
 
 @dataclass(frozen=True)
 class Members:
-    """The members of a scene: the names of the joints and bodies of each, in its own order; None where not known."""
+    """The names of joints and bodies of each member of the scene, in the member's order; None if unknown."""
 
     joints: dict[str, list[str]]
     bodies: dict[str, list[str] | None]
 
 
 def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigError]:
-    """Return the mistakes of every joint and body expression, and of names that name no member of the scene.
+    """Return the mistakes in every joint and body expression, and every name that is not a member of the scene.
 
     Args:
         config: the composed tree.
@@ -111,7 +111,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
         if node is None:
             continue
         own = node if isinstance(node, Mapping) else {}
-        word = "body_name" if "body_name" in own else "body_names"  # a sensor sits on one, or senses several
+        word = "body_name" if "body_name" in own else "body_names"  # a sensor is mounted on one body, or senses several
         listed, key = own.get(word), f"env.scene.sensors.{name}.{word}"
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
         bodies[name] = found or None
@@ -128,7 +128,7 @@ def match_all(expressions: Any, names: Sequence[str], key: str, what: str) -> tu
     """Return the names that expressions match, in their own order, and each mistake in the expressions."""
     listed = [expressions] if isinstance(expressions, str) else list(expressions)
     if not all(isinstance(expression, str) for expression in listed):
-        return [], []  # of the wrong type, which is told elsewhere
+        return [], []  # the check of types reports it
     errors = [error for expression in listed for error in _match_error([expression], names, key, what)]
     errors = errors or _match_error(listed, names, key, what)
     if errors:
@@ -145,7 +145,7 @@ def _match_error(expressions: list[str], names: Sequence[str], key: str, what: s
 
 
 def _joint_order(order: Any, joints: list[str]) -> tuple[list[str], list[ConfigError]]:
-    """Return the joints in the robot's order, and what is wrong with the order that the config gives."""
+    """Return the joints in the robot's order, and the mistakes in the config's ``joint_order``."""
     if not isinstance(order, list):
         return joints, []
     errors = order_errors(order, joints)
@@ -177,7 +177,7 @@ def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
 
 
 def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    """Find joints whose target of one kind two action terms set: the later one's counts alone."""
+    """Find joints for which two action terms set the same kind of target. Only the later term would have an effect."""
     from wheelleg_exp.managers.action_manager import ActionTerm, shared_action_errors
 
     claims = []
@@ -190,14 +190,14 @@ def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[Config
 
 
 def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    """Find actions on joints that no actuator drives: they would move nothing."""
+    """Find actions on joints that no actuator drives. They would have no effect."""
     groups = config["env"]["robot"].get("actuators")
     if not isinstance(groups, Mapping):
-        return []  # told elsewhere
+        return []  # the check of env.robot reports it
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # an expression that is wrong itself is told; what it was meant to drive is not known
+        return []  # one expression is wrong and reported, so the driven joints are unknown
     driven = {joint for found, _ in matched for joint in found}
     errors = []
     for section, path, node in term_nodes(config):
@@ -211,7 +211,6 @@ def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]
 
 
 def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    """Hold the mappings by joint expression of a node against the joints that it drives."""
     errors = []
     for name in _BY_JOINT[kind]:
         if isinstance(node.get(name), Mapping) and joints:
@@ -220,7 +219,7 @@ def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) 
 
 
 def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[ConfigError]:
-    """Return the mistakes of a mapping of joint expressions, each under its own key."""
+    """Return the mistakes in a mapping by joint expression, each with its own key."""
     keys = split_path(path)
     errors = [e for name in values for e in _match_error([str(name)], joints, dotted((*keys, str(name))), "joint")]
     return errors or _match_error([str(name) for name in values], joints, path, "joint")
@@ -243,7 +242,7 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
     try:
         return import_target(str(node.get(TARGET)), path)
     except ConfigError:
-        return None  # told by the check of terms
+        return None  # the check of terms reports it
 
 
 def _is_entity(target: Callable[..., Any]) -> bool:
@@ -271,7 +270,7 @@ def _names(
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
-            continue  # what is wrong with the member is told
+            continue  # the member's own mistake is reported
         found, wrong = match_all(expressions, known, key, kind)
         errors += wrong
         if section == "actions" and kind == "joint":
@@ -282,14 +281,14 @@ def _names(
 
 
 def _order(expressions: Any, found: list[str], key: str, what: str) -> list[ConfigError]:
-    """Refuse a list of names in an order that is not kept."""
+    """Reject a list of names whose order would be ignored."""
     written = match_names(expressions, found, key=key, what=what, preserve_order=True)[1]
     if written == found:
         return []
     return [
         ConfigError(
-            f"the order of this list is not kept: the term sees {', '.join(found)}",
+            f"the order of this list is ignored: the term sees {', '.join(found)}",
             key=key,
-            expected=f"preserve_order: true to keep {', '.join(written)}, or the robot's order in the list",
+            expected=f"preserve_order: true for {', '.join(written)}, or the robot's order in the list",
         )
     ]

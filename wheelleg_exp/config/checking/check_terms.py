@@ -30,7 +30,7 @@ from wheelleg_exp.terms.term_binding import (
 )
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
-# The classes that the terms of some sections must be, and what the managers of some pass beside the environment.
+# The base classes of the terms of some sections, and the arguments that the managers of some sections pass.
 _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "RecorderTerm"}
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
@@ -49,7 +49,7 @@ def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
 
 
 def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes of every term in the eight sections."""
+    """Return the mistakes in every term of the eight sections."""
     errors = []
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
@@ -60,17 +60,17 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def _nearest_selected(config: Mapping[str, Any], path: str) -> str | None:
-    """Return the selected term beside a path whose name is most like it."""
+    """Return the selected term in the same section whose name is most similar."""
     parent, _, name = path.rpartition(".")
-    beside = [(where.rpartition("."), node) for _, where, node in term_nodes(config)]
+    nodes = [(where.rpartition("."), node) for _, where, node in term_nodes(config)]
     names = [
-        term for (above, _, term), node in beside if above == parent and isinstance(node, Mapping) and TARGET in node
+        term for (above, _, term), node in nodes if above == parent and isinstance(node, Mapping) and TARGET in node
     ]
     return nearest_name(name, names)
 
 
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
-    """Return the mistakes of one term: selection, target, the manager's fields, parameters."""
+    """Return the mistakes in one term: selection, target, the manager's fields, parameters."""
     try:
         term = split_node(section, path, node)
     except ConfigError as error:
@@ -80,18 +80,20 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         target = import_target(term.target, path)
     except ConfigError as error:
         return [*errors, error]
-    # Of a target that cannot be a term here the parameters say nothing.
+    # If the target cannot be a term of this section, mistakes in its parameters are irrelevant.
     wrong = _section_errors(section, term) or _kind_errors(section, term, target)
     return errors + (wrong or parameter_errors(section, term, target))
 
 
 def _kind_errors(section: str, term: TermNode, target: Callable[..., Any]) -> list[ConfigError]:
-    """Find a target that its manager cannot make a term of, or cannot call."""
+    """Reject a target that the manager cannot build or call as a term."""
     if inspect.isclass(target):
         return _class_errors(section, term, target)
     if section in _CLASSES:
         kind = _CLASSES[section]
-        return [ConfigError(f"'{term.target}' is no {kind}", key=term.path, expected=f"a subclass of {kind}")]
+        return [
+            ConfigError(f"'{term.target}' is not a subclass of {kind}", key=term.path, expected=f"a subclass of {kind}")
+        ]
     wanted = _ARGUMENTS.get(section, ("env",))
     parameters = inspect.signature(target).parameters.values()
     positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -109,7 +111,7 @@ def _class_errors(section: str, term: TermNode, target: type) -> list[ConfigErro
     kind = _CLASSES.get(section, "TermBase")
     if not issubclass(target, getattr(managers, kind)):
         expected = f"a subclass of {kind}" + ("" if section in _CLASSES else " or a function")
-        return [ConfigError(f"'{term.target}' is no {kind}", key=term.path, expected=expected)]
+        return [ConfigError(f"'{term.target}' is not a subclass of {kind}", key=term.path, expected=expected)]
     if section not in _CLASSES and not any("__call__" in vars(owner) for owner in target.__mro__):
         expected = f"def __call__(self, {', '.join(_ARGUMENTS.get(section, ('env',)))})"
         return [ConfigError(f"'{term.target}' cannot be called", key=term.path, expected=expected)]
@@ -136,7 +138,11 @@ def _section_errors(section: str, term: TermNode) -> list[ConfigError]:
 
 
 def import_target(target: str, path: str) -> Callable[..., Any]:
-    """Import an allowed target (raises as ``resolve_target``), of a misspelled module with the name that is meant."""
+    """Import an allowed target. If a module is misspelled, the error contains the nearest module.
+
+    Raises:
+        ConfigError: as ``resolve_target``.
+    """
     try:
         return resolve_target(target, path)
     except ConfigError as error:
@@ -147,7 +153,7 @@ def import_target(target: str, path: str) -> Callable[..., Any]:
 
 
 def _nearest_target(target: str) -> str | None:
-    """Return the target with its first wrong module name put right."""
+    """Return the target with its first unknown module name replaced by the nearest one; None if no name is near."""
     parts = target.split(".")
     for n in range(1, len(parts) - 1):
         try:
@@ -163,7 +169,7 @@ def _nearest_target(target: str) -> str | None:
 
 
 def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes of every ``_target_`` node that is no term itself: sensors, actuators, noise."""
+    """Return the mistakes in every ``_target_`` node that is not a term: sensors, actuators, noise."""
     terms = {path for _, path, _ in term_nodes(config)}
     errors: list[ConfigError] = []
     for path, node in walk_nodes(config):
@@ -177,7 +183,7 @@ def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes of parameters that name terms of other sections."""
+    """Return the mistakes in parameters that name terms of other sections."""
     errors = []
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
@@ -201,18 +207,18 @@ def _unknown_term(config: Mapping[str, Any], kind: str, key: str, name: str) -> 
 
 
 def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the observation groups that no network gets, and those without a term."""
+    """Return the observation groups that no network reads, and those without a term."""
     groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")
     if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
         return []
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # a misspelled group is told where it stands
-    if at(config, "agent.teacher") is not None:  # a student's task is its teacher's, whose critic is gone
+        return []  # check_agent reports a misspelled group
+    if at(config, "agent.teacher") is not None:  # a student's task has the groups of the teacher's critic, unused
         used |= set(groups)
     unused = [
         ConfigError(
-            f"no network gets the observation group '{name}'",
+            f"no network reads the observation group '{name}'",
             key=f"agent.obs_groups.{name}" if name in sets else "agent.obs_groups",
             expected="every group in some network's list, or no such group",
             nearest=nearest_name(str(name), [str(n) for n in used if n not in groups]),
@@ -228,11 +234,11 @@ def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
-    """Return the mistake of environments that are to be recorded and are not among as many as there are."""
+    """Return the mistake in ``recording.env_ids``, if an id is missing, repeated, or not in 0 to ``count`` - 1."""
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return []
     if count < 1:
-        return []  # told elsewhere
+        return []  # reported as a mistake in env.num_envs
     if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
         return []
     expected = f"at least one environment, each once, from 0 to {count - 1}"
@@ -240,13 +246,13 @@ def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
 
 
 def require_recorded(config: Mapping[str, Any]) -> None:
-    """Raise the mistake of a config's recorded environments, of a config that need not have been checked."""
+    """Raise ConfigError if ``recording.env_ids`` does not fit ``env.num_envs``. The config can be unchecked."""
     for error in recorded_errors(at(config, "recording.env_ids"), at(config, "env.num_envs")):
         raise error
 
 
 def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes of cameras that would draw more environments than they may."""
+    """Return the cameras that would draw more environments than their limit."""
     count, sensors = at(config, "env.num_envs"), section_at(config, "env.scene.sensors")
     limits = {name: node.get("max_num_envs") for name, node in sensors.items() if isinstance(node, Mapping)}
     found = (
@@ -258,7 +264,7 @@ def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistake of a run root that cannot become a folder."""
+    """Return the mistake in ``run.root``, if it cannot be a folder."""
     root = at(config, "run.root")
     if not isinstance(root, str):
         return []

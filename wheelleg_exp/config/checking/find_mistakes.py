@@ -61,11 +61,11 @@ from wheelleg_exp.terms.term_binding import NotAllowed
 
 @dataclass
 class Leniency:
-    """What is passed over.
+    """The files and overrides that the tolerant loader ignores.
 
     Attributes:
         empty: config paths that count as empty files.
-        unused: ``group@package`` of the overrides in defaults lists that are left out.
+        unused: ``group@package`` of ignored overrides in defaults lists.
         failed: the config path whose loading failed last.
     """
 
@@ -80,7 +80,7 @@ class _TolerantRepository(Repository):
         self._leniency = leniency
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        """Load a config as Hydra asks for it; one that is broken counts as empty."""
+        """Load a config for Hydra. A config path in ``Leniency.empty`` counts as an empty file."""
         if config_path in self._leniency.empty:
             header = {"package": self._package(config_path)}
             return ConfigResult("wheelleg", config_path, OmegaConf.create({}), header, [])
@@ -90,7 +90,7 @@ class _TolerantRepository(Repository):
             self._leniency.failed = config_path
             raise
         if result is not None and result.defaults_list:
-            parent = config_path.rpartition("/")[0]  # what a name without a slash stands below
+            parent = config_path.rpartition("/")[0]  # a group without a leading slash is relative to this folder
             result.defaults_list = [d for d in result.defaults_list if not self._is_unused(d, parent)]
         return result
 
@@ -107,7 +107,7 @@ class _TolerantRepository(Repository):
 
 
 class TolerantLoader(Loader):
-    """Loads like ``Loader``, but for what its leniency passes over."""
+    """A ``Loader`` that ignores the files and overrides of its ``Leniency``."""
 
     def __init__(self, config_dirs: Sequence[Path], leniency: Leniency) -> None:
         super().__init__(config_dirs)
@@ -117,23 +117,22 @@ class TolerantLoader(Loader):
         self, config_name: str | None, overrides: list[str]
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, _ = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
-        # The repository behind knows the search path by now.
+        # The parent's method has completed the search path of the repository, which is reused here.
         self.repository_used = _TolerantRepository(self.repository_used.delegate, self._leniency)
         return parsed, self.repository_used
 
 
 def check(composed: Composed) -> list[ConfigError]:
-    """Return every mistake that can be found without simulating.
+    """Return every mistake that can be found without a simulation.
 
-    Looks at the keys, types and ranges of the fixed part; at each term's target and parameters against the
-    target's signature; at settings for terms that are not selected; at the allow-list of every target; at the
-    agent's classes and observation groups; at the names of joints, bodies and terms against the robot and the
-    config; at the files' package lines, their terms and their order. Each error names the file and line, or the
-    override, that the value came from.
+    The checks cover: keys, types and ranges of the fixed part; each term's target, which must be allowed, and its
+    parameters; settings for terms that are not selected; the agent's classes and observation groups; the names of
+    joints, bodies and terms; the files' package lines, their terms and their order. Each error contains the file
+    and line, or the override, that the value came from.
     """
     files = mounted_files(composed)
     misplaced = check_headers(composed, files)
-    if misplaced:  # all that stands in the wrong place would be told as well
+    if misplaced:  # otherwise every key at the wrong place would be reported, too
         return misplaced
     config = without_strays(composed.config, files)
     errors = check_term_files(files) + check_targets_of_files(config, files) + check_group_lists(composed, files)
@@ -147,9 +146,10 @@ def check(composed: Composed) -> list[ConfigError]:
 
 
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
-    """Leave out what only follows from keys that nothing reads, unless it would run foreign code.
+    """Leave out errors that only follow from a key that nothing reads.
 
-    That is what is told of their inside, and of a key that is missing because it is misspelled beside.
+    These are errors inside such a key, and a missing key if the unread key is its misspelling. A target that is not
+    allowed is always reported.
     """
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
@@ -163,12 +163,12 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
 
 
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
-    """Return whether an error speaks of a key whose content is not known: it may be no mistake at all.
+    """Return whether an error is about a key whose content is unknown, and so can be a consequence of that.
 
     Args:
         error: the error.
-        lost: keys whose content is not known; one that starts with a dot is a part of keys, wherever it stands; an
-            empty one stands for all.
+        lost: keys with unknown content. One that starts with a dot is a part of a key at any place; an empty one means
+            every key.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and is_at_or_below(error.named, lost):
@@ -181,16 +181,14 @@ def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
 
 
 def is_at_or_below(key: str, places: Collection[str]) -> bool:
-    """Return whether a key is one of the places or below one; a place that starts with a dot may stand anywhere."""
-    return any(f"{place}." in f".{key}." if place.startswith(".") else _below(key, place) for place in places)
-
-
-def _below(key: str, place: str) -> bool:
-    return f"{key}.".startswith(f"{place}.")
+    """Return whether a key is one of the places or below one. A place with a leading dot matches at any depth."""
+    return any(
+        f"{place}." in f".{key}." if place.startswith(".") else f"{key}.".startswith(f"{place}.") for place in places
+    )
 
 
 def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list[ConfigError]:
-    """Hold names against the robot; nothing is said where the sections that name it are wrong themselves."""
+    """Check names against the robot. If the sections that select the robot have mistakes, skip the check."""
     robot, scene = at(config, "env.robot"), at(config, "env.scene")
     if not isinstance(robot, Mapping) or not isinstance(scene, Mapping):
         return []
@@ -205,14 +203,14 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
 
 @dataclass(frozen=True)
 class _Asset:
-    """What reading the robot's names needs."""
+    """The keys of ``env.robot`` that are needed to read the robot's names."""
 
     asset: str
     base: Literal["auto", "floating", "fixed"] = "auto"
 
 
 def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
-    """Return every mistake of a plain tree whose top is that of the dataclass ``root``; places are not known."""
+    """Return every mistake in a plain tree, without places. ``root`` is the dataclass of the tree's top level."""
     errors = section_errors("", config, root)
     for path in schema.OPTIONS:
         options = schema.options_of(path)
@@ -229,20 +227,20 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
 
 
 def require_valid(composed: Composed) -> None:
-    """Raise one ConfigError that tells every mistake ``check`` finds; several stand one a line."""
+    """Raise one ConfigError with every mistake that ``check`` finds, one per line."""
     errors = check(composed)
     if errors:
         raise_all(errors)
 
 
 def _placed(errors: list[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
-    """Say where each value came from, and leave out what was found twice: one line may stand at several keys."""
+    """Add the place of each value, and leave out repeated errors: one line of a file can set several keys."""
     seen: dict[tuple[str | None, ...], ConfigError] = {}
     for error in errors:
         if error.where is None and error.key is not None:
             emptied = emptied_by(composed, error.key) if isinstance(error, MissingValue) else None
             error.where = emptied or composed.provenance.where(error.key)
-        if error.where is None and isinstance(error, MissingValue):  # of what nobody has begun the task is the place
+        if error.where is None and isinstance(error, MissingValue):  # a whole section is missing: name the task's file
             error.where = next((show_file(file.file) for file in reversed(files) if file.group == "task"), None)
         place = str(error.key).rpartition(".")[2] if error.where and override_of(error) is None else error.key
         seen.setdefault((place, error.where, error.message), error)
@@ -261,7 +259,9 @@ def _check_silences(config: Mapping[str, Any]) -> list[ConfigError]:
         for name in silences
         if name not in schema.PHYSICS_RULES
     ] + [
-        ConfigError("a silence has no reason", key=f"check.silence.{name}", expected="why the finding is accepted")
+        ConfigError(
+            "a silenced rule has no reason", key=f"check.silence.{name}", expected="why the finding is accepted"
+        )
         for name, reason in silences.items()
         if isinstance(reason, str) and not reason.strip()
     ]
@@ -283,7 +283,7 @@ def _check_observation_groups(config: Mapping[str, Any]) -> list[ConfigError]:
 
 
 def _nearest_group(groups: Mapping[str, Any], name: Any) -> str | None:
-    """Return the observation group with terms whose name is most like one without."""
+    """Return the observation group with terms whose name is most similar to ``name``."""
     return nearest_name(str(name), [str(n) for n, g in groups.items() if isinstance(g, Mapping) and "terms" in g])
 
 
@@ -292,18 +292,18 @@ _MOST_ATTEMPTS = 50
 
 @dataclass
 class _Search:
-    """What is left of a config when each mistake that stops Hydra has been taken out of it."""
+    """A search that removes each mistake that stops Hydra, until the config composes."""
 
     overrides: list[str]
     primary: str
     folders: tuple[Path, ...]
     found: list[ConfigError] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)  # keys whose content is not known
+    lost: list[str] = field(default_factory=list)  # keys whose content is unknown, because their file was ignored
     leniency: Leniency = field(default_factory=Leniency)
     loader: TolerantLoader | None = None
 
     def compose(self) -> Composed | None:
-        """Compose, taking out what is wrong and starting again, until it works or nothing more can be taken out."""
+        """Compose, remove what fails, and repeat, until composing succeeds or nothing more can be removed."""
         for _ in range(_MOST_ATTEMPTS):
             try:
                 return compose(self.overrides, primary=self.primary, config_dirs=self.folders, loader=self._make_loader)
@@ -318,18 +318,18 @@ class _Search:
         return self.loader
 
     def _take_out(self, error: ConfigError) -> bool:
-        """Take out what the error blames; False when that is not known."""
+        """Remove the override, file or value that caused the error; return False if the cause is unknown."""
         blamed = {override_of(part) for part in parts(error)} - {None}
         kept = [text for text in self.overrides if text not in blamed]
         if len(kept) < len(self.overrides):
             self.overrides = kept
             return True
-        if blamed:  # it is no single override
+        if blamed:  # the error names several words that are not one override
             return False
         return self._empty_file(error) or self._skip_default(error) or self._null_values(error)
 
     def _empty_file(self, error: ConfigError) -> bool:
-        """Count a file that is broken, or not there, as empty."""
+        """Treat a broken or missing file as empty."""
         cause = error.__cause__
         path, self.leniency.failed = self.leniency.failed, None
         if isinstance(cause, MissingConfigException):
@@ -340,12 +340,12 @@ class _Search:
             return False
         self.leniency.empty.add(path)
         self.lost += self._places(path)
-        if error.nearest:  # settings for what was meant are no mistakes
+        if error.nearest:  # settings for the option that was meant are not mistakes
             self.lost.append(f".{error.nearest}")
         return True
 
     def _places(self, path: str) -> list[str]:
-        """Return the keys that a file would have filled; "" stands for all."""
+        """Return the keys that a file would have set; "" means every key."""
         group, _, name = path.rpartition("/")
         if self.loader is None:
             return [""]
@@ -356,18 +356,18 @@ class _Search:
         return [f".{name}", group]
 
     def follows(self, error: ConfigError) -> bool:
-        """Return whether an error only tells of something that has been taken out."""
+        """Return whether an error only follows from something that was removed."""
         return follows_from(error, self.lost)
 
     def _skip_default(self, error: ConfigError) -> bool:
-        """Leave out an ``override`` of a defaults list that overrides nothing."""
+        """Ignore an ``override`` in a defaults list that overrides nothing."""
         if error.key is None or not isinstance(error, NowhereMounted) or error.key in self.leniency.unused:
             return False
         self.leniency.unused.add(error.key)
         return True
 
     def _null_values(self, error: ConfigError) -> bool:
-        """Put null in the place of values that are missing or cannot be worked out."""
+        """Set values to null that are missing or cannot be resolved."""
         keys = [part.key for part in parts(error) if part.key and part.where]
         plain = [key for key in keys if "[" not in key and key not in self.lost]
         if not plain or len(plain) < len(keys):
@@ -380,10 +380,10 @@ class _Search:
 def find_mistakes(
     overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = ()
 ) -> tuple[Composed | None, list[ConfigError]]:
-    """Compose and check, and return the config and all mistakes; without mistakes it is what ``compose`` returns.
+    """Compose and check a config, and return it with all mistakes. Without mistakes it equals ``compose``'s result.
 
-    What stops Hydra is taken out (a wrong override, a file that is broken or not there, a value that is missing)
-    and the rest is looked at as if it had not been there. Mistakes that only follow from that are left out.
+    A mistake that stops Hydra (a wrong override, a broken or missing file, a missing value) is removed, and the
+    remaining config is checked. Mistakes that only follow from the removal are left out.
 
     Args:
         overrides: Hydra overrides.
@@ -391,7 +391,7 @@ def find_mistakes(
         config_dirs: the user's config folders.
 
     Returns:
-        The config, or None when there is none to look at; and the mistakes, those that stop Hydra first.
+        The config, or None if Hydra could not compose it; and the mistakes, first those that stop Hydra.
     """
     search = _Search(override_texts(overrides), primary, tuple(config_dirs))
     composed = search.compose()
@@ -401,10 +401,10 @@ def find_mistakes(
 
 
 def compose_valid(overrides: Sequence[str] = (), *, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose a config that has no mistakes.
+    """Compose and check a config, and return it.
 
     Raises:
-        ConfigError: there are mistakes; it tells all of them.
+        ConfigError: every mistake in the config, if there is any.
     """
     composed, mistakes = find_mistakes(overrides, config_dirs=config_dirs)
     if mistakes:

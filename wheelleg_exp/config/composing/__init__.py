@@ -1,13 +1,10 @@
-"""Files and overrides become one plain tree, and every leaf keeps the place that it came from.
+"""Compose files and overrides into one plain tree, with the place of every leaf.
 
-| module | what it offers |
+| module | contents |
 |---|---|
-| `compose` | a config from a task and overrides |
-| `amend` | overrides on a config that a run kept |
-| `sweep` | one command line, several configs |
-| `loader`, `tolerant_loader` | Hydra's loader, kept to itself |
-| `headers`, `mounts`, `replacing` | where files land, and which takes another's place |
-| `provenance` | the file and line of each leaf |
-| `hydra_keys` | settings of Hydra that do something here |
-| `primaries` | which primary config words are of |
+| `compose` | a config from a task and overrides; overrides on a recorded config |
+| `compose_sweep` | several configs from one command line; the launchers |
+| `config_loader` | Hydra's loader without global state; package lines and `@replaces` lines |
+| `provenance` | the file and line of each leaf; the mounted groups |
+| `hydra_errors` | Hydra's exceptions as errors with key, place, expected value and nearest name |
 """

@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals, require_folder
-from wheelleg_exp.config.composing.hydra_errors import nearest_path, translate, unreadable
+from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, translate, unreadable
 from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts, trace
 from wheelleg_exp.config.config_errors import Mistakes, UnknownName, join, parts, raise_all
 from wheelleg_exp.config.config_tree import leaves, node_paths
@@ -35,30 +35,30 @@ _OF_SWEEPS = ("launcher", "sweeper")
 _INSTEAD = {
     "run": "run.root=DIR, below which run directories are made, and run.name=NAME",
     "job": "run.name=NAME for the run directory's name",
-    "output_subdir": "run.root=DIR; Hydra's files stand in .hydra of the run directory",
-    "sweep": "run.root; every job is a run directory of its own below it",
+    "output_subdir": "run.root=DIR; Hydra's files are in .hydra of the run directory",
+    "sweep": "run.root; every job has its own run directory there",
     "mode": "-m (--multirun) alone",
     "launcher": "hydra.launcher.n_jobs, how many jobs run at once",
     "sweeper": "hydra.sweeper.params, overrides by key",
     "verbose": "--debug, which shows the traceback of an error",
 }
-_ANY_SETTING = "a key of the config; of Hydra's own settings hydra.searchpath is read, and those of a launcher with -m"
+_ANY_SETTING = "a key of the config; of Hydra's settings, only hydra.searchpath and, with -m, the launcher's are read"
 
 
 def is_unread(key: str) -> bool:
-    """Return whether a key or a group, as typed in an override or not, is Hydra's own and nothing reads it."""
+    """Return whether a key, a group or an override is one of Hydra's own settings that nothing reads."""
     found = _KEY.match(key)
     return found is not None and not _READ.match(found[1])
 
 
 def unread_setting(key: str, where: str, expected: str | None = None) -> ConfigError:
-    """Return the error of a setting of Hydra's that nothing reads; what to write is known by its name."""
+    """Return the error for one of Hydra's own settings that nothing reads, with the setting to use instead."""
     instead = expected or _INSTEAD.get(_name(key), _ANY_SETTING)
     return UnreadKey("nothing reads this", key=key, where=where, expected=instead)
 
 
 def unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
-    """Return the errors of overrides, as typed, that set what nothing reads where one run is composed."""
+    """Return an error for each override that sets one of Hydra's own settings without effect on a single run."""
     errors = []
     for text in overrides:
         found = _KEY.match(text)
@@ -73,7 +73,7 @@ def unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
 
 
 def _name(key: str) -> str:
-    """Return which of Hydra's settings a key or a group is about, such as ``run``."""
+    """Return the section of ``hydra`` that a key or a group belongs to, such as ``run``."""
     return re.split(r"[./]", key, maxsplit=2)[1] if re.match(r"hydra[./]", key) else ""
 
 
@@ -82,16 +82,16 @@ class Composed:
     """A composed config.
 
     Attributes:
-        config: the resolved tree as plain mappings. Removed (null) terms are gone from the term sections, and
-            every term section is there, if only empty.
-        raw: the same as OmegaConf has it, ``${...}`` unresolved and null terms kept; read-only.
+        config: the resolved tree as plain mappings. Null terms are removed from the term sections. Every term section
+            exists, but can be empty.
+        raw: the tree as an OmegaConf config, with ``${...}`` unresolved and null terms; read-only.
         overrides: the overrides as typed.
         primary: name of the primary config.
         config_dirs: the user's config folders, absolute.
         removed_terms: paths of the terms that were set to null.
         hydra: Hydra's own node.
-        loader: the loader that has composed it.
-        parsed: the overrides, parsed.
+        loader: the loader that has composed the config.
+        parsed: the parsed overrides.
     """
 
     config: dict[str, Any]
@@ -106,23 +106,23 @@ class Composed:
 
     @cached_property
     def provenance(self) -> Provenance:
-        """Where each leaf comes from, worked out when it is first asked for."""
+        """The source of each leaf, computed on first use."""
         return trace(self.loader, self.primary, self.parsed)
 
     @cached_property
     def mounts(self) -> list[Mount]:
-        """The groups that the composition mounts, without Hydra's own, found when they are first asked for."""
+        """The mounted groups, without Hydra's own, computed on first use."""
         return find_mounts(self.loader, self.parsed)
 
     @cached_property
     def raw_tree(self) -> dict[str, Any]:
-        """The raw tree as plain mappings, for reading."""
+        """The raw tree as plain mappings, to be read only."""
         tree = OmegaConf.to_container(self.raw, resolve=False)
         return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Give errors that leave the body, each of several, the place in the config that their key comes from."""
+        """Add the place of its key to every error that leaves the block."""
         try:
             yield
         except Mistakes as error:
@@ -134,18 +134,18 @@ class Composed:
             raise
 
     def _place(self, error: WheellegError) -> None:
-        is_section = isinstance(self.config.get(error.key or ""), Mapping)  # a whole section comes from many places
+        is_section = isinstance(self.config.get(error.key or ""), Mapping)  # a whole section has no single place
         if error.where is None and error.key is not None and not is_section:
             error.where = self.provenance.where(error.key)
 
     @property
     def files(self) -> list[Path]:
-        """The files that were read, stock and the user's, in order of reading."""
+        """The stock files and user files that were read, in that order."""
         return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
 
     @property
     def asset_roots(self) -> tuple[Path, ...]:
-        """The folders in which a user's own assets are looked up, for ``paths.find_asset``."""
+        """The folders in which ``paths.find_asset`` searches the user's assets."""
         return tuple(root for d in self.config_dirs for root in (d.parent / "assets", d.parent))
 
     def hydra_files(self) -> dict[str, str]:
@@ -200,12 +200,12 @@ def compose(
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:
-    """Return overrides as a list; a single text is one override, not a sequence of letters."""
+    """Return overrides as a list. A single text is one override, not a sequence of letters."""
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
 def _resolve(raw: DictConfig, provenance: Any) -> dict[str, Any]:
-    """Return the resolved plain tree; one ConfigError tells all missing values and bad interpolations."""
+    """Return the resolved plain tree, or raise one ConfigError with all missing values and bad interpolations."""
     try:
         resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
@@ -238,7 +238,7 @@ def _interpolation_message(raw: DictConfig, path: str) -> str | None:
 
 
 def _dangling(raw: DictConfig, message: str, path: str, where: str | None) -> ConfigError:
-    """Return the error of an interpolation; of one to a key that is not there with the key that may be meant."""
+    """Return the error for a bad interpolation. If its key does not exist, the error contains the nearest key."""
     missing = re.match(r"Interpolation key '([^']+)' not found", message)
     if missing is None:
         return ConfigError(message, key=path, where=where)
@@ -249,9 +249,7 @@ def _dangling(raw: DictConfig, message: str, path: str, where: str | None) -> Co
 
 
 def _flat(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    kept = [line.strip() for line in lines if not line.strip().startswith(("full_key:", "object_type="))]
-    return re.sub(r'^\w+ raised while resolving interpolation: "?(.*?)"?$', r"\1", " ".join(kept))
+    return re.sub(r'^\w+ raised while resolving interpolation: "?(.*?)"?$', r"\1", flat(error))
 
 
 def _full_key(error: OmegaConfBaseException) -> str | None:
@@ -264,38 +262,38 @@ _ANOTHER_VALUE = "another value"
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
-    Groups cannot be chosen here, because nothing is composed. A term that is null is removed, as by composing.
+    Groups cannot be selected here, because nothing is composed. A null term is removed, as in a composed config.
 
     Raises:
-        ConfigError: an override cannot be read, names a key that is not there, or is of Hydra's own settings.
+        ConfigError: an override cannot be parsed, names a missing key, or is one of Hydra's own settings.
     """
-    amended = copy.deepcopy(dict(tree))
+    changed = copy.deepcopy(dict(tree))
     for text in overrides:
-        _apply(amended, _parse(text), text)
-    if overrides:  # what nobody changes stays as it was recorded
-        drop_removed(amended)
-    return amended
+        _apply(changed, _parse(text), text)
+    if overrides:  # without overrides, a recorded tree stays unchanged
+        drop_removed(changed)
+    return changed
 
 
 def require_read(
-    kept: Mapping[str, Any],
+    recorded: Mapping[str, Any],
     overrides: Sequence[str],
     read: Callable[[Mapping[str, Any]], Any],
     instead: Mapping[str, str],
 ) -> None:
-    """Raise ConfigError, with every key, for overrides that nothing reads.
+    """Raise ConfigError for all overrides that nothing reads.
 
-    An override is read if its value, or any other value of its key, changes what ``read`` returns. Thus an override
-    that repeats the present value is no mistake.
+    An override is read if its value, or any other value of its key, changes the result of ``read``. An override that
+    repeats the current value is therefore accepted.
 
     Args:
-        kept: the tree before the overrides.
-        overrides: the overrides, each of which ``amend`` accepts.
-        read: returns what of a tree is read, comparable with ``==``.
-        instead: what to write in place of a key or of those below it, by key; ``""`` for all others.
+        recorded: the tree before the overrides.
+        overrides: the overrides, which must be valid for ``apply_overrides``.
+        read: returns the part of a tree that is read, comparable with ``==``.
+        instead: the text for the expected value of a key and the keys below it; ``""`` applies to all other keys.
     """
     errors: list[ConfigError] = []
-    tree: Mapping[str, Any] = kept
+    tree: Mapping[str, Any] = recorded
     for text in overrides:
         keys, after = split_path(_parse(text).key_or_group), apply_overrides(tree, [text])
         other = apply_overrides(after, [])
@@ -307,7 +305,8 @@ def require_read(
         if read(after) == read(tree) == read(other):
             key = dotted(keys)
             expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))
-            errors.append(UnreadKey("this command ignores it", key=key, where=f"override {text}", expected=expected))
+            message = "this command ignores the key"
+            errors.append(UnreadKey(message, key=key, where=f"override {text}", expected=expected))
         tree = after
     if errors:
         raise_all(errors)
@@ -315,7 +314,7 @@ def require_read(
 
 @contextmanager
 def placing(overrides: Sequence[str]) -> Iterator[None]:
-    """Give mistakes that leave the body, and have no place, the override that their key comes from."""
+    """Add the override of its key to every ConfigError without a place that leaves the block."""
     try:
         yield
     except ConfigError as error:
@@ -377,6 +376,6 @@ def _unknown(tree: dict[str, Any], keys: Sequence[str], text: str) -> ConfigErro
         "there is no such key in the run's parameters",
         key=name,
         where=f"override {text}",
-        expected="a key that is there; a config group is chosen when a run begins",
+        expected="an existing key; config groups can only be selected for a new run",
         nearest=nearest_path(name, known),
     )

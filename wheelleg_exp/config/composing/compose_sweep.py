@@ -1,7 +1,7 @@
 """Compose a sweep: Hydra expands one command line into several jobs, and every job is checked.
 
-The module also lists the launchers that a sweep accepts, with what each must have installed and how many jobs it
-runs at once.
+The module also lists the launchers that a sweep accepts, with the packages that each launcher needs and the number of
+jobs that it runs at once.
 """
 
 from __future__ import annotations
@@ -51,44 +51,44 @@ class _RayLauncher:
 
 
 def offer_ray() -> None:
-    """Let ``hydra/launcher=ray`` have the settings of hydra-ray-launcher where that is not installed.
+    """Register the settings of hydra-ray-launcher for ``hydra/launcher=ray``, if that package is not installed.
 
-    Nothing but the settings is taken of it, and it cannot be installed beside a cloudpickle that others want.
+    Only its settings are needed. The package itself conflicts with the version of cloudpickle that others require.
     """
     if not _is_there("hydra_plugins.hydra_ray_launcher"):
         ConfigStore.instance().store(group="hydra/launcher", name="ray", node=_RayLauncher, provider="wheelleg_exp")
 
 
 def not_installed(launcher: str) -> str | None:
-    """Return how to install what a launcher needs; None where it is there."""
+    """Return the command that installs a launcher's packages; None if they are installed."""
     extra, modules = _NEEDS.get(launcher, ("", ()))
     return None if all(map(_is_there, modules)) else f"pip install 'wheelleg_exp[{extra}]'"
 
 
 def jobs_at_once(launcher: str, settings: Mapping[str, Any], jobs: int) -> int:
-    """Return how many jobs are handed in at once, as joblib counts.
+    """Return how many jobs are submitted at once, as joblib counts.
 
     Args:
         launcher: one of ``LAUNCHERS``.
-        settings: of ``hydra.launcher``.
-        jobs: how many there are.
+        settings: the section ``hydra.launcher``.
+        jobs: the number of jobs.
     """
     if launcher == "joblib":
         return int(settings["n_jobs"])
-    return jobs if launcher in QUEUES else 1  # a queue knows best how many of them run
+    return jobs if launcher in QUEUES else 1  # the queue itself limits how many jobs run
 
 
 def _is_there(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # of a package above it
+    except ModuleNotFoundError:  # a parent package is missing
         return False
 
 
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
-_MULTIRUN = "hydra.mode=MULTIRUN"  # what Hydra's -m adds
+_MULTIRUN = "hydra.mode=MULTIRUN"  # the override that Hydra's -m adds
 
 Progress = Callable[[int, int], None]
 
@@ -98,8 +98,8 @@ class SweepJob:
     """One job of a sweep.
 
     Attributes:
-        overrides: what ``wheelleg train`` takes to train it alone.
-        swept: those of them that are not the same in all jobs.
+        overrides: the overrides with which ``wheelleg train`` trains this job alone.
+        swept: the overrides that differ between jobs.
         config: the resolved config.
         digest: digest of the composed config.
     """
@@ -112,14 +112,14 @@ class SweepJob:
 
 @dataclass(frozen=True)
 class Sweep:
-    """The jobs of a sweep, in Hydra's order, and how they are launched.
+    """The jobs of a sweep, in Hydra's order, and their launcher.
 
     Attributes:
-        jobs: at least one.
+        jobs: the jobs, at least one.
         launcher: one of ``LAUNCHERS``.
-        n_jobs: how many run at once, as joblib counts: -1 for one on every core, -2 for one core less; of a queue, how
-            many it may hold at once.
-        multirun: what Hydra composes for a multirun, its own node included.
+        n_jobs: how many jobs run at once, as joblib counts: -1 for one per core, -2 for one per core but one. For a
+            queue: how many jobs are submitted at once.
+        multirun: the config that Hydra composes for a multirun, including Hydra's own node.
     """
 
     jobs: tuple[SweepJob, ...]
@@ -128,7 +128,7 @@ class Sweep:
     multirun: DictConfig = field(repr=False)
 
     def settings(self, folder: Path) -> dict[str, Any]:
-        """Return the launcher's own settings, plain, for the folder of the sweep."""
+        """Return the launcher's settings as a plain mapping, for the folder of the sweep."""
         config = self.multirun.copy()
         with open_dict(config):
             config.hydra.sweep.dir = str(folder)
@@ -141,15 +141,15 @@ class Sweep:
 def compose_sweep(
     overrides: Sequence[str], *, config_dirs: Sequence[Path] = (), progress: Progress | None = None
 ) -> Sweep:
-    """Expand the overrides as Hydra's basic sweeper does, and compose and check every job.
+    """Expand the overrides like Hydra's basic sweeper, and compose and check every job.
 
     Args:
-        overrides: Hydra overrides; ``a=1,2``, ``choice()``, ``range()`` and ``glob()`` make jobs.
+        overrides: Hydra overrides; ``a=1,2``, ``choice()``, ``range()`` and ``glob()`` expand to several jobs.
         config_dirs: the user's config folders.
-        progress: called with the jobs checked so far and their number.
+        progress: called with the number of checked jobs and the number of all jobs.
 
     Raises:
-        ConfigError: the mistakes of all jobs, each of them once.
+        ConfigError: the mistakes in all jobs, each of them once.
     """
     folders = tuple(require_folder(folder) for folder in config_dirs)
     offer_ray()
@@ -161,14 +161,14 @@ def compose_sweep(
         refused = {str(o.input_line): e for o in parsed for e in _refuse(o, chosen)}
         refused |= _refuse_repeated(parsed, loader.groups())
         mistakes += refused.values()
-        kept = [override for override in parsed if str(override.input_line) not in refused]
-        multirun = _compose_multirun(loader, kept)
+        accepted = [override for override in parsed if str(override.input_line) not in refused]
+        multirun = _compose_multirun(loader, accepted)
         if multirun is None:
-            mistakes += _mistakes_of([o for o in kept if o in own], folders)
-        jobs = _expand(_params(multirun, loader) + [o for o in kept if o not in own])
+            mistakes += _mistakes_of([o for o in accepted if o in own], folders)
+        jobs = _expand(_params(multirun, loader) + [o for o in accepted if o not in own])
         mistakes += [] if multirun is None else _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
-    if mistakes:  # a key that is wrong is so with each of its values
+    if mistakes:  # a wrong key is reported once, not for each of its values
         raise_all(list({(m.key, m.message): m for m in reversed(mistakes)}.values())[::-1])
     if multirun is None:
         multirun = _compose_launcher(loader, own, parsed)
@@ -177,7 +177,7 @@ def compose_sweep(
 
 
 def digest_of(composed: Composed) -> str:
-    """Return the digest of a composed config, its interpolations as written."""
+    """Return the digest of a composed config, with interpolations as written."""
     return hashlib.sha256(composed.hydra_files()["config.yaml"].encode()).hexdigest()
 
 
@@ -194,7 +194,7 @@ def _parse(texts: Sequence[str], loader: Loader) -> tuple[list[Override], list[C
 
 
 def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
-    """Yield what is wrong with an override before anything is composed."""
+    """Yield the mistakes in an override that are visible before anything is composed."""
     key, where = override.key_or_group, where_of(override)
     values = {"hydra/launcher": LAUNCHERS, "hydra/sweeper": _SWEEPERS}.get(key)
     if override.is_hydra_override() and override.is_sweep_override():
@@ -226,11 +226,14 @@ def _refuse_values(override: Override) -> Iterator[ConfigError]:
     elif not any(True for _ in override.sweep_iterator()):
         options = override.config_loader.get_group_options(key) if override.config_loader else []
         expected = "a pattern that matches one of " + ", ".join(options) if options else "at least one value"
-        yield ConfigError("there is no value in this", key=key, where=where, expected=expected)
+        yield ConfigError("this override has no value", key=key, where=where, expected=expected)
 
 
 def _refuse_repeated(parsed: Sequence[Override], groups: Collection[str]) -> dict[str, ConfigError]:
-    """Refuse keys that are given twice where it matters that Hydra's sweeper silently keeps the last alone."""
+    """Reject repeated keys. Hydra's sweeper silently uses the last one only.
+
+    A repeated key is accepted if every override of it only replaces one value.
+    """
     by_key: dict[str, list[Override]] = {}
     for override in parsed:
         by_key.setdefault(override.get_key_element(), []).append(override)
@@ -239,7 +242,7 @@ def _refuse_repeated(parsed: Sequence[Override], groups: Collection[str]) -> dic
             "this key is given several times",
             key=override.key_or_group,
             where=where_of(override),
-            expected="one override of it, with all its values",
+            expected="one override of this key, with all values",
         )
         for several in by_key.values()
         if len(several) > 1 and not all(_replaces(override, groups) for override in several)
@@ -248,22 +251,22 @@ def _refuse_repeated(parsed: Sequence[Override], groups: Collection[str]) -> dic
 
 
 def _replaces(override: Override, groups: Collection[str]) -> bool:
-    """Return whether an override just replaces one value by one other: outside sweeps, too, the last one counts."""
+    """Return whether an override only replaces one value. Of several, the last one counts, as without a sweep."""
     plain = override.type is OverrideType.CHANGE and not override.is_sweep_override()
     return plain and not isinstance(override.value(), dict) and override.key_or_group not in groups
 
 
 def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig | None:
-    """Return the config that Hydra composes for the multirun as a whole; None when it cannot be composed."""
+    """Return the config that Hydra composes for the whole multirun; None if it cannot be composed."""
     texts = [*(str(override.input_line) for override in parsed), _MULTIRUN]
     try:
         return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
     except (*COMPOSING_ERRORS, ConfigError):
-        return None  # the jobs' own mistakes say why, and in better words
+        return None  # the mistakes of the jobs explain the reason
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:
-    """Compose the multirun without what only fits the jobs, such as a key that only the swept tasks have."""
+    """Compose the multirun without the jobs' own overrides, which can name a key that only the swept tasks have."""
     texts = [*(str(override.input_line) for override in own), _MULTIRUN]
     with hydra_globals():
         multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
@@ -274,10 +277,10 @@ def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[
 def _mistakes_of(own: Sequence[Override], folders: Sequence[Path]) -> list[ConfigError]:
     """Return the mistakes in the settings of the launcher."""
     chosen = _chosen(own)
-    words = [o for o in own if chosen != "basic" or not o.key_or_group.startswith("hydra.launcher.")]
-    errors = [_of_joblib(override) for override in own if override not in words]
+    used = [o for o in own if chosen != "basic" or not o.key_or_group.startswith("hydra.launcher.")]
+    errors = [_of_joblib(override) for override in own if override not in used]
     try:
-        texts = [str(override.input_line) for override in words]
+        texts = [str(override.input_line) for override in used]
         compose(texts, primary=PRIMARY, config_dirs=folders, launching=True)
     except ConfigError as error:
         errors += parts(error)
@@ -293,12 +296,12 @@ def _of_joblib(override: Override) -> ConfigError:
         "the basic launcher has no settings: it runs one job after the other",
         key=override.key_or_group,
         where=where_of(override),
-        expected="hydra/launcher=joblib beside it",
+        expected="hydra/launcher=joblib in addition",
     )
 
 
 def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
-    """Return what is wrong with the launcher and the sweeper that files and overrides together have chosen."""
+    """Return the mistakes in the launcher and the sweeper that files and overrides together have selected."""
     errors = []
     choices = multirun.hydra.runtime.choices
     for group, known in (("hydra/launcher", LAUNCHERS), ("hydra/sweeper", _SWEEPERS)):
@@ -306,20 +309,20 @@ def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
             expected = "one of " + ", ".join(known)
             errors.append(ConfigError(f"'{choices[group]}' is not supported", key=group, expected=expected))
     if multirun.hydra.launcher.get("n_jobs") == 0:
-        expected = "1, 2, ... jobs at once, or -1 for one on every core"
+        expected = "1, 2, ... jobs at once, or -1 for one per core"
         errors.append(ConfigError("no job would ever run", key="hydra.launcher.n_jobs", expected=expected))
     return errors
 
 
 def _params(multirun: DictConfig | None, loader: Loader) -> list[Override]:
-    """Return the overrides that the config files themselves give the sweeper."""
+    """Return the overrides in ``hydra.sweeper.params`` of the config files."""
     params = multirun.hydra.sweeper.get("params") if multirun is not None else None
     texts = [f"{key}={value}" for key, value in (params or {}).items()]
     return OverridesParser.create(config_loader=loader).parse_overrides(texts)
 
 
 def _expand(parsed: Sequence[Override]) -> list[list[str]]:
-    """Return the overrides of every job, what is not swept as typed."""
+    """Return the overrides of every job. An override that is not swept stays as typed."""
     fixed = [override for override in parsed if not override.is_sweep_override()]
     typed = {f"{o.get_key_element()}={o.get_value_element_as_str()}": str(o.input_line) for o in fixed}
     (jobs,) = BasicSweeper.split_arguments(list(parsed), None)
@@ -329,7 +332,7 @@ def _expand(parsed: Sequence[Override]) -> list[list[str]]:
 def _check(
     jobs: Sequence[Sequence[str]], folders: Sequence[Path], progress: Progress | None, mistakes: list[ConfigError]
 ) -> list[SweepJob]:
-    """Compose and check every job, and add the mistakes, each once, to those there are."""
+    """Compose and check every job, and append the mistakes, each once, to ``mistakes``."""
     checked: list[SweepJob] = []
     found: dict[str, tuple[ConfigError, list[int]]] = {}
     for index, overrides in enumerate(jobs):
@@ -351,7 +354,7 @@ def _swept(overrides: Sequence[str], jobs: Sequence[Sequence[str]]) -> tuple[str
 
 
 def _in_job(error: ConfigError, indices: Sequence[int], jobs: Sequence[Sequence[str]]) -> ConfigError:
-    """Say in which job a mistake stands, unless it stands in all of them or its place says so."""
+    """Add the job's overrides to the message, unless every job has the mistake or its place is one of them."""
     swept = _swept(jobs[indices[0]], jobs)
     if len(indices) == len(jobs) or override_of(error) in swept:
         return error

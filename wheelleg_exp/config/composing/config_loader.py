@@ -46,7 +46,7 @@ _MARK = re.compile(r"^\s*#\s*@\s*replaces\b[ :]*(.*?)\s*$", re.IGNORECASE)
 
 
 def replaced_by(file: Path) -> tuple[str, int] | None:
-    """Return the config that a file says it replaces, and the line on which it does; None when it does not."""
+    """Return the config in a file's ``# @replaces`` line, and the line's number; None without such a line."""
     try:
         lines = file_text(file).splitlines()
     except (OSError, UnicodeDecodeError):
@@ -61,14 +61,14 @@ def replaced_by(file: Path) -> tuple[str, int] | None:
 
 
 def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
-    """Return the file that is read for a config: the one that says it replaces the others' only one, or the only one.
+    """Return the file that is read for a config: the file with a ``# @replaces`` line, or the only file.
 
     Args:
         config_path: the config, such as ``reward/alive``.
         files: the files of that name along the search path, at least one.
 
     Raises:
-        ConfigError: a file would never be read, several replace one, or a file replaces nothing.
+        ConfigError: a file would never be read, several files replace one, or a file replaces nothing.
     """
     different = list({file.resolve(): file for file in reversed(files)}.values())[::-1]
     marks = {file: replaced_by(file) for file in different}
@@ -92,7 +92,7 @@ def _hidden(config_path: str, plain: Sequence[Path]) -> ConfigError:
         key=config_path,
         where=show_file(plain[1]),
         expected="a name that no stock config and no other config folder has, "
-        f"or the line '# @replaces {config_path}' in its head, to take the other's place on purpose",
+        f"or the line '# @replaces {config_path}' at its top, to replace the other file on purpose",
     )
 
 
@@ -101,22 +101,22 @@ def _contested(config_path: str, replacing: Sequence[Path], marks: dict[Path, tu
         f"this file and {show_file(replacing[0])} both replace '{config_path}'",
         key=config_path,
         where=_place(replacing[1], marks[replacing[1]]),
-        expected="one file that replaces it",
+        expected=f"one file that replaces '{config_path}'",
     )
 
 
 def _replaces_nothing(config_path: str, file: Path, marks: dict[Path, tuple[str, int] | None]) -> ConfigError:
     return ConfigError(
-        f"there is no other '{config_path}' that this file could replace",
+        f"there is no other '{config_path}' that this file can replace",
         key=config_path,
         where=_place(file, marks[file]),
-        expected="a file without that line, or with the name of the one that it replaces",
+        expected="a file without that line, or with the name of the file that it replaces",
     )
 
 
 def _wrong_mark(config_path: str, file: Path, mark: tuple[str, int]) -> ConfigError:
     return ConfigError(
-        f"this file says that it replaces '{mark[0]}', but a file replaces only what has its own name",
+        f"this file says that it replaces '{mark[0]}', but a file can only replace a file of its own name",
         key=config_path,
         where=_place(file, mark),
         expected=f"'# @replaces {config_path}'",
@@ -128,7 +128,7 @@ def _place(file: Path, mark: tuple[str, int] | None) -> str:
 
 
 VERSION_BASE = "1.3"
-# What composing a wrong config raises: beside their own errors, those that values which do not merge lead to.
+# The exceptions that Hydra and OmegaConf raise for a wrong config. Values that do not merge raise the last three.
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +\S+\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
@@ -136,7 +136,7 @@ _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
 
 @contextmanager
 def hydra_globals() -> Iterator[None]:
-    """Set what Hydra keeps in globals (version base, job name) and put the old values back afterwards."""
+    """Set Hydra's global state (version base, job name) inside the block, and restore the previous state after it."""
     kinds = (version.VersionBase, JobRuntime)
     before = {kind: Singleton._instances.pop(kind, None) for kind in kinds}
     try:
@@ -154,14 +154,14 @@ def hydra_globals() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class LoadedFile:
-    """One config file: where it is, and its content without the defaults list."""
+    """One config file: its path, and its content without the defaults list."""
 
     file: Path
     content: dict[Any, Any]
 
 
 class Repository(CachingConfigRepository):
-    """A caching repository that keeps the plain content of each file and refuses what Hydra passes over."""
+    """A caching repository that stores the plain content of each file, and rejects mistakes that Hydra ignores."""
 
     def __init__(self, delegate: IConfigRepository) -> None:
         super().__init__(delegate)
@@ -183,7 +183,7 @@ class Repository(CachingConfigRepository):
         return super().load_config(config_path)
 
     def files(self, config_path: str) -> list[Path]:
-        """Return the files of this name along the search path, the one that Hydra takes first."""
+        """Return the files of this name along the search path. Hydra reads the first one."""
         name = ConfigSource._normalize_file_name(config_path)
         folders = [Path(s.path) for s in self.get_sources() if s.scheme() == "file"]
         return [folder / name for folder in folders if (folder / name).is_file()]
@@ -193,17 +193,17 @@ class Repository(CachingConfigRepository):
         if source is None or source.scheme() != "file":
             return False
         if not self.files(config_path):
-            raise ConfigError("is no ordinary file", key=config_path, where=source.path)
+            raise ConfigError("is not a regular file", key=config_path, where=source.path)
         return True
 
     def _read(self, config_path: str, file: Path) -> ConfigResult:
-        """Read a file as Hydra's own source of files does, by libyaml."""
+        """Read a file like Hydra's own source of files, but with libyaml."""
         text = file.read_text(encoding="utf-8")
         yaml_tree(text)
         content = yaml.load(text, Loader=_yaml_loader())
         if content is not None and not isinstance(content, (dict, str)):
             where, expected = show_file(file, 1), "'key: value' lines"
-            raise ConfigError("the file holds no mapping", key=config_path, where=where, expected=expected)
+            raise ConfigError("the file does not contain a mapping", key=config_path, where=where, expected=expected)
         name = ConfigSource._normalize_file_name(config_path)
         source = next(s for s in self.get_sources() if s.scheme() == "file" and Path(s.path) / name == file)
         config, header = OmegaConf.create(content or {}), ConfigSource._get_header_dict(text[:512])
@@ -215,7 +215,7 @@ class Repository(CachingConfigRepository):
 
 @functools.cache
 def _yaml_loader() -> Any:
-    """Return OmegaConf's loader of YAML over libyaml's parser, where that is there: it is many times as fast."""
+    """Return OmegaConf's YAML loader, with libyaml's parser if it is installed: that is many times as fast."""
     loader = get_yaml_loader()
     fast = getattr(yaml, "CSafeLoader", None)
     return loader if fast is None else type("Loader", (fast, loader), {})
@@ -238,7 +238,7 @@ def _load(load: Callable[[str, Path], ConfigResult], config_path: str, file: Pat
         ) from error
     except ConfigError:
         raise
-    except Exception as error:  # a value that is not what its tag says fails in any way
+    except Exception as error:  # a value that contradicts its YAML tag can raise anything
         line = _line_of_message(file, str(error))
         raise ConfigError(
             f"the file cannot be read: {_one_line(str(error))}", key=config_path, where=show_file(file, line)
@@ -250,7 +250,7 @@ def _one_line(text: str) -> str:
 
 
 def _line_of_message(file: Path, message: str) -> int | None:
-    """Return the line that holds the text which a message quotes, when there is just one."""
+    """Return the line that contains a text quoted in the message; None if no line or several lines contain it."""
     quoted = re.findall(r"'([^']+)'|\"([^\"]+)\"", message)
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -265,7 +265,7 @@ def _line_of_message(file: Path, message: str) -> int | None:
 
 
 def _require_package_header(file: Path) -> None:
-    """Refuse a ``# @package`` line that Hydra would take for an ordinary comment."""
+    """Reject a ``# @package`` line that Hydra would treat as an ordinary comment."""
     lines = file.read_text(encoding="utf-8").splitlines()
     marked = [number for number, line in enumerate(lines, 1) if _PACKAGE_LINE.match(line)]
     wrong = [number for number in marked if number != _header_line(lines)]
@@ -300,11 +300,11 @@ def _require_available(repository: Repository) -> None:
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's loader over the stock configs and the user's config folders.
+    """Hydra's loader for the stock configs and the user's config folders.
 
     Attributes:
-        repository_used: what the last ``load`` read its files from.
-        merged: the files that it merged, in that order.
+        repository_used: the repository of the last ``load``.
+        merged: the files that the last ``load`` merged, in that order.
     """
 
     repository_used: Repository
@@ -329,7 +329,7 @@ class Loader(ConfigLoaderImpl):
         return super()._compose_config_from_defaults_list(defaults, repo)
 
     def load(self, primary: str, overrides: Sequence[str]) -> DictConfig:
-        """Compose like Hydra's compose API; the result holds the ``hydra`` node as well."""
+        """Compose like Hydra's compose API. The result also contains the ``hydra`` node."""
         return self.load_configuration(primary, list(overrides), RunMode.RUN, from_shell=False)
 
     def defaults(self, primary: str, parsed: Sequence[Override]) -> DefaultsList:
@@ -363,7 +363,7 @@ class Loader(ConfigLoaderImpl):
 def search_path(config_dirs: Sequence[Path]) -> ConfigSearchPath:
     """Return Hydra's search path: the stock configs, then each of the user's folders.
 
-    The packages that a folder's project declares join the ones that configs may call.
+    The packages that a folder's project declares become allowed packages for targets.
     """
     path = create_config_search_path(str(configs_dir()))
     schema = path.get_path().pop()
@@ -375,7 +375,7 @@ def search_path(config_dirs: Sequence[Path]) -> ConfigSearchPath:
 
 
 def require_folder(folder: Path) -> Path:
-    """Return the absolute path of a config folder; raises ConfigError when there is none."""
+    """Return the absolute path of a config folder; raise ConfigError if it does not exist."""
     return config_folder(folder)
 
 
@@ -386,7 +386,7 @@ _ALWAYS = {"task": "_global_"}
 
 
 def package_header(file: Path) -> str | None:
-    """Return the package that a file's first line names, or None."""
+    """Return the package in a file's first line; None without a package line."""
     try:
         lines = file_text(file).splitlines()
     except (OSError, UnicodeDecodeError):
@@ -397,7 +397,7 @@ def package_header(file: Path) -> str | None:
 
 
 def package_meant(file: Path) -> str | None:
-    """Return the package that some line of a file names, be it where Hydra does not look for it."""
+    """Return the package in any package line of a file, even where Hydra ignores the line; None without one."""
     try:
         match = _MEANT.search(file_text(file))
     except (OSError, UnicodeDecodeError):
@@ -406,19 +406,19 @@ def package_meant(file: Path) -> str | None:
 
 
 def usual_header(repository: Repository, group: str, without: Path | None = None) -> str | None:
-    """Return the package line that the files of a group have, all but one of them; None when they have none."""
+    """Return the package in the package lines of at least half of a group's files; None without such a package."""
     if group in _ALWAYS:
         return _ALWAYS[group]
     folders = [Path(s.path) / group for s in repository.get_sources() if s.scheme() == "file"]
     files = [file for folder in folders for file in sorted(folder.glob("*.yaml")) if file != without]
     headers = [package_header(file) for file in files]
     named = Counter(header for header in headers if header is not None).most_common(1)
-    # A file without a line counts for nothing where others agree: it may be the very one that lacks it.
+    # The file that lacks its package line is one of these files, so not all of them have to agree.
     return named[0][0] if named and named[0][1] * 2 >= len(headers) else None
 
 
 def _misspelled_headers(repository: Repository) -> list[ConfigError]:
-    """Find package lines that are nearly the one of their group."""
+    """Find package lines that are nearly equal to the usual line of their group."""
     problems = []
     for config_path, loaded in repository.loaded.items():
         group, header = config_path.rpartition("/")[0], package_header(loaded.file)
@@ -427,18 +427,18 @@ def _misspelled_headers(repository: Repository) -> list[ConfigError]:
         usual = usual_header(repository, group, loaded.file)
         if usual and header != usual and nearest_name(header, [usual]):
             line = f"# @package {usual}"
-            message = f"this file's package line says '{header}', where nothing reads it"
+            message = f"this file's package line names '{header}', but nothing reads that key"
             where = show_file(loaded.file, 1)
             problems.append(ConfigError(message, key=config_path, where=where, expected=f"'{line}'", nearest=line))
     return problems
 
 
 def missing_headers(repository: Repository, mounted: Iterable[str]) -> list[ConfigError]:
-    """Find files without the package line that their group's files have, or with one that is nearly it.
+    """Find files that lack the usual package line of their group, or whose line is nearly equal to it.
 
     Args:
         repository: the repository that has loaded the files.
-        mounted: groups that some defaults list or override mounts at a package of its own: they need no line.
+        mounted: groups that a defaults list or an override mounts at an explicit package. Their files need no line.
     """
     explicit = set(mounted)
     problems = _misspelled_headers(repository)
@@ -450,7 +450,7 @@ def missing_headers(repository: Repository, mounted: Iterable[str]) -> list[Conf
         if usual is not None:
             problems.append(
                 ConfigError(
-                    "this file has no package line, so that its keys would land below its group's name",
+                    "this file has no package line, so its keys would be put below its group's name",
                     key=config_path,
                     where=show_file(loaded.file, 1),
                     expected=f"'# @package {usual}' as the first line of the file",

@@ -36,12 +36,12 @@ class NowhereMounted(ConfigError):
 
 
 def where_of(override: Override) -> str:
-    """Return the place of an error that an override made."""
+    """Return the place of an error in an override."""
     return f"override {override.input_line}"
 
 
 def option_problems(loader: Loader, parsed: Sequence[Override]) -> list[ConfigError]:
-    """Find overrides of groups that name no group, or no option of it."""
+    """Find overrides of groups that name an unknown group, or an unknown option of a group."""
     repository = loader.repository_used
     groups = loader.groups()
     problems = []
@@ -84,7 +84,7 @@ def _value_problems(repository: Repository, override: Override) -> list[ConfigEr
 
 
 def _no_name(repository: Repository, override: Override) -> ConfigError:
-    """Return the error for a group that is given something else than the name of an option."""
+    """Return the error for an override that sets a group to a value that is not a name."""
     key = override.get_key_element().lstrip("+~")
     options = repository.get_group_options(override.key_or_group)
     return ConfigError(
@@ -108,7 +108,7 @@ def _no_option(key: str, name: str, options: Sequence[str], where: str | None) -
 def missing_option(
     error: MissingConfigException, loader: Loader, primary: str, parsed: Sequence[Override]
 ) -> ConfigError:
-    """Explain a config that a defaults list names and that is not there."""
+    """Return the error for a config that is missing, although a defaults list or an override names it."""
     path = (error.missing_cfg_file or "").removesuffix(".yaml")
     repository = loader.repository_used
     group, _, name = path.rpartition("/")
@@ -134,13 +134,13 @@ def _override_with(parsed: Sequence[Override], group: str, name: str) -> str | N
 
 
 def _place_in_defaults(repository: Repository, message: str, path: str) -> str | None:
-    """Return the line of the defaults list, in the file that a message speaks of, that names ``path``."""
+    """Return the line that names ``path`` in the defaults list of the file that Hydra's message names."""
     match = IN_FILE.match(message.strip())
     return place_of_option(repository, match.group(1).strip(), path) if match else None
 
 
 def place_of_option(repository: Repository, parent: str, path: str) -> str | None:
-    """Return the line of a config's defaults list that names ``path``; None when the config is not read."""
+    """Return the line that names ``path`` in a config's defaults list; None if the config was not read."""
     loaded = repository.loaded.get(parent)
     return show_file(loaded.file, _defaults_line(loaded.file, path)) if loaded is not None else None
 
@@ -170,7 +170,7 @@ def _defaults_entries(file: Path) -> list[tuple[str | None, yaml.Node]]:
 
 
 def defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Override]) -> ConfigError:
-    """Explain a failure in the defaults list, such as an override of a group that no file mounts there."""
+    """Return the error for a failure in the defaults list, such as an override of a group that no file mounts."""
     text = str(problem)
     listed = next((o for o in parsed if o.package is None and isinstance(o.value(), list)), None)
     if "appears more than once" in text and listed is not None:
@@ -192,18 +192,18 @@ def defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Overri
     if key is None:
         return ConfigError(flat(problem), where=where)
     if culprit is not None and culprit.is_delete() and key in mounted:
-        option, kept = str(culprit.value() or "<term>"), f"{key}=[...]"
-        expected = f"the list that is left, {kept}, or the term by its key: ~{key.split('@')[-1]}.{option}"
-        return ConfigError("an option of a list cannot be taken out by itself", key=key, where=where, expected=expected)
+        option = str(culprit.value() or "<term>")
+        expected = f"the remaining list, {key}=[...], or the term by its key: ~{key.split('@')[-1]}.{option}"
+        return ConfigError("an option of a list cannot be removed by itself", key=key, where=where, expected=expected)
     if culprit is None and key not in mounted and key.partition("/")[2] in mounted:
         name = key.partition("/")[2]
-        message = "the group's name lacks its slash, and is looked for below the file's own group"
+        message = "the group's name lacks its leading slash, so Hydra searches it below the file's own group"
         places = [(file, entry) for file, entry in _entries(loader.repository_used) if entry.key == name]
         where = show_file(places[0][0], places[0][1].line) if places else where
         return NowhereMounted(message, key=key, where=where, expected=f"- override /{name}: ...")
     mounted_group = [m for m in mounted if m.split("@")[0] == key.split("@")[0]]
     return NowhereMounted(
-        "this group is mounted nowhere under this name",
+        "no file mounts a group under this name",
         key=key,
         where=where,
         expected="one of " + ", ".join(mounted_group or mounted),
@@ -212,42 +212,42 @@ def defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Overri
 
 
 def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) -> ConfigError:
-    message = "an option of this group is chosen already"
+    message = "an option of this group is selected already"
     culprit = next((o for o in parsed if o.is_add() and o.get_key_element().lstrip("+") == key), None)
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
-    # A file is read before those that it builds on; what the primary config chooses is meant to be overridden.
+    # Files are read before their parents. The primary config is left out, because its selections can be overridden.
     places = [(file, e) for file, e in _entries(repository) if e.key.lstrip("/") == key and not e.override]
     where = show_file(places[0][0], places[0][1].line) if places else None
     option = str(places[0][1].value) if places else "<option>"
-    return ConfigError(message, key=key, where=where, expected=f"- override /{key}: {option}, behind the other entries")
+    return ConfigError(message, key=key, where=where, expected=f"- override /{key}: {option}, after the other entries")
 
 
 def _entries(repository: Repository) -> Iterator[tuple[Path, DefaultsEntry]]:
-    """Yield the entries of the defaults lists of all files but the primary config."""
+    """Yield the entries of all files' defaults lists, without the primary config."""
     for path, loaded in repository.loaded.items():
         if "/" in path:
             yield from ((loaded.file, entry) for entry in defaults_entries(loaded.file))
 
 
 def _early_override(repository: Repository) -> ConfigError | None:
-    """Find an override that stands before other entries of its defaults list."""
+    """Find an override that comes before other entries of its defaults list."""
     for loaded in repository.loaded.values():
         entries = defaults_entries(loaded.file)
         for entry, following in itertools.pairwise(entries):
             if entry.override and not following.override:
                 return ConfigError(
-                    "this override stands before other entries of its defaults list",
+                    "this override comes before other entries of its defaults list",
                     key=entry.key.lstrip("/"),
                     where=show_file(loaded.file, entry.line),
-                    expected="overrides behind all other entries, before _self_ at the end",
+                    expected="overrides after all other entries, before _self_ at the end",
                 )
     return None
 
 
 def mounted_names(repository: Repository) -> list[str]:
-    """Return the names under which the files read so far mount groups, such as ``reward@env.rewards``."""
+    """Return the names of the groups that the loaded files mount, such as ``reward@env.rewards``."""
     names: dict[str, None] = {}
     for loaded in repository.loaded.values():
         for key, _ in _defaults_entries(loaded.file):
@@ -257,26 +257,26 @@ def mounted_names(repository: Repository) -> list[str]:
 
 
 def flat(error: BaseException) -> str:
-    """Return a message of Hydra's or OmegaConf's on one line, without their own details."""
+    """Return a message of Hydra or OmegaConf on one line, without their internal details."""
     lines = [line.strip() for line in str(error).strip().splitlines()]
-    kept = [line for line in lines if line and not line.startswith(("full_key:", "object_type=", "See https"))]
-    return " ".join(kept) or type(error).__name__
+    shown = [line for line in lines if line and not line.startswith(("full_key:", "object_type=", "See https"))]
+    return " ".join(shown) or type(error).__name__
 
 
 _FORMS = "key=value, +key=value, ++key=value or ~key"
 
 
 class DoesNotMerge(ConfigError):
-    """The file at ``config_path``, as Hydra names it, does not merge with those before it."""
+    """The file at ``config_path``, as Hydra names it, does not merge with the files before it."""
 
     config_path: str | None = None
 
 
 def translate(error: Exception, loader: Loader, primary: str, overrides: Sequence[str]) -> ConfigError:
-    """Return the ConfigError for what went wrong while composing.
+    """Return the ConfigError for an exception of Hydra or OmegaConf.
 
     Args:
-        error: what Hydra raised.
+        error: the exception.
         loader: the loader that was composing.
         primary: name of the primary config.
         overrides: the overrides as typed.
@@ -299,17 +299,17 @@ def translate(error: Exception, loader: Loader, primary: str, overrides: Sequenc
 
 
 def _circle(used: Repository, primary: str) -> ConfigError:
-    """Tell of a file whose defaults list leads back to it, as far as files of one folder name each other."""
+    """Return the error for a cycle of defaults lists. The files of the cycle are found if they are in one folder."""
     below: dict[str, set[str]] = {}
     for path, loaded in used.loaded.items():
         folder = path.rpartition("/")[0]
         names = [str(item.value) for item in defaults_items(loaded.file) if isinstance(item, yaml.ScalarNode)]
         below[path] = {f"{folder}/{name}".lstrip("/") for name in names if name != "_self_"}
-    message, expected = "the defaults lists lead back to themselves", "no circle of defaults"
+    message, expected = "the defaults lists form a cycle", "defaults lists without a cycle"
     try:
         TopologicalSorter(below).prepare()
     except CycleError as error:
-        path, other = error.args[1][1], error.args[1][0]  # each is named by the next
+        path, other = error.args[1][1], error.args[1][0]  # each file names the one before it
         file = used.loaded[path].file
         where = show_file(file, scalar_line(file, other.rpartition("/")[2]))
         return ConfigError(
@@ -319,19 +319,19 @@ def _circle(used: Repository, primary: str) -> ConfigError:
 
 
 def _spaced(overrides: Sequence[str]) -> ConfigError | None:
-    """Find an override that blanks have cut into several words: ``key = value``."""
+    """Find an override that the shell has split at spaces: ``key = value``."""
     for index, text in enumerate(overrides):
         before, after = overrides[:index][-1:], overrides[index + 1 :][:1]
         cut = ([*before] if text.startswith("=") else []) + [text] + ([*after] if text.endswith("=") else [])
         if len(cut) > 1 and not any("=" in word.strip("=") for word in cut):
-            said = " ".join(cut)
-            expected = f"{''.join(cut)}, without blanks"
-            return ConfigError("this is several words", key=said, where=f"override {said}", expected=expected)
+            typed = " ".join(cut)
+            expected = f"{''.join(cut)}, without spaces"
+            return ConfigError("these are several words", key=typed, where=f"override {typed}", expected=expected)
     return None
 
 
 def unreadable(text: str) -> ConfigError | None:
-    """Return what is wrong with the form of an override; None when it can be read."""
+    """Return the error for an override that cannot be parsed; None if it can be parsed."""
     try:
         override = OverridesParser.create().parse_override(text)
     except HydraException as error:
@@ -346,7 +346,7 @@ def unreadable(text: str) -> ConfigError | None:
     if not equals and ":" in key:
         expected = key.replace(":", "=", 1).replace("= ", "=")
     if equals and re.search(r"[*?^$\\|(]", value) and not re.search(r"[\"']", value):
-        expected = f"""text with such signs in quotes, twice on the command line: "{key}=['...']\""""
+        expected = f"""quotes around text with such characters, inside quotes of the shell: "{key}=['...']\""""
     return ConfigError(f"not an override: {reason}", key=text, where=f"override {text}", expected=expected)
 
 
@@ -359,7 +359,7 @@ def _sweep(override: Override) -> ConfigError:
 
 
 def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[Override]) -> ConfigError:
-    """Compose again step by step, to see which one fails."""
+    """Compose again step by step, and return the error of the step that fails."""
     misplaced = missing_headers(loader.repository_used, _mounted_groups(loader.repository_used, parsed))
     if misplaced:
         return join(misplaced)
@@ -374,7 +374,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
     OmegaConf.set_struct(cfg, True)
     problems = []
     for override in defaults.config_overrides:
-        before = copy.deepcopy(cfg)  # one that fails may leave an empty mapping where null was
+        before = copy.deepcopy(cfg)  # a failed override can replace null by an empty mapping
         try:
             ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
         except COMPOSING_ERRORS as problem:
@@ -383,7 +383,7 @@ def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[O
 
 
 def _mounted_groups(repository: Repository, parsed: Sequence[Override]) -> set[str]:
-    """Return the groups that something mounts at a package of its own."""
+    """Return the groups that a file or an override mounts at an explicit package."""
     names = [*mounted_names(repository), *(o.get_key_element().lstrip("+~") for o in parsed)]
     return {name.split("@")[0] for name in names if "@" in name}
 
@@ -405,21 +405,17 @@ def _merge_problem(problem: Exception, repository: Repository) -> ConfigError:
 
 
 def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
-    """Explain an override that cannot be applied."""
+    """Return the error for an override that cannot be applied."""
     key = override.key_or_group
-    # Hydra's own keys are shown to those who ask for them.
+    # Hydra's own keys are listed only for an override of such a key.
     shown = {name: node for name, node in _plain(cfg).items() if (name == "hydra") == override.is_hydra_override()}
     existing = _existing(shown, key)
     if existing and override.is_add():
         plain = str(override.input_line).lstrip("+")
-        return ConfigError(
-            "there is a value already",
-            key=key,
-            where=where_of(override),
-            expected=f"{plain} without the plus sign",
-        )
+        expected = f"{plain} without the plus sign"
+        return ConfigError("the key has a value already", key=key, where=where_of(override), expected=expected)
     if existing and override.is_delete() and at(shown, split_path(key)) is None:
-        expected = f"nothing to remove: 'wheelleg explain task=... {key}' names who set it so"
+        expected = f"nothing to remove: 'wheelleg explain task=... {key}' shows where it is set to null"
         return ConfigError("is null already", key=key, where=where_of(override), expected=expected)
     if existing and override.is_delete():
         return ConfigError(flat(problem), key=key, where=where_of(override), expected=f"~{key} without a value")
@@ -428,11 +424,10 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return _unknown_part(shown, override, strange.group(1))
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where_of(override))
-    if (
-        key in KEYS and not override.is_delete() and at(shown, split_path(key)[:-1]) is not None
-    ):  # optional, and not set by any file
+    # KEYS contains optional keys that no file has to set.
+    if key in KEYS and not override.is_delete() and at(shown, split_path(key)[:-1]) is not None:
         plain = str(override.input_line).lstrip("+")
-        return AbsentKey("no file of the task sets it", key=key, where=where_of(override), expected=f"+{plain}")
+        return AbsentKey("no file of the task sets this key", key=key, where=where_of(override), expected=f"+{plain}")
     top = None if split_path(key)[0] in shown else nearest_name(key, [*shown, *groups])
     return AbsentKey(
         "there is no such key",
@@ -444,7 +439,7 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
 
 
 def _unknown_part(tree: dict[str, object], override: Override, name: str) -> ConfigError:
-    """Explain a mapping that would bring a key which is not there."""
+    """Return the error for an override whose mapping contains a key that does not exist."""
     key = override.key_or_group
     node: object = tree
     for part in split_path(key):
@@ -467,7 +462,7 @@ def _existing(tree: dict[str, object], key: str) -> bool:
 
 
 def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> str:
-    """Say which keys there are where the path leaves the tree."""
+    """Return the text that lists the existing keys at the place where the path leaves the tree."""
     node: object = tree
     walked: list[str] = []
     for part in split_path(path):
@@ -477,7 +472,7 @@ def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> s
         node = node[part]
     place = dotted(walked)
     if node is None:
-        return f"'{place}' to be a mapping; it is null: 'wheelleg explain task=... {place}' names who set it so"
+        return f"'{place}' to be a mapping; it is null: 'wheelleg explain task=... {place}' shows where it is set"
     if not isinstance(node, dict):
         return f"'{place}' to be a mapping; it is a single value"
     names = ", ".join(str(name) for name in node)
@@ -487,7 +482,7 @@ def _expected_at(tree: dict[str, object], path: str, groups: Sequence[str]) -> s
 
 
 def nearest_path(path: str, paths: Sequence[str]) -> str | None:
-    """Return the existing path most like ``path``: key by key first, then by the whole text."""
+    """Return the existing path that is most similar to ``path``: key by key first, then by the whole text."""
     known = [split_path(p) for p in paths]
     found: Keys = ()
     for part in split_path(path):

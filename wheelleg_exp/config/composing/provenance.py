@@ -23,16 +23,16 @@ MISSING = "???"
 
 @dataclass(frozen=True)
 class Source:
-    """One writer of one leaf.
+    """One source of one leaf: a line of a file, or an override.
 
     Attributes:
-        path: the leaf that it wrote.
+        path: the leaf.
         value: the raw value, with ``${...}`` as written.
         file: the file, or None for an override.
         line: the line in the file, from 1.
         override: the override as typed, or None for a file.
-        package: the keys under which the file's own keys stand.
-        shadowed: the earlier writers whose values this one hides, oldest first.
+        package: the keys below which the file is mounted.
+        shadowed: the earlier sources whose values this source replaced, oldest first.
     """
 
     path: str
@@ -52,7 +52,7 @@ class Source:
 
 
 class Provenance(Mapping[str, Source]):
-    """The last writer of each leaf, by its dotted path; ``deleted`` holds what overrides removed."""
+    """The last source of each leaf, by dotted path; ``deleted`` contains the leaves that overrides removed."""
 
     def __init__(self, sources: dict[Keys, Source], deleted: dict[Keys, Source]) -> None:
         self._sources = sources
@@ -78,16 +78,16 @@ class Provenance(Mapping[str, Source]):
         return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
 
     def deleted_below(self, path: str) -> list[Source]:
-        """Return what overrides removed at or below ``path``."""
+        """Return the leaves at or below ``path`` that overrides removed."""
         keys = split_path(path)
         return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
-        """Return the place that set ``path``: the leaf's, else the first below, else the nearest above."""
+        """Return the place that set ``path``: of the leaf, of the first leaf below, or of the nearest key above."""
         if path in self.deleted:
             return self.deleted[path].where
         keys = split_path(path)
-        # A key at the top stands for too much to tell where a part of it that is not there should have been.
+        # A top-level key comes from many files, so its place does not help to find a missing key in it.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
             found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
             if found:
@@ -96,14 +96,14 @@ class Provenance(Mapping[str, Source]):
 
 
 class _Replay:
-    """The leaves while they are written one after the other."""
+    """The sources of all leaves, during a replay of the composition."""
 
     def __init__(self) -> None:
         self.sources: dict[Keys, Source] = {}
         self.deleted: dict[Keys, Source] = {}
 
     def write(self, keys: Keys, source: Source) -> None:
-        """Note that a leaf was written, and whose values it hides."""
+        """Record the source of a leaf, and the earlier sources that it replaces."""
         below = [leaf for leaf in self.sources if len(leaf) > len(keys) and leaf[: len(keys)] == keys]
         if source.value == {} and (below or isinstance(self._value(keys), dict)):
             return
@@ -117,7 +117,7 @@ class _Replay:
         self._put(keys, replace(source, shadowed=shadowed), hidden)
 
     def delete(self, keys: Keys, override: str) -> None:
-        """Note that an override took away a key and all below it."""
+        """Record that an override deleted a key and everything below it."""
         gone = [leaf for leaf in self.sources if leaf[: len(keys)] == keys]
         for leaf in gone:
             shadowed = _history(self.sources[leaf])
@@ -126,11 +126,11 @@ class _Replay:
         if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
             self._put(parent, Source(dotted(parent), {}, override=override), gone)
         else:
-            self._gather(parent)  # so that what stays keeps the parent in its place
+            self._gather(parent)  # so that the remaining leaves keep the parent's place in the order
             self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
 
     def _gather(self, parent: Keys) -> None:
-        """Move all leaves of a section to its first one, before one is taken away; no mapping's order changes."""
+        """Move all leaves of a section next to its first leaf. The order within each mapping stays the same."""
         inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
         before: dict[Keys, Source] = {}
         for leaf, old in self.sources.items():
@@ -138,13 +138,13 @@ class _Replay:
         self.sources = before
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Put a leaf in the place of the first of those that it hides, because the order of terms has a meaning."""
+        """Put a leaf at the place of the first leaf that it replaces, because the order of terms matters."""
         if not hidden or list(hidden) == [keys]:
             self.sources[keys] = source
             return
         gone, first = set(hidden), next(leaf for leaf in self.sources if leaf in hidden)
-        kept = [(keys, source) if leaf == first else (leaf, old) for leaf, old in self.sources.items()]
-        self.sources = {leaf: old for leaf, old in kept if leaf == keys or leaf not in gone}
+        entries = [(keys, source) if leaf == first else (leaf, old) for leaf, old in self.sources.items()]
+        self.sources = {leaf: old for leaf, old in entries if leaf == keys or leaf not in gone}
 
     def _value(self, keys: Keys) -> Any:
         source = self.sources.get(keys)
@@ -152,18 +152,18 @@ class _Replay:
 
 
 def _history(source: Source) -> tuple[Source, ...]:
-    # An empty mapping that gets its first key is filled, not hidden.
+    # A key that is added to an empty mapping does not replace it.
     own = () if source.value == {} else (replace(source, shadowed=()),)
     return (*source.shadowed, *own)
 
 
 def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
-    """Replay the composition that ``loader`` did last.
+    """Replay the loader's last composition, and return the source of each leaf.
 
     Args:
         loader: a loader whose ``load`` has run.
         primary: name of the primary config.
-        parsed: the overrides of that run.
+        parsed: the overrides of that ``load``.
     """
     replay = _Replay()
     with hydra_globals():
@@ -202,7 +202,7 @@ def _write_override(replay: _Replay, override: Override) -> None:
 
 
 def _into_list(replay: _Replay, keys: Keys, value: Any) -> tuple[Keys, Any]:
-    """Turn an override of one list element into an override of the list."""
+    """Convert an override of one list element into an override of the list."""
     for n in range(1, len(keys)):
         source = replay.sources.get(keys[:n])
         if source is not None and isinstance(source.value, list):
@@ -240,10 +240,11 @@ class Mount:
     Attributes:
         name: the group as an override names it: ``robot``, ``reward@env.rewards``.
         group: the group.
-        package: the key under which its options stand; empty is the top.
-        selected: the options in force, in order.
-        options: all there are.
-        choices: every selection, in the order in which they act: each hides those before it, but ``+`` adds.
+        package: the key below which the group's options are mounted; empty for the top.
+        selected: the selected options, in order.
+        options: all options of the group.
+        choices: every selection, in the order in which Hydra applies them. Each replaces the earlier ones, but ``+``
+            adds an option.
     """
 
     name: str
@@ -255,15 +256,15 @@ class Mount:
 
     @property
     def several(self) -> bool:
-        """Whether it takes a list of options."""
+        """Whether the group takes a list of options."""
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
 def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
-    """Return the groups that a composition mounts, without Hydra's own.
+    """Return the groups that a composed config mounts, without Hydra's own groups.
 
     Args:
-        loader: the loader that has composed it.
+        loader: the loader that has composed the config.
         parsed: the overrides.
     """
     found = loader.merged
@@ -283,16 +284,16 @@ def _mount(loader: Loader, name: str, choices: list[Choice], found: Sequence[Any
 
 
 def _nested(default: Any, group: str) -> bool:
-    """Tell an option that another one of its group extends, as a robot another robot or a task its parent."""
+    """Return whether another option of the group extends this one, as a task extends its parent task."""
     return str(default.parent).rpartition("/")[0] == group
 
 
 def _written(loader: Loader, parsed: Sequence[Override], defaults: Sequence[Any]) -> dict[str, list[Choice]]:
-    """Return every selection by mount name: the files', then ``override`` from the inside out, then typed ones."""
+    """Return the selections of every mount: of files, then of ``override`` entries in files, then as typed."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
     loaded = loader.repository_used.loaded
-    # The order of the defaults list is the one in which files act: parents first.
+    # Hydra applies the files in the order of the defaults list: parents first.
     for path in dict.fromkeys(str(default.config_path) for default in defaults):
         for name, choice, override in _in_file(path, loaded[path].file) if path in loaded else ():
             (replacing if override else plain).setdefault(name, []).append(choice)
@@ -317,12 +318,12 @@ def _is_group(loader: Loader, override: Override) -> bool:
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:
-    """Return the mount whose options bring the node at ``keys``: the one with the longest package."""
+    """Return the mount that contains the node at ``keys``: the one with the longest package."""
     fitting = [m for m in found if m.package and keys[: len(split_path(m.package))] == split_path(m.package)]
     return max(fitting, key=lambda m: len(m.package), default=None)
 
 
 def option_of(mount: Mount, keys: Keys) -> str | None:
-    """Return the option's name where ``keys`` lead into a term of ``mount``, else None."""
+    """Return the option of ``mount`` that contains the term at ``keys``; None if ``keys`` are not inside a term."""
     depth = len(split_path(mount.package))
     return dotted(keys[depth : depth + 1]) if mount.several and len(keys) > depth else None

@@ -1,12 +1,11 @@
-"""What stands at a key, what it means, and what else could stand there.
+"""Explain a key: its value, its meaning, and the values that it accepts.
 
-| module | what it offers |
+| module | contents |
 |---|---|
 | `explanation` | one key explained |
-| `meanings`, `fixed_keys` | what is written about a key |
-| `docstrings` | texts in docstrings and YAML comments |
-| `alternatives`, `candidates` | what else could stand there, also for completion |
+| `alternatives` | the values that a key accepts, also for shell completion |
+| `key_documentation` | texts about keys: docstrings, YAML comments, and a table |
 | `catalog` | tasks, groups, options and the library of terms |
-| `shapes` | the layout of observations and actions |
-| `difference` | two configs compared by meaning |
+| `term_shapes` | the layout of observations and actions |
+| `config_diff` | two configs compared by meaning |
 """

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import wheelleg_exp
-from wheelleg_exp.config import key_slots as known
+from wheelleg_exp.config import key_slots
 from wheelleg_exp.config.checking.check_agent import RESOLVERS, known_words
-from wheelleg_exp.config.config_tree import section_at
+from wheelleg_exp.config.config_tree import at, section_at
 from wheelleg_exp.config.explaining.key_documentation import is_own
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.paths import cache_dir, configs_dir
@@ -34,15 +34,15 @@ from wheelleg_exp.user_exceptions import importing
 
 @dataclass(frozen=True)
 class Alternatives:
-    """What else could stand at a key.
+    """The values that a key accepts.
 
     Attributes:
-        type: the type in words; empty when anything fits.
-        limits: the bounds in words.
-        values: the values, where they can be counted.
-        has_default: whether the key may be left out.
-        default: what then holds.
-        keys: keys that may stand below it and are not set, with their defaults.
+        type: the type as text; empty if every value fits.
+        limits: the bounds as text.
+        values: all valid values, if they can be listed.
+        has_default: whether the key has a default and can be left out.
+        default: the default.
+        keys: the keys below this key that are not set, with their defaults.
     """
 
     type: str = ""
@@ -53,12 +53,12 @@ class Alternatives:
     keys: tuple[tuple[str, Any], ...] = ()
 
 
-def alternatives(tree: Mapping[str, Any], keys: Keys, slot: known.Slot | None) -> Alternatives:
-    """Return what else could stand at ``keys``."""
-    node = known.at(tree, keys)
-    below = known.slots(tree, keys) if isinstance(node, Mapping) else {}
+def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Alternatives:
+    """Return the values that the key at ``keys`` accepts."""
+    node = at(tree, keys)
+    below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
     absent = tuple(
-        (n, _plain(s.default)) for n, s in below.items() if n not in node and s.default is not known.REQUIRED
+        (n, _plain(s.default)) for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED
     )
     if slot is None:
         return Alternatives(keys=absent)
@@ -66,14 +66,14 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: known.Slot | None) -
         "" if slot.annotation is Any else type_words(slot.annotation),
         limit_words(slot.annotation),
         tuple(_known_values(tree, keys, slot)),
-        slot.default is not known.REQUIRED,
-        None if slot.default is known.REQUIRED else _plain(slot.default),
+        slot.default is not key_slots.REQUIRED,
+        None if slot.default is key_slots.REQUIRED else _plain(slot.default),
         absent,
     )
 
 
 def _plain(value: Any) -> Any:
-    """Return a default as config would write it; an object, such as a default entity, as its text."""
+    """Return a default as YAML would contain it; an object, such as a default entity, as its text."""
     if isinstance(value, enum.Enum):
         return value.value
     if isinstance(value, (tuple, list)):
@@ -81,13 +81,13 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (bool, int, float, str, Mapping)) else str(value)
 
 
-def _known_values(tree: Mapping[str, Any], keys: Keys, slot: known.Slot) -> list[Any]:
+def _known_values(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot) -> list[Any]:
     name = keys[-1]
     if name == TARGET:
-        return siblings(str(known.at(tree, keys)))
-    if name == "mode" and known.section_of(keys[:-1]) == "events":
+        return siblings(str(at(tree, keys)))
+    if name == "mode" and key_slots.section_of(keys[:-1]) == "events":
         return list(EVENT_MODES)
-    if named := known.named_section(known.section_of(keys[:-1]), name):
+    if named := key_slots.named_section(key_slots.section_of(keys[:-1]), name):
         return _names(tree, ("env", named))
     if keys[:2] == ("agent", "obs_groups"):
         return _names(tree, ("env", "observations"))
@@ -99,13 +99,13 @@ def _known_values(tree: Mapping[str, Any], keys: Keys, slot: known.Slot) -> list
 
 
 def literal_values(annotation: Any) -> list[Any]:
-    """Return the values that an annotation counts up: literals, members of an enum, true and false."""
+    """Return the values that an annotation lists: literals, members of an enum, true and false."""
     options = list(options_in(annotation))
-    found = [value for option in options for value in _counted(option)]
+    found = [value for option in options for value in _listed(option)]
     return [*found, None] if found and type(None) in options else found
 
 
-def _counted(option: Any) -> list[Any]:
+def _listed(option: Any) -> list[Any]:
     if option is bool:
         return [True, False]
     if inspect.isclass(option) and issubclass(option, enum.Enum):
@@ -114,12 +114,12 @@ def _counted(option: Any) -> list[Any]:
 
 
 def siblings(target: str) -> list[str]:
-    """Return the public functions and classes that stand in the target's module, the target among them."""
+    """Return the public functions and classes of the target's module, including the target."""
     module_name = target.rpartition(".")[0]
     try:
         with importing(module_name):
             module = import_module(module_name)
-    except Exception:  # it has been told what is wrong with it
+    except Exception:  # `check` reports why the module cannot be imported
         return []
     return [
         f"{module_name}.{name}"
@@ -132,17 +132,17 @@ def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
-_MOST_VIEWS = 32  # views before the oldest are dropped
+_MOST_VIEWS = 32  # cached views; storing another one deletes the oldest
 
 
 @dataclass(frozen=True)
 class CompletionView:
-    """A composed config, as far as completion is concerned.
+    """The parts of a composed config that completion needs.
 
     Attributes:
         tree: the raw tree.
-        mounts: the groups by the names that overrides use, each with whether it takes a list.
-        groups: every group with its options.
+        mounts: the selected groups, by the names that overrides use; true if the group takes a list of options.
+        groups: the options of every group.
     """
 
     tree: dict[str, Any]
@@ -151,7 +151,10 @@ class CompletionView:
 
 
 def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
-    """Return the view of what some overrides compose; of fewer of them where they do not; None when nothing does."""
+    """Compose some overrides and return the view of the config, from the cache if possible.
+
+    If the overrides do not compose, use only ``task=…``, then none. Return None if the primary config does not compose.
+    """
     file = cache_dir() / "completion" / f"{_digest(before, config_dirs, primary)}.json"
     with contextlib.suppress(OSError, ValueError, TypeError):
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
@@ -163,7 +166,7 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
 
 
 def _digest(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> str:
-    """Return what a view depends on: the words, and names, sizes and times of all config files."""
+    """Return the digest of a view's inputs: the overrides, and the names, sizes and times of all config files."""
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
     files = [
         (str(path), (s := path.stat()).st_mtime_ns, s.st_size) for f in folders for path in sorted(f.rglob("*.yaml"))
@@ -198,11 +201,11 @@ def _store(file: Path, text: str) -> None:
 def complete_override(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the overrides that begin with ``word``.
+    """Return the overrides that start with ``word``.
 
     Args:
-        word: what is typed.
-        before: the other overrides on the line; those that do not compose yet are left out.
+        word: the typed part of the override.
+        before: the other overrides of the command line. If they do not compose, fewer of them are used.
         config_dirs: the user's config folders.
         primary: the primary config.
     """
@@ -224,7 +227,7 @@ def complete_override(
 def complete_key(
     word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
 ) -> list[str]:
-    """Return the keys that begin with ``word``, sections and leaves alike, and the groups."""
+    """Return the sections, leaves, and groups that start with ``word``."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
@@ -233,9 +236,9 @@ def complete_key(
 
 
 def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
-    """Return the next level of keys: ``env.``, ``env.decimation=``; where they end there, also without a sign."""
+    """Return the next level of keys: ``env.``, ``env.decimation=``. With ``removable``, also ``env``, without ``=``."""
     parent: Keys = split_path(text.rpartition(".")[0])
-    node = known.at(tree, parent)
+    node = at(tree, parent)
     found = []
     for name, child in node.items() if isinstance(node, Mapping) else ():
         path = dotted((*parent, str(name)))
@@ -253,7 +256,7 @@ def _completed_values(seen: CompletionView, name: str, value: str) -> list[str]:
 
 
 def _selections(options: Sequence[str], value: str, *, several: bool) -> list[str]:
-    """Return option names; within ``[a,b`` the next one."""
+    """Return the option names that complete ``value``. If ``value`` is the start of a list, complete its last name."""
     if not value.startswith("["):
         found = [option for option in options if option.startswith(value)]
         return [*found, "["] if several and not value else found
@@ -265,20 +268,16 @@ def _selections(options: Sequence[str], value: str, *, several: bool) -> list[st
 
 
 def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
-    """Return the values that are known without importing a term: literals, true and false, the value as it is."""
-    now = known.at(tree, path)
-    inside_target = any(_has_target(known.at(tree, path[:n])) for n in range(1, len(path)))
-    slot = None if inside_target or path[:1] == ("agent",) else known.slot(tree, path)
+    """Return the values that are known without importing a term: literals, true and false, and the current value."""
+    now = at(tree, path)
+    inside_target = any(TARGET in section_at(tree, path[:n]) for n in range(1, len(path)))
+    slot = None if inside_target or path[:1] == ("agent",) else key_slots.slot(tree, path)
     listed = literal_values(slot.annotation) if slot is not None else literal_values(type(now))
-    if known.section_of(path) is not None:
+    if key_slots.section_of(path) is not None:
         return ["null"]
     return list(
         dict.fromkeys([*map(_value_text, listed), *([_value_text(now)] if not isinstance(now, Mapping) else [])])
     )
-
-
-def _has_target(node: Any) -> bool:
-    return isinstance(node, Mapping) and TARGET in node
 
 
 def _value_text(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""What there is: tasks, groups, options and terms, each with one line that says what it is."""
+"""List tasks, groups, options and terms, each with a description of one line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from wheelleg_exp.terms.config_values import constraints_in, describe
 from wheelleg_exp.terms.term_binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
 
-# Module of the library -> the section whose terms it holds.
+# Module of the library -> the section of its terms.
 MODULES = {
     "actions": "actions",
     "commands": "commands",
@@ -38,14 +38,14 @@ LIBRARY = "wheelleg_exp.mdp"
 
 @dataclass(frozen=True)
 class LibraryTerm:
-    """A term that a config may select.
+    """A term that a config can select.
 
     Attributes:
-        section: the section it belongs to.
-        target: its dotted name.
+        section: the section of the term.
+        target: the dotted name of the term.
         signature: the parameters that a config sets, with their defaults.
-        help: the first line of its docstring.
-        limits: what parameters may be beside their type, in words, by name.
+        help: the first line of the term's docstring.
+        limits: the types and bounds of parameters with bounds, as text, by name.
     """
 
     section: str
@@ -56,7 +56,7 @@ class LibraryTerm:
 
 
 def library() -> list[LibraryTerm]:
-    """Return the public terms, section by section, in the order of their modules."""
+    """Return the public terms, section by section, in the order of the library's modules."""
     return [
         term for module, section in MODULES.items() for term in _terms(section, import_module(f"{LIBRARY}.{module}"))
     ]
@@ -75,26 +75,28 @@ def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
 
 
 def is_term(section: str, found: Any) -> bool:
-    """Tell terms from helpers: a class that leaves no method to others, or a function of the environment."""
+    """Return whether an object of a library module is a term, and not a helper.
+
+    A term is a class without abstract methods, or a function whose first parameter is the environment.
+    """
     if inspect.isclass(found):
         from wheelleg_exp.managers import TermBase
 
         return issubclass(found, TermBase) and not _leaves_methods_open(found)
     if not inspect.isfunction(found) or next(iter(inspect.signature(found).parameters), None) != INJECTED[0]:
         return False
-    # Events change the environment and return nothing.
+    # Events change the environment and return None. Helpers in the same module return a value.
     return section != "events" or type_hints(found).get("return") is type(None)
 
 
 def _leaves_methods_open(kind: type) -> bool:
-    """Return whether a method's body only says that it is not implemented."""
     methods = [getattr(kind, name) for name in dir(kind) if not name.startswith("__")]
     codes = [method.__code__ for method in methods if inspect.isfunction(method)]
     return any(code.co_names == (NotImplementedError.__name__,) for code in codes)
 
 
 def limits_of(target: Any) -> dict[str, str]:
-    """Return what the parameters of a target may be beside their type, in words, by name."""
+    """Return the types and bounds of a target's parameters that have bounds, as text, by name."""
     hints = {name: hint for name, hint in type_hints(target).items() if name in signature_parameters(target)}
     return {
         name: describe(hint)
@@ -104,7 +106,7 @@ def limits_of(target: Any) -> dict[str, str]:
 
 
 def signature_of(target: Any) -> str:
-    """Return the parameters that a config may set, as ``name, name=default``."""
+    """Return the parameters that a config can set, as ``name, name=default``."""
     parts = []
     for name, parameter in signature_parameters(target).items():
         default = parameter.default
@@ -124,9 +126,9 @@ class Entry:
     Attributes:
         group: the config group.
         name: the option, as written in an override.
-        help: one line on what it is; empty when nothing says so.
+        help: a description of one line; empty if the file has none.
         file: the YAML file.
-        target: the term's target, or None for an option that is no term.
+        target: the term's target; None if the option is not a term.
     """
 
     group: str
@@ -137,7 +139,7 @@ class Entry:
 
 
 def tasks(config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the tasks, each with the comment on top of its file."""
+    """Return the tasks, each with the comment at the top of its file."""
     return options(TASK_GROUP, config_dirs)
 
 
@@ -148,7 +150,7 @@ def groups(config_dirs: Sequence[Path] = ()) -> list[str]:
 
 
 def options(group: str, config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the options of a group, each with the comment on top of its file.
+    """Return the options of a group, each with the comment at the top of its file.
 
     Raises:
         ConfigError: there is no such group.
@@ -177,7 +179,7 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
 
 
 def _is_term_group(group: str) -> bool:
-    """Tell the groups of terms (reward, event, ...) from others whose nodes have targets as well."""
+    # Other groups, such as sensors, also have nodes with targets.
     singular = {section.removesuffix("s") for section in RESERVED}
     return group.split("/")[0] in singular
 
@@ -196,7 +198,7 @@ def _entry(loader: Loader, group: str, name: str) -> Entry:
     file = _file(loader, f"{group}/{name}")
     try:
         text = file_text(file)
-    except (OSError, UnicodeDecodeError):  # told when the file is used
+    except (OSError, UnicodeDecodeError):  # reported when the file is used
         text = ""
     return Entry(group, name, leading_comment(text), file, _target(text, name))
 
@@ -206,18 +208,18 @@ def _file(loader: Loader, config_path: str) -> Path:
     found = [Path(source.path) / f"{config_path}.yaml" for source in sources if source.is_config(config_path)]
     try:
         return chosen_file(config_path, found)
-    except ConfigError:  # told when the file is used
+    except ConfigError:  # reported when the file is used
         return found[0]
     except IndexError:
         return Path(f"{config_path}.yaml")
 
 
 def _target(text: str, name: str) -> str | None:
-    """Return the target of the term that a file holds under its own name, or of its only node."""
+    """Return the target of the term with the file's own name, or of the file's only node; None without a target."""
     try:
         yaml_tree(text)
         content: Any = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
-    except Exception:  # what is wrong with the file is told when it is used
+    except Exception:  # mistakes in the file are reported when the file is used
         return None
     nodes = content if isinstance(content, dict) else {}
     node = nodes.get(name) or (next(iter(nodes.values())) if len(nodes) == 1 else None)
@@ -226,7 +228,7 @@ def _target(text: str, name: str) -> str | None:
 
 
 def leading_comment(text: str) -> str:
-    """Return the first line of the comment on top of a YAML file, after its package line."""
+    """Return the first line of the comment at the top of a YAML file, after its package line."""
     for line in text.splitlines():
         words = line.strip()
         if words and not words.startswith("#"):

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
-from wheelleg_exp.config import key_slots as known
+from wheelleg_exp.config import key_slots
+from wheelleg_exp.config.config_tree import at
 from wheelleg_exp.terms.key_syntax import Keys, dotted
 from wheelleg_exp.terms.term_binding import TARGET, signature_parameters
 
@@ -22,7 +23,7 @@ ABSENT = _Absent()
 
 @dataclass(frozen=True)
 class Change:
-    """One leaf in which two trees differ; ``a`` or ``b`` is ``ABSENT`` where the key is not there."""
+    """One leaf in which two trees differ; ``a`` or ``b`` is ``ABSENT`` if that tree lacks the key."""
 
     keys: Keys
     a: Any
@@ -35,13 +36,13 @@ class Change:
 
 
 def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) -> Iterator[Change]:
-    """Yield the leaves in which two trees differ, in A's order and then B's.
+    """Yield the leaves in which two trees differ: first in the order of A, then the leaves that only B has.
 
     Args:
-        a: a tree.
-        b: another.
-        alike: whether two leaves count as the same.
-        keys: where both stand.
+        a: the first tree.
+        b: the second tree.
+        alike: returns whether two leaves are equal.
+        keys: the keys of both trees in a larger tree.
     """
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for name in dict.fromkeys([*a, *b]):
@@ -51,7 +52,7 @@ def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) 
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two plain values mean the same: a whole number equals the same one with a fraction of zero."""
+    """Return whether two plain values are equal. 1 equals 1.0, NaN equals NaN, and True does not equal 1."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if _is_list(a) and _is_list(b):
@@ -69,7 +70,7 @@ def _is_list(value: Any) -> bool:
 
 Kind = Literal["added", "removed", "changed", "reordered"]
 
-# Sections whose order has a consequence, and which.
+# Sections in which the order of terms matters, and the effect of a different order.
 ORDER: dict[str, str] = {
     "actions": "the layout of the action vector differs",
     "observations": "the layout of the observation differs",
@@ -82,13 +83,13 @@ _LAID_OUT = ("actions", "observations")
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two that are compared.
+    """One of the two configs of a comparison.
 
     Attributes:
-        label: how to call it.
-        tree: the resolved config, plain.
-        where: returns who set a key, or removed it; None when nobody is known.
-        facts: of a run, by section: code, versions, hardware, threads, variables, asset.
+        label: the name of the config in messages.
+        tree: the resolved config, as plain mappings.
+        where: returns the file and line, or the override, that set or removed a key; None if unknown.
+        facts: the facts of a run, by section: code, versions, hardware, threads, variables, asset.
     """
 
     label: str
@@ -99,17 +100,17 @@ class Side:
 
 @dataclass(frozen=True)
 class PlacedChange:
-    """One difference of two configs, and who made it.
+    """One difference between two configs, with the place of each value.
 
     Attributes:
-        kind: seen from A to B.
+        kind: the change from A to B.
         path: the key.
-        is_term: whether it is a whole term, or the order of a section's.
-        a: the value in A; None where A has none.
-        b: the value in B.
-        where_a: who set or removed it in A.
-        where_b: the same of B.
-        note: what it means.
+        is_term: whether a whole term differs, or the order of a section's terms.
+        a: the value in A; None if A has no value.
+        b: the value in B; None if B has no value.
+        where_a: the file and line, or the override, that set or removed the value in A.
+        where_b: the same for B.
+        note: the effect of the difference.
     """
 
     kind: Kind
@@ -134,7 +135,7 @@ class FactChange:
 
 @dataclass(frozen=True)
 class Difference:
-    """All differences; nothing in them means equal."""
+    """All differences between two configs; false if there are none."""
 
     terms: tuple[PlacedChange, ...]
     parameters: tuple[PlacedChange, ...]
@@ -146,19 +147,19 @@ class Difference:
 
 
 def compare(a: Side, b: Side) -> Difference:
-    """Return how two sides differ, A first; sections of the tree that one of them lacks are left out."""
+    """Return the differences between two configs. Top-level sections that one config lacks are left out."""
     changes = [change for key in a.tree if key in b.tree for change in _walk(a, b, (str(key),))]
     terms = tuple(change for change in changes if change.is_term)
     return Difference(terms, tuple(c for c in changes if not c.is_term), tuple(_facts(a.facts, b.facts)))
 
 
 def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
-    one, other = known.at(a.tree, keys), known.at(b.tree, keys)
+    one, other = at(a.tree, keys), at(b.tree, keys)
     if not (isinstance(one, Mapping) and isinstance(other, Mapping)):
         if not same(one, other):
             yield _change("changed", a, b, keys, one, other)
         return
-    section = _section_of_terms(keys)
+    section = key_slots.section_of((*keys, "any"))  # not None if the children of this node are terms
     if section is not None:
         yield from _order(a, b, keys, section)
     for name in dict.fromkeys([*map(str, one), *map(str, other)]):
@@ -169,24 +170,22 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
             yield _one_sided(a, b, inner, section)
 
 
-def _section_of_terms(keys: Keys) -> str | None:
-    return known.section_of((*keys, "any"))
-
-
 def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> PlacedChange:
     path = dotted(keys)
-    return PlacedChange(kind, path, known.section_of(keys) is not None, one, other, a.where(path), b.where(path), note)
+    return PlacedChange(
+        kind, path, key_slots.section_of(keys) is not None, one, other, a.where(path), b.where(path), note
+    )
 
 
 def _one_sided(a: Side, b: Side, keys: Keys, section: str | None) -> PlacedChange:
-    one, other = known.at(a.tree, keys), known.at(b.tree, keys)
-    in_b = keys[-1] in known.at(b.tree, keys[:-1])
+    one, other = at(a.tree, keys), at(b.tree, keys)
+    in_b = keys[-1] in at(b.tree, keys[:-1])
     note = ORDER[section] if section in _LAID_OUT else ""
     return _change("added" if in_b else "removed", a, b, keys, one, other, note)
 
 
 def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[PlacedChange]:
-    one, other = known.at(a.tree, keys), known.at(b.tree, keys)
+    one, other = at(a.tree, keys), at(b.tree, keys)
     before, after = [str(n) for n in one if n in other], [str(n) for n in other if n in one]
     if before != after and section in ORDER:
         path = dotted(keys)
@@ -194,18 +193,18 @@ def _order(a: Side, b: Side, keys: Keys, section: str) -> Iterator[PlacedChange]
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:
-    """Return whether a key that one side leaves out has its default on the other."""
-    parents = [known.at(side.tree, keys[:-1]) for side in (a, b)]
-    if known.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
+    """Return whether the key is missing in one config and has its default value in the other."""
+    parents = [at(side.tree, keys[:-1]) for side in (a, b)]
+    if key_slots.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
         return False
     side = a if keys[-1] in parents[0] else b
-    slot = known.slot(side.tree, keys)
-    return slot is not None and slot.default is not known.REQUIRED and _makes(known.at(side.tree, keys), slot.default)
+    slot = key_slots.slot(side.tree, keys)
+    return slot is not None and slot.default is not key_slots.REQUIRED and _makes(at(side.tree, keys), slot.default)
 
 
 def _makes(value: Any, default: Any) -> bool:
-    """Return whether a value means a default, which may be an object that a nested target makes."""
-    target = known.target_of(value)
+    """Return whether a value equals a default. The default can be an object, and the value the node that builds it."""
+    target = key_slots.target_of(value)
     if target is None or type(default) is not target:
         return same(value, default)
     made = [f.name for f in fields(target) if f.default_factory is not MISSING] if is_dataclass(target) else []
@@ -217,7 +216,7 @@ def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]
     for section in a:
         one, other = a[section], b.get(section, {})
         if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):
-            continue  # the same files, whatever they were committed as
+            continue  # the files are equal, even if the commits differ
         for name in one:
             if name in other and not same(one[name], other[name]):
                 yield FactChange(section, name, one[name], other[name])

@@ -7,14 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from wheelleg_exp.config import key_slots as known
+from wheelleg_exp.config import key_slots
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.composing.hydra_errors import nearest_path
 from wheelleg_exp.config.composing.provenance import Mount, Source, mount_of, option_of
-from wheelleg_exp.config.config_tree import line_table, node_paths
-from wheelleg_exp.config.explaining import key_documentation as fixed
+from wheelleg_exp.config.config_tree import at, line_table, node_paths
 from wheelleg_exp.config.explaining.alternatives import Alternatives, alternatives
-from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment, summary, unit_in
+from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment, meaning_of, summary, unit_in
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
@@ -23,12 +22,12 @@ from wheelleg_exp.terms.term_binding import TARGET
 
 @dataclass(frozen=True)
 class Meaning:
-    """One text about a key, and where it stands.
+    """One text about a key, and its place.
 
     Attributes:
         text: the text.
-        where: ``file:line``, or the dotted name of what the docstring belongs to.
-        about: ``key``, or ``term`` when it describes the whole term around the key.
+        where: ``file:line`` of a comment, or the dotted name of the function or class with the docstring.
+        about: ``key``, or ``term`` if the text describes the whole term that contains the key.
     """
 
     text: str
@@ -37,15 +36,15 @@ class Meaning:
 
 
 def meanings(
-    tree: Mapping[str, Any], keys: Keys, slot: known.Slot | None, sources: Sequence[Source]
+    tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None, sources: Sequence[Source]
 ) -> tuple[Meaning, ...]:
-    """Return what is written about a key, the nearest first.
+    """Return the comments and docstrings about a key, the nearest first.
 
     Args:
         tree: the raw tree.
         keys: the key.
-        slot: what may stand there.
-        sources: who wrote it, oldest first.
+        slot: the slot of the key.
+        sources: the places that set the key, oldest first.
     """
     found: dict[str, Meaning] = {}
     for note in (*_comments(keys, sources), *_docstrings(tree, keys, slot)):
@@ -54,20 +53,20 @@ def meanings(
 
 
 def unit_of(notes: Sequence[Meaning], keys: Keys) -> str | None:
-    """Return the unit that the first of the texts about the key itself names."""
+    """Return the unit in the first text about the key itself that names one."""
     if keys[-1] in ("weight", TARGET):
         return None
     return next((unit for note in notes if note.about == "key" and (unit := unit_in(note.text))), None)
 
 
 def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
-    """Yield what the files that wrote the key, the last first, say on its line or above it."""
+    """Yield the comments on or above the key's line, in every file that sets the key, the last file first."""
     for source in reversed(sources):
         if source.file is None or source.line is None or len(keys) < len(source.package):
             continue
         inside = keys[len(source.package) :]
         if inside:
-            # Of a mapping, its own line rather than its first leaf's; of a list's element, the list's.
+            # source.line is the line of a leaf. A mapping's comment is on the mapping's own line.
             line = line_table(source.file).get(inside, source.line)
             text = comment_at(source.file, line)
         else:
@@ -76,21 +75,21 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             yield Meaning(text, show_file(source.file, line))
 
 
-def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: known.Slot | None) -> Iterator[Meaning]:
+def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Iterator[Meaning]:
     if slot is not None and slot.meaning:
         yield Meaning(slot.meaning, slot.reader or "wheelleg")
-    elif text := fixed.meaning_of(keys):
+    elif text := meaning_of(keys):
         yield Meaning(text, "wheelleg")
     for length in range(len(keys), 0, -1):
-        node = known.at(tree, keys[:length])
-        target = known.target_of(node)
+        node = at(tree, keys[:length])
+        target = key_slots.target_of(node)
         if target is not None:
             about = "key" if length == len(keys) else "term"
             yield Meaning(summary(target), str(node[TARGET]), about)
             return
 
 
-# The inner part of a reference to a key; with a colon it calls a resolver instead.
+# An interpolation without inner ones that refers to a key. One with a colon calls a resolver instead.
 _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 
 
@@ -100,9 +99,9 @@ class Reference:
 
     Attributes:
         path: the key.
-        value: its value, resolved.
-        raw: its value as written, where that is an interpolation itself.
-        where: who set it.
+        value: the resolved value of the key.
+        raw: the value as written if it is an interpolation itself, else None.
+        where: the file and line, or the override, that set the key.
     """
 
     path: str
@@ -112,7 +111,7 @@ class Reference:
 
 
 def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
-    """Yield what a raw value refers to, and what those refer to in turn."""
+    """Yield the keys that a raw value refers to, directly or through other interpolations."""
     tree = composed.raw_tree
     waiting, seen = [(keys, raw)], {keys}
     while waiting:
@@ -122,16 +121,16 @@ def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
             if found in seen:
                 continue
             seen.add(found)
-            inner = known.at(tree, found)
+            inner = at(tree, found)
             waiting.append((found, inner))
             written = inner if "${" in str(inner) else None
             yield Reference(
-                dotted(found), known.at(composed.config, found), written, composed.provenance.where(dotted(found))
+                dotted(found), at(composed.config, found), written, composed.provenance.where(dotted(found))
             )
 
 
 def _absolute(text: str, keys: Keys) -> Keys:
-    """Return the keys that a reference at ``keys`` names: one leading dot is the same mapping, two the one above."""
+    """Return the absolute keys of a reference in the value at ``keys``: ``.x`` is next to it, ``..x`` one level up."""
     dots = len(text) - len(text.lstrip("."))
     return split_path(text) if dots == 0 else (*keys[: len(keys) - dots], *split_path(text[dots:]))
 
@@ -141,22 +140,22 @@ Kind = Literal["value", "term", "section", "group", "not set", "not selected", "
 
 @dataclass(frozen=True)
 class Explanation:
-    """What there is to say about one key.
+    """The explanation of one key.
 
     Attributes:
         key: the key.
-        kind: what it is.
-        value: the value in force, resolved; of a key that is not set, the default.
-        raw: the value as written, where it has ``${...}``, else None.
-        has_value: whether ``value`` says anything.
-        unit: its unit, where one is known.
-        meanings: what is written about it, the nearest first.
-        sources: who wrote it, oldest first; the last is in force (or removed it).
-        references: what ``${...}`` leads to, in order.
-        alternatives: what else could stand there.
-        mount: the group that the key is, mounts, or comes from.
-        option: of a term, the group's option that brings it.
-        children: the keys below it, with their values in force.
+        kind: the kind of the key.
+        value: the current value, resolved; the default if the key is not set.
+        raw: the value as written if it contains ``${...}``, else None.
+        has_value: whether there is a value. Then None means null.
+        unit: the unit, if known.
+        meanings: comments and docstrings about the key, the nearest first.
+        sources: the places that set the key, oldest first. The last one set the current value, or removed the key.
+        references: the keys that ``${...}`` refers to, in order.
+        alternatives: the values that the key accepts.
+        mount: the group that is selected at the key, or whose option contains the key.
+        option: for a term, the option that contains it.
+        children: the keys below this key, with their current values.
         is_read: whether anything reads such a key.
     """
 
@@ -184,7 +183,7 @@ def explain_key(composed: Composed, key: str) -> Explanation:
         key: a leaf, term or section, set or not; or a group such as ``robot`` or ``reward@env.rewards``.
 
     Raises:
-        ConfigError: there is no such key and nothing reads one of that name, with the nearest there is.
+        ConfigError: the key does not exist, and nothing reads a key of that name.
     """
     tree = composed.raw_tree
     keys, found = split_path(key), composed.mounts
@@ -203,7 +202,7 @@ def explain_key(composed: Composed, key: str) -> Explanation:
 def _present(composed: Composed, tree: dict[str, Any], keys: Keys, found: list[Mount]) -> Explanation | None:
     if not keys or not _is_there(tree, keys):
         return None
-    raw, value, slot = known.at(tree, keys), known.at(composed.config, keys), known.slot(tree, keys)
+    raw, value, slot = at(tree, keys), at(composed.config, keys), key_slots.slot(tree, keys)
     notes = meanings(tree, keys, slot, _all_sources(composed, keys))
     explained = Explanation(
         dotted(keys),
@@ -223,29 +222,28 @@ def _present(composed: Composed, tree: dict[str, Any], keys: Keys, found: list[M
 
 
 def _with_children(explained: Explanation, keys: Keys, node: Mapping[str, Any], found: list[Mount]) -> Explanation:
-    """Turn the explanation of a value into that of a term or a section."""
     mount, option = mount_of(found, keys), None
     package = split_path(mount.package) if mount is not None else ()
     if mount is not None and len(keys) == len(package) + 1:
         option = option_of(mount, keys)
     if option is None and keys != package:
         mount = next((m for m in found if m.name == explained.key), None)
-    kind: Kind = "term" if known.section_of(keys) else "section"
+    kind: Kind = "term" if key_slots.section_of(keys) else "section"
     children = tuple((str(name), child) for name, child in node.items())
     return replace(explained, kind=kind, mount=mount, option=option, children=children)
 
 
 def _is_there(tree: Any, keys: Keys) -> bool:
-    parent = known.at(tree, keys[:-1])
+    parent = at(tree, keys[:-1])
     if isinstance(parent, Mapping):
         return keys[-1] in parent
     return isinstance(parent, list) and keys[-1].isdigit() and int(keys[-1]) < len(parent)
 
 
 def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanation | None:
-    """Explain a term that was set to null, anything inside it, and what an override deleted."""
+    """Explain a key that was removed: a term that is null, a key inside such a term, or a key that ``~key`` deleted."""
     path = dotted(keys)
-    term = known.term_keys(keys)
+    term = key_slots.term_keys(keys)
     if term is not None and dotted(term) in composed.removed_terms:
         source = composed.provenance[dotted(term)]
         inside = [s for s in source.shadowed if split_path(s.path)[: len(keys)] == keys]
@@ -277,34 +275,34 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
 
 
 def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
-    slot = known.slot(tree, keys)
-    has_place = isinstance(known.at(tree, keys[:-1]), Mapping) or bool(known.slots(tree, keys[:-1]))
-    if slot is None or not has_place or known.section_of(keys) is not None or _is_slip(tree, keys):
+    slot = key_slots.slot(tree, keys)
+    has_place = isinstance(at(tree, keys[:-1]), Mapping) or bool(key_slots.slots(tree, keys[:-1]))
+    if slot is None or not has_place or key_slots.section_of(keys) is not None or _is_misspelled(tree, keys):
         return None
-    if any(not known.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
-        return None  # below a name that may be any, and that nobody has given
+    if any(not key_slots.slots(tree, keys[: n - 1]) and not _is_there(tree, keys[:n]) for n in range(1, len(keys))):
+        return None  # a parent accepts any name, but no such name is set
     notes = meanings(tree, keys, slot, ())
-    default = None if slot.default is known.REQUIRED else slot.default
+    default = None if slot.default is key_slots.REQUIRED else slot.default
     return Explanation(
         dotted(keys),
         "not set",
         value=default,
-        has_value=slot.default is not known.REQUIRED,
+        has_value=slot.default is not key_slots.REQUIRED,
         unit=unit_of(notes, keys),
         meanings=notes,
         alternatives=alternatives(tree, keys, slot),
     )
 
 
-def _is_slip(tree: dict[str, Any], keys: Keys) -> bool:
-    """Return whether a key of a mapping that takes any name is nearly one that is there."""
-    node = known.at(tree, keys[:-1])
-    named = known.slots(tree, keys[:-1])
+def _is_misspelled(tree: dict[str, Any], keys: Keys) -> bool:
+    """Return whether a mapping accepts any name, and a key in it is nearly equal to an existing one."""
+    node = at(tree, keys[:-1])
+    named = key_slots.slots(tree, keys[:-1])
     return not named and isinstance(node, Mapping) and nearest_name(keys[-1], map(str, node)) is not None
 
 
 def _sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
-    """Return the writers of one leaf, oldest first; of a list's element, the writers of the list."""
+    """Return the sources of a leaf, oldest first. For an element of a list, return the sources of the list."""
     for length in range(len(keys), 0, -1):
         source = composed.provenance.get(dotted(keys[:length]))
         if source is not None:
@@ -320,8 +318,8 @@ def _all_sources(composed: Composed, keys: Keys) -> tuple[Source, ...]:
 def _unknown(tree: dict[str, Any], key: str, found: Sequence[Mount]) -> ConfigError:
     keys = split_path(key)
     depth = next((n for n in range(len(keys), 0, -1) if _is_there(tree, keys[:n])), 0)
-    settable = list(known.slots(tree, keys[:depth]))
-    node = known.at(tree, keys[:depth])
+    settable = list(key_slots.slots(tree, keys[:depth]))
+    node = at(tree, keys[:depth])
     shown = ", ".join(dict.fromkeys([*map(str, node if isinstance(node, Mapping) else ()), *settable]))
     place = f" in {dotted(keys[:depth])}" if depth else ""
     names = [*map(dotted, node_paths(tree)), *(dotted((*keys[:depth], name)) for name in settable)]

@@ -13,95 +13,92 @@ from typing import Any
 
 from wheelleg_exp.config.config_tree import yaml_node
 
-# The managers' own fields of a term, with what stands there when a config says nothing.
+# The description and the default of the managers' own fields of a term; ... means that the field is required.
 FIELDS: dict[str, tuple[str, Any]] = {
     "weight": ("factor on the term; a step adds weight times value times the control step to the return", ...),
-    "time_out": (
-        "whether it only cuts the episode off, which then has not failed",
-        False,
-    ),
+    "time_out": ("whether the episode is only cut off: it ends, but has not failed", False),
     "mode": ("when it runs: prestartup and startup once, reset at each reset, interval after random waits", ...),
     "interval_range_s": ("shortest and longest wait between two runs of mode interval, s", None),
-    "is_global_time": ("whether one timer serves all environments", False),
+    "is_global_time": ("whether all environments share one timer", False),
     "min_step_count_between_reset": ("fewest control steps between two runs of mode reset", 0),
     "modifiers": ("functions of the observation, in order, before noise", None),
-    "noise": ("noise on the observation, where the group has enable_corruption", None),
+    "noise": ("noise on the observation, if the group has enable_corruption", None),
     "clip": ("bounds of the observation before scaling", None),
     "scale": ("factor on the observation, or one for each component", None),
-    "history_length": ("control steps kept, 0: only the present; the group's own setting comes first", 0),
-    "delay": ("shortest and longest delay, physics steps, drawn at each reset; null for none", None),
+    "history_length": ("control steps stored, 0: only the present; the group's own setting overrides it", 0),
+    "delay": ("shortest and longest delay, physics steps, drawn at each reset; null: no delay", None),
     "flatten_history_dim": ("whether the history is one vector, oldest first", True),
 }
 
-# Keys of the fixed part; * stands for one key.
+# The description of the keys that no docstring describes; * matches one key.
 KEYS: dict[str, str] = {
     "seed": "seed of every random stream of the run",
-    "init_from": "run (path, id, `latest`) or checkpoint whose networks the training begins with; null draws them",
-    "init_from_what": "what is taken over: networks (policy and critic), policy, or learning (the optimiser as well)",
+    "init_from": "run (path, id, `latest`) or checkpoint with the initial networks; null: random networks",
+    "init_from_what": "what is loaded: networks (policy and critic), policy, or learning (also the optimiser)",
     "task": "what is trained",
-    "task.name": "name of the task; its run directories stand below <run.root>/<name>",
-    "check": "findings of the check that are known and accepted",
+    "task.name": "name of the task; its run directories are in <run.root>/<name>",
+    "check": "known and accepted findings of the check",
     "check.silence": "the reason for each silenced rule of `wheelleg check --physics`, by the rule's name",
-    "env": "the environments: size, pace, scene and terms",
-    "env.num_envs": "environments simulated side by side",
+    "env": "the environments: number, episode length, decimation, scene and terms",
+    "env.num_envs": "environments simulated in parallel",
     "env.episode_length_s": "longest episode, s",
     "env.decimation": "physics steps of one control step",
     "env.sim": "the solver",
     "env.scene": "ground and sensors",
-    "env.robot": "the robot: its file, its start and its drives",
-    "env.commands": "what the robot is asked to do, by term",
+    "env.robot": "the robot: its file, its initial state and its actuators",
+    "env.commands": "the commands that the robot follows, by term",
     "env.actions": "what the policy's output means; the order of terms is the layout of the action vector",
-    "env.observations": "what networks see, by group",
+    "env.observations": "the inputs of the networks, by group",
     "env.observations.*": "one observation: its terms, joined in their order",
     "env.observations.*.terms": "the terms; their order is the layout of the observation",
     "env.observations.*.concatenate_terms": "whether the terms are joined to one vector",
-    "env.observations.*.enable_corruption": "whether the noise of the terms acts",
-    "env.observations.*.history_length": "control steps kept of each term, in place of the terms' own setting",
+    "env.observations.*.enable_corruption": "whether the noise of the terms is applied",
+    "env.observations.*.history_length": "control steps stored of each term; overrides the terms' own setting",
     "env.observations.*.flatten_history_dim": "whether histories are flattened, oldest first",
     "env.observations.*.concatenate_dim": "dimension along which terms are joined: -1 the last, 0 the first",
-    "env.observations.*.history_order": "how flattened histories stand: term by term, or time step by time step",
-    "env.events": "what happens to the simulation at start, at resets and in between; terms run in their order",
-    "env.rewards": "what is rewarded: each step adds weight times value times the control step of each term",
-    "env.terminations": "what ends an episode",
-    "env.curriculum": "what changes as training goes on; terms run in their order",
-    "env.recorders": "what of each episode is written to the run's dataset; they change nothing",
-    "env.is_finite_horizon": "whether time-outs are ends like any other, after which no value is added",
-    "env.dataset": "which of the episodes that recorders note are written",
-    "pipeline": "tasks one after the other, with gates between",
-    "protocol": "fixed scenarios of `wheelleg evaluate`, and how they are judged",
+    "env.observations.*.history_order": "order in flattened histories: term by term, or time step by time step",
+    "env.events": "changes to the simulation at start, at resets and in between; terms run in their order",
+    "env.rewards": "the rewards: each step adds weight times value times the control step of each term",
+    "env.terminations": "the conditions that end an episode",
+    "env.curriculum": "changes in the course of the training; terms run in their order",
+    "env.recorders": "the data of each episode in the run's dataset; recorders do not change the training",
+    "env.is_finite_horizon": "whether a time-out ends the return: no value of the last state is added",
+    "env.dataset": "which of the recorders' episodes are written",
+    "pipeline": "tasks one after the other, with gates between them",
+    "protocol": "fixed scenarios of `wheelleg evaluate`, and their metrics",
     "agent": "the learning algorithm and its networks, in rsl_rl's own terms",
     "agent.algorithm": "the algorithm: a class of rsl_rl and its parameters",
     "agent.actor": "the policy's network: a class of rsl_rl and its parameters",
     "agent.critic": "the value network: a class of rsl_rl and its parameters",
-    "agent.student": "the network that learns: a class of rsl_rl and its parameters",
-    "agent.teacher": "the network that is learned from, as it was trained: a class of rsl_rl and its parameters",
+    "agent.student": "the network that learns from the teacher: a class of rsl_rl and its parameters",
+    "agent.teacher": "the trained network that the student imitates: a class of rsl_rl and its parameters",
     "agent.*.class_name": "class, of rsl_rl or of an allowed package (module:Class)",
     "agent.*.distribution_cfg.class_name": "class of the distribution of actions",
-    "agent.obs_groups": "which observation groups each network sees, in order",
-    "agent.obs_groups.*": "observation groups that this network sees, in order",
+    "agent.obs_groups": "the observation groups of each network, in order",
+    "agent.obs_groups.*": "the observation groups of this network, in order",
     "agent.num_steps_per_env": "control steps of one rollout in each environment",
     "agent.max_iterations": "iterations in total",
     "agent.save_interval": "iterations between checkpoints",
-    "agent.logger": "tensorboard; wandb also sends scalars and config to Weights & Biases; null for no event files",
+    "agent.logger": "tensorboard; wandb also sends scalars and config to Weights & Biases; null: no event files",
     "agent.device": "device of the networks",
     "agent.torch_threads": "threads of torch; recorded in the run",
-    "agent.matmul": "in what the update multiplies: float32, bfloat16 or tf32; auto: what there are units for",
+    "agent.matmul": "number format of the update's products: float32, bfloat16 or tf32; auto: by the hardware",
     "agent.graph_update": "on a GPU, whether PPO's acting and update are CUDA graphs",
-    "agent.average_iterations": "iterations over which the policy's weights are averaged to what is played; 0 is none",
-    "agent.clip_actions": "bound of the raw actions, null for none",
-    "agent.max_non_finite": "episodes that may end in one iteration because a number was not finite, per environment",
-    "agent.symmetry": "how the robot is mirrored left to right, null where it is not",
-    "agent.torch_compile_mode": "mode of torch.compile, null for none",
+    "agent.average_iterations": "iterations over which the played policy's weights are averaged; 0: no average",
+    "agent.clip_actions": "bound of the raw actions; null: unbounded",
+    "agent.max_non_finite": "most episodes that a number that is not finite can end in one iteration, per environment",
+    "agent.symmetry": "how the robot is mirrored left to right; null: the robot is not symmetric",
+    "agent.torch_compile_mode": "mode of torch.compile; null: torch.compile is not used",
     "recording": "what is recorded",
-    "run": "where the run goes",
-    "play": "how figures are taken",
+    "run": "root and name of the run directory",
+    "play": "how figures are measured",
     "drive": "how a robot is driven by hand, or by a script",
     "*._target_": "the function or class that is called",
 }
 
 
 def meaning_of(keys: tuple[str, ...]) -> str:
-    """Return what a key of the fixed part means, or nothing."""
+    """Return the description of a key in the table ``KEYS``; empty if the table lacks the key."""
     path = ".".join(keys)
     for pattern, text in KEYS.items():
         if pattern == path or (len(pattern.split(".")) == len(keys) and fnmatchcase(path, pattern)):
@@ -113,9 +110,9 @@ _PACKAGE = re.compile(r"\s*#+\s*@package\b")
 
 
 def comment_at(file: Path, line: int) -> str:
-    """Return the comment on a line, else the one right above it at the same indentation, else nothing.
+    """Return the comment on a line, or the comment directly above it at the same indentation; empty without one.
 
-    The comment on top of a file describes the whole file: it is a key's own only where the file has no other.
+    The comment at the top of a file describes the whole file. It counts for a key only if the file has no other key.
 
     Args:
         file: the YAML file.
@@ -129,7 +126,7 @@ def comment_at(file: Path, line: int) -> str:
 
 
 def file_comment(file: Path) -> str:
-    """Return the comment on top of a file that has a package line and so describes one section, else nothing."""
+    """Return the comment at the top of a file with a package line, which describes one section; empty without one."""
     lines = _lines(file, file.stat().st_mtime_ns)
     if not lines or not _PACKAGE.match(lines[0]):
         return ""
@@ -147,7 +144,7 @@ def _lines(file: Path, _stamp: int) -> list[str]:
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Split a line into what YAML reads and its comment."""
+    """Split a line into YAML text and comment."""
     quote = ""
     for index, letter in enumerate(text):
         if quote:
@@ -193,14 +190,14 @@ _PRODUCT = rf"(?:1(?=/)|{_ATOM}{_POWER}|\({_ATOM}(?:[·*/]{_ATOM})*\){_POWER})(?
 _WORDS = r"control steps?|physics steps?|iterations?|seconds|radians|megabytes"
 _UNIT = rf"(?:per )?(?:{_PRODUCT}|{_WORDS})(?: per (?:{_PRODUCT}|unit of action))?"
 _LIST = rf"{_UNIT}(?:, {_UNIT})*"
-# What may follow a unit at the beginning of a line; "N environments" names no newtons.
+# Words that can follow a unit at the start of a line. Without them, the "N" of "N environments" would mean newtons.
 _AFTER = r"of|on|between|from|above|below|beyond|at|in|to|each|that|before|after|a|per|by|in"
 _FIRST = re.compile(rf"^({_LIST})(?=$|[;,.:]| (?:{_AFTER})\b)")
 _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")
 
 
 def unit_in(text: str) -> str | None:
-    """Return the unit that a comment or a docstring line names: at its beginning, or after a comma."""
+    """Return the unit in a comment or a docstring line: at its start, or after a comma; None without a unit."""
     for pattern in (_FIRST, _LATER):
         match = pattern.search(text)
         if match:
@@ -209,19 +206,19 @@ def unit_in(text: str) -> str | None:
 
 
 def summary(target: Any) -> str:
-    """Return the first paragraph of a docstring on one line, or nothing."""
+    """Return the first paragraph of a docstring on one line; empty without a docstring."""
     text = inspect.getdoc(target) or ""
     return " ".join(text.strip().split("\n\n")[0].split())
 
 
 def headline(target: Any) -> str:
-    """Return the first line of a docstring, or nothing."""
+    """Return the first line of a docstring; empty without a docstring."""
     text = (inspect.getdoc(target) or "").strip()
     return text.splitlines()[0] if text else ""
 
 
 def parameter_lines(target: Callable[..., Any]) -> dict[str, str]:
-    """Return what a docstring says of each parameter; of a class, what it and the classes above it say."""
+    """Return the description of each parameter in a target's docstring; for a class, its base classes count, too."""
     if not inspect.isclass(target):
         return parameters_in(inspect.getdoc(target) or "")
     found: dict[str, str] = {}
@@ -250,5 +247,5 @@ def parameters_in(text: str) -> dict[str, str]:
 
 
 def is_own(module: ModuleType, found: Any) -> bool:
-    """Return whether something is defined in a module, or in a module of that package, and not only imported."""
+    """Return whether an object is defined in a module or its submodules, and not only imported there."""
     return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")

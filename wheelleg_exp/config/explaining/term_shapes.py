@@ -19,13 +19,13 @@ class TermShape:
 
     Attributes:
         name: the term.
-        target: its target, dotted.
+        target: the dotted name of the term's target.
         width: components of one sample.
-        history: control steps kept; 0 is the present alone.
-        shape: shape of one environment's part.
-        start: first index in the joined vector; None where the term is not in one piece.
-        stop: index after the last.
-        joints: of an action, the joints that it drives, in its order.
+        history: control steps in the history; 0: only the present.
+        shape: shape of the term in one environment.
+        start: first index in the joined vector; None if the term is not contiguous there.
+        stop: index after the last one.
+        joints: for an action, the joints that it drives, in the order of its components.
     """
 
     name: str
@@ -44,7 +44,7 @@ class GroupShape:
 
     Attributes:
         terms: the terms in order.
-        shape: shape of one environment's vector; None where the terms are not joined.
+        shape: shape of the vector of one environment; None if the terms are not joined.
     """
 
     terms: tuple[TermShape, ...]
@@ -53,10 +53,10 @@ class GroupShape:
 
 @dataclass(frozen=True)
 class Shapes:
-    """What goes into a policy and comes out of it.
+    """The layout of a policy's inputs and outputs.
 
     Attributes:
-        joints: the robot's joints, in the order of terms without expressions.
+        joints: the robot's joints, in the order in which a term without joint expressions uses them.
         observations: the groups by name.
         actions: the action vector.
     """
@@ -80,7 +80,7 @@ def shapes(composed: Composed) -> Shapes:
 
 
 def shapes_of(env: ManagerBasedRLEnv) -> Shapes:
-    """Return the layout that an environment has."""
+    """Return the layout of an environment's observations and actions."""
     groups = {group: _group(env, group) for group in env.observation_manager.active_terms}
     return Shapes(tuple(env.scene.robot.joint_names), groups, _actions(env))
 
